@@ -1,0 +1,96 @@
+"""A sample as a controller sees it: values by name, who ruled what, and a way to answer."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import datetime
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topics import codec
+from topics.errors import UnknownName, near
+from topics.messages import Flag, Manifest, Sample
+
+
+class Answerer(Protocol):
+    """Where an answer goes."""
+
+    def send(self, values: Mapping[str, float | None] | NDArray[np.float64] | None = None) -> None:
+        """Answers the present sample."""
+
+
+class SampleView:
+    """One slot of one sample. `sample["core_zn_air_temperature"]` is a value in the point's unit."""
+
+    __slots__ = ("_index", "_link", "manifest", "slot", "wire")
+
+    def __init__(
+        self, wire: Sample, manifest: Manifest, index: Mapping[str, int], link: Answerer | None = None, slot: int = 0
+    ) -> None:
+        self.wire = wire
+        self.manifest = manifest
+        self.slot = slot
+        self._index = index
+        self._link = link
+
+    @property
+    def episode(self) -> int:
+        """Number of the episode, from 0."""
+        return self.wire.episode[self.slot]
+
+    @property
+    def step(self) -> int:
+        """Number of the sample in its episode; 0 is the state after warm-up."""
+        return self.wire.step[self.slot]
+
+    @property
+    def time(self) -> datetime:
+        """Local standard time at the end of the timestep, naive."""
+        return datetime.fromisoformat(self.wire.time[self.slot])
+
+    @property
+    def truncated(self) -> bool:
+        """Whether this is the episode's last sample: the run period is over."""
+        return bool(self.wire.flags[self.slot] & Flag.TRUNCATED)
+
+    @property
+    def values(self) -> NDArray[np.float64]:
+        """Sensors, then meters, shape (points,), in manifest order and units."""
+        manifest = self.manifest
+        shape = (manifest.slots, len(manifest.sensors) + len(manifest.meters))
+        return codec.floats(self.wire.values, shape, "values")[self.slot]
+
+    @property
+    def applied(self) -> NDArray[np.float64]:
+        """What each actuator really was, shape (actuators,); NaN where EnergyPlus does not tell."""
+        shape = (self.manifest.slots, len(self.manifest.actuators))
+        return codec.floats(self.wire.applied, shape, "applied")[self.slot]
+
+    @property
+    def ruled_by(self) -> dict[str, str]:
+        """Actuator to who set it; `""` is the building's own control."""
+        shape = (self.manifest.slots, len(self.manifest.actuators))
+        who = codec.octets(self.wire.ruler, shape, "ruler")[self.slot]
+        return {a.name: self.wire.rulers[i] for a, i in zip(self.manifest.actuators, who.tolist(), strict=True)}
+
+    def __getitem__(self, name: str) -> float:
+        """The value of a sensor or meter; `UnknownName` lists near names."""
+        index = self._index.get(name)
+        if index is None:
+            raise UnknownName(f"no sensor or meter {name!r}; {near(name, self._index)}")
+        return float(self.values[index])
+
+    def as_dict(self) -> dict[str, float]:
+        """All sensors and meters by name."""
+        return dict(zip(self._index, self.values.tolist(), strict=True))
+
+    def send(self, values: Mapping[str, float | None] | NDArray[np.float64] | None = None) -> None:
+        """Answers this sample; see `ControlLink.send`."""
+        if self._link is None:
+            raise UnknownName("this sample belongs to a listener; only a controller can answer")
+        self._link.send(values)
+
+    def __repr__(self) -> str:
+        return f"<sample {self.step} of episode {self.episode} at {self.wire.time[self.slot]}>"

@@ -1,0 +1,391 @@
+"""The step exchange: messages in, decisions out. No Zenoh, no EnergyPlus, no clock in here.
+
+An episode of N timesteps has N commands and N + 1 samples. Sample 0 is the state after warm-up; command k
+answers sample k and rules timestep k + 1; the last sample needs no answer.
+
+    STARTING ──ready──▶ WAITING ──go──▶ RUNNING ──sampled──▶ WAITING … ──ended──▶ ENDED
+        ▲                  │                                                       │
+        └──────reset───────┴───────────────────────────────────────────────reset───┘
+
+In lockstep the exchange goes on when each required controller has answered the present sample, and there
+is at least one. In free mode it always goes on. A controller that vanished keeps its claim (policy `wait`):
+the node waits until it is back or another takes its level over.
+
+Three kinds of messages change nothing and are counted and named in an event: `late` (answers a step that is
+over), `duplicate` (answers the present step again), `rejected` (everything else that is wrong).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bridge.priority import PriorityArray
+from topics import codec
+from topics.errors import BadMessage, Refused, ZenostatError, near
+from topics.messages import (
+    Actuator,
+    Claim,
+    Command,
+    ControllerStatus,
+    Event,
+    EventKind,
+    Mask,
+    Mode,
+    State,
+    Write,
+)
+
+
+class Input(StrEnum):
+    """What can happen to an episode."""
+
+    READY = "ready"
+    GO = "go"
+    SAMPLED = "sampled"
+    ENDED = "ended"
+    RESET = "reset"
+    FAIL = "fail"
+    STOP = "stop"
+
+
+TRANSITIONS: dict[tuple[State, Input], State] = {
+    (State.STARTING, Input.READY): State.WAITING,
+    (State.WAITING, Input.GO): State.RUNNING,
+    (State.RUNNING, Input.SAMPLED): State.WAITING,
+    (State.RUNNING, Input.ENDED): State.ENDED,
+    (State.WAITING, Input.RESET): State.STARTING,
+    (State.ENDED, Input.RESET): State.STARTING,
+    (State.FAILED, Input.RESET): State.STARTING,
+    **{(s, Input.FAIL): State.FAILED for s in (State.STARTING, State.WAITING, State.RUNNING)},
+    **{(s, Input.STOP): State.STOPPED for s in State if s is not State.STOPPED},
+}
+
+
+class IllegalInput(ZenostatError):
+    """An input that the present state has no row for: a mistake in the program, not of a peer."""
+
+
+@dataclass(slots=True)
+class Claimant:
+    """A controller's claim: its level, which actuators, and how it is doing."""
+
+    name: str
+    level: int
+    allowed: NDArray[np.bool_]
+    required: bool
+    source: int
+    present: bool = True
+    accepted: int = 0
+
+
+@dataclass(slots=True)
+class Counts:
+    """Messages of the node's life."""
+
+    accepted: int = 0
+    rejected: int = 0
+    late: int = 0
+    duplicate: int = 0
+
+
+@dataclass(slots=True)
+class _Expiry:
+    at_s: float
+    level: int
+    actuator: int
+    source: str
+
+
+@dataclass(slots=True)
+class Exchange:
+    """The state of one node's exchange.
+
+    Attributes:
+        actuators: in manifest order.
+        slots: engines in the node.
+        mode: who sets the pace.
+    """
+
+    actuators: tuple[Actuator, ...]
+    slots: int = 1
+    mode: Mode = Mode.LOCKSTEP
+    state: State = State.STARTING
+    episode: list[int] = field(default_factory=list)
+    step: list[int] = field(default_factory=list)
+    counts: Counts = field(default_factory=Counts)
+    claimants: dict[str, Claimant] = field(default_factory=dict)
+    touched: bool = False
+    _pending: set[str] = field(default_factory=set)
+    _expiries: list[_Expiry] = field(default_factory=list)
+    _bounds: NDArray[np.float64] = field(init=False)
+    _array: PriorityArray = field(init=False)
+    _index: dict[str, int] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.episode = self.episode or [0] * self.slots
+        self.step = self.step or [0] * self.slots
+        low = [-np.inf if a.low is None else a.low for a in self.actuators]
+        high = [np.inf if a.high is None else a.high for a in self.actuators]
+        self._bounds = np.array([low, high]).reshape(2, len(self.actuators))
+        self._array = PriorityArray(self.slots, len(self.actuators))
+        self._index = {a.name: i for i, a in enumerate(self.actuators)}
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(slots, actuators)."""
+        return self.slots, len(self.actuators)
+
+    @property
+    def ruler_names(self) -> list[str]:
+        """Names that the indices of `go` refer to."""
+        return self._array.names
+
+    def take(self, what: Input) -> None:
+        """Moves on by the table.
+
+        Raises:
+            IllegalInput: there is no row for it.
+        """
+        try:
+            self.state = TRANSITIONS[self.state, what]
+        except KeyError:
+            raise IllegalInput(f"{what!r} cannot happen to a node that is {self.state!r}") from None
+
+    # The engine's side
+
+    def ready(self) -> None:
+        """The engine waits at sample 0."""
+        self.take(Input.READY)
+        self.step = [0] * self.slots
+        self.touched = False
+        self._await_all()
+
+    def sampled(self, *, last: bool) -> None:
+        """The engine has simulated a timestep."""
+        self.take(Input.ENDED if last else Input.SAMPLED)
+        self.step = [step + 1 for step in self.step]
+        self._await_all()
+
+    def reset(self) -> None:
+        """A new episode begins: claims stay, what was set is released."""
+        self.take(Input.RESET)
+        self.episode = [episode + 1 for episode in self.episode]
+        self._array.clear()
+        self._expiries.clear()
+        for claimant in self.claimants.values():
+            claimant.source = self._array.source(claimant.name)
+
+    def _await_all(self) -> None:
+        self._pending = {c.name for c in self.claimants.values() if c.required}
+
+    def due(self) -> bool:
+        """Whether the next timestep may be simulated now."""
+        if self.state is not State.WAITING:
+            return False
+        if self.mode is Mode.FREE:
+            return True
+        return not self._pending and any(c.required for c in self.claimants.values())
+
+    def missing(self) -> list[str]:
+        """Required controllers that have not answered the present sample."""
+        return sorted(self._pending)
+
+    def go(self) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
+        """Starts the timestep: the values that rule it (NaN: the building's own) and who set them."""
+        self.take(Input.GO)
+        self.touched = True
+        return self._array.resolve()
+
+    # The controllers' side
+
+    def claim(self, claim: Claim) -> list[Event]:
+        """Takes or renews a claim.
+
+        Raises:
+            Refused: unknown actuators, or another present controller holds the level on one of them.
+        """
+        allowed = self._select(claim.actuators)
+        for other in self.claimants.values():
+            clash = other.allowed & allowed
+            if other.name == claim.controller or other.level != claim.level or not clash.any():
+                continue
+            if other.present:
+                which = self.actuators[int(np.flatnonzero(clash)[0])].name
+                raise Refused(
+                    f"level {claim.level} of {which!r} is claimed by {other.name!r}; "
+                    "claim another level, or wait until it has left"
+                )
+        events = self._replace_absent(claim, allowed)
+        old = self.claimants.get(claim.controller)
+        source = self._array.source(claim.controller)
+        self.claimants[claim.controller] = Claimant(
+            claim.controller, claim.level, allowed, claim.required, source, accepted=old.accepted if old else 0
+        )
+        if claim.required and self.state is State.WAITING:
+            self._pending.add(claim.controller)
+        kind = "again" if old else f"at level {claim.level}"
+        return [*events, self.event(EventKind.JOINED, f"{claim.controller} controls {kind}", claim.controller)]
+
+    def _select(self, names: list[str] | None) -> NDArray[np.bool_]:
+        allowed = np.ones(len(self.actuators), np.bool_) if names is None else np.zeros(len(self.actuators), np.bool_)
+        for name in names or ():
+            if name not in self._index:
+                raise Refused(f"no actuator {name!r}; {near(name, self._index)}")
+            allowed[self._index[name]] = True
+        return allowed
+
+    def _replace_absent(self, claim: Claim, allowed: NDArray[np.bool_]) -> list[Event]:
+        gone = [
+            c.name
+            for c in self.claimants.values()
+            if not c.present
+            and c.name != claim.controller
+            and c.level == claim.level
+            and (bool((c.allowed & allowed).any()) or not self.actuators)
+        ]
+        for name in gone:
+            del self.claimants[name]
+            self._pending.discard(name)
+        return [self.event(EventKind.LEFT, f"{claim.controller} takes over from {name}", name) for name in gone]
+
+    def left(self, name: str) -> list[Event]:
+        """A controller has gone; its claim waits for it."""
+        claimant = self.claimants.get(name)
+        if claimant is None or not claimant.present:
+            return []
+        claimant.present = False
+        waits = ", the node waits for it" if claimant.required and self.mode is Mode.LOCKSTEP else ""
+        return [self.event(EventKind.LEFT, f"{name} has gone{waits}", name)]
+
+    def command(self, controller: str, command: Command) -> Event | None:
+        """Takes a command; an event if it was not taken."""
+        claimant = self.claimants.get(controller)
+        if claimant is None:
+            return self.rejected(f"{controller!r} has claimed nothing; claim first", controller)
+        if command.step != self.step or command.episode != self.episode:
+            return self._wrong_step(controller, command)
+        if self.state is not State.WAITING or (claimant.required and controller not in self._pending):
+            self.counts.duplicate += 1
+            text = f"step {self.step} was answered already" if self.state is not State.ENDED else "the episode is over"
+            return self.event(EventKind.DUPLICATE, text, controller)
+        try:
+            self._apply(claimant, command)
+        except BadMessage as error:
+            return self.rejected(str(error), controller)
+        claimant.accepted += 1
+        self.counts.accepted += 1
+        self._pending.discard(controller)
+        return None
+
+    def _wrong_step(self, controller: str, command: Command) -> Event:
+        came, present = (command.episode, command.step), (self.episode, self.step)
+        text = f"answers episode {came[0]} step {came[1]}; present are episode {present[0]} step {present[1]}"
+        if len(command.step) == len(command.episode) == self.slots and came < present:
+            self.counts.late += 1
+            return self.event(EventKind.LATE, text, controller)
+        return self.rejected(text, controller)
+
+    def _apply(self, claimant: Claimant, command: Command) -> None:
+        values = codec.floats(command.values, self.shape, "values")
+        if command.mask is None and claimant.allowed.all():
+            self._check(values)
+            self._array.put(claimant.level, claimant.source, values)
+            return
+        mask = self._mask(claimant, command)
+        self._check(np.where(mask == Mask.SET, values, self._bounds[0].clip(-1e300, 1e300)))
+        self._array.put(claimant.level, claimant.source, np.where(mask == Mask.SET, values, np.nan), mask != Mask.KEEP)
+
+    def _mask(self, claimant: Claimant, command: Command) -> NDArray[np.uint8]:
+        if command.mask is None:
+            mask = np.full(self.shape, Mask.SET, np.uint8)
+        else:
+            mask = codec.octets(command.mask, self.shape, "mask")
+        if mask.size and mask.max() > Mask.RELEASE:
+            raise BadMessage(f"mask has {int(mask.max())}; 0 keeps, 1 sets, 2 releases")
+        if (mask[:, ~claimant.allowed] != Mask.KEEP).any():
+            _, index = np.argwhere((mask != Mask.KEEP) & ~claimant.allowed)[0]
+            raise BadMessage(f"{self.actuators[index].name!r} is not among the actuators it claimed")
+        return mask
+
+    def _check(self, values: NDArray[np.float64]) -> None:
+        low, high = self._bounds
+        good = (values >= low) & (values <= high)
+        if good.all() and np.isfinite(values).all():
+            return
+        slot, index = np.argwhere(~(good & np.isfinite(values)))[0]
+        raise BadMessage(self._out_of_bounds(int(index), float(values[slot, index])))
+
+    def _out_of_bounds(self, index: int, value: float) -> str:
+        actuator = self.actuators[index]
+        low, high = (str(b) if b is not None else "unbounded" for b in (actuator.low, actuator.high))
+        return f"{actuator.name} = {value:g} {actuator.unit}; its bounds are {low} to {high}"
+
+    def write(self, name: str, write: Write, elapsed_s: float) -> Event:
+        """A device or a person writes one actuator; it rules from the next timestep on."""
+        if name not in self._index:
+            return self.rejected(f"no actuator {name!r}; {near(name, self._index)}", write.source)
+        index = self._index[name]
+        if write.value is not None:
+            actuator = self.actuators[index]
+            low, high = self._bounds[:, index]
+            if not low <= write.value <= high:
+                return self.rejected(self._out_of_bounds(index, write.value), write.source)
+            text = f"{name} = {write.value:g} {actuator.unit} at priority {write.priority}"
+        else:
+            text = f"{name} released at priority {write.priority}"
+        holder = next((c for c in self.claimants.values() if c.level == write.priority and c.allowed[index]), None)
+        if holder is not None:
+            return self.rejected(f"level {write.priority} of {name!r} is claimed by {holder.name!r}", write.source)
+        self._set(write.priority, write.source, index, write.value)
+        self._expiries = [e for e in self._expiries if (e.level, e.actuator) != (write.priority, index)]
+        if write.value is not None and write.for_s is not None:
+            self._expiries.append(_Expiry(elapsed_s + write.for_s, write.priority, index, write.source))
+        return self.event(EventKind.WRITTEN, text, write.source)
+
+    def _set(self, level: int, source: str, index: int, value: float | None) -> None:
+        if len(self._array.names) > 250 and source not in self._array.names:
+            source = "others"
+        self.touched = True
+        self._array.put_one(level, self._array.source(source), index, np.nan if value is None else value)
+
+    def expire(self, elapsed_s: float) -> list[Event]:
+        """Releases what was written for a time that is over."""
+        if not self._expiries:
+            return []
+        over = [e for e in self._expiries if e.at_s <= elapsed_s]
+        self._expiries = [e for e in self._expiries if e.at_s > elapsed_s]
+        for e in over:
+            self._set(e.level, e.source, e.actuator, None)
+        return [
+            self.event(EventKind.EXPIRED, f"{self.actuators[e.actuator].name} released at priority {e.level}", e.source)
+            for e in over
+        ]
+
+    # Words
+
+    def rejected(self, text: str, source: str) -> Event:
+        """Counts a message that was not taken, and the event that names it."""
+        self.counts.rejected += 1
+        return self.event(EventKind.REJECTED, text, source)
+
+    def event(self, kind: EventKind, text: str, source: str = "", error: str = "") -> Event:
+        """An event at the present episode and step."""
+        return Event(kind=kind, text=text, source=source, error=error, episode=self.episode[0], step=self.step[0])
+
+    def controllers(self) -> list[ControllerStatus]:
+        """All claims, for the status."""
+        return [
+            ControllerStatus(
+                controller=c.name,
+                level=c.level,
+                actuators=int(c.allowed.sum()),
+                required=c.required,
+                present=c.present,
+                accepted=c.accepted,
+            )
+            for c in self.claimants.values()
+        ]

@@ -1,0 +1,54 @@
+"""A node as a program, for whoever starts one of their own: `python -m eplus_node`.
+
+Standard input: one line of JSON, the settings of `NodeConfig`; the node ends when its other end is closed.
+Standard output: one line of JSON, `{"ready": name}` or `{"error": class, "message": text}`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import threading
+
+from eplus_node.config import read_config
+from eplus_node.node import Node
+from topics.errors import to_wire
+
+
+def _end_with_owner() -> None:
+    while os.read(0, 4096):
+        pass
+    os.kill(os.getpid(), signal.SIGTERM)
+
+
+def _say(**what: str) -> None:
+    try:
+        print(json.dumps(what), flush=True)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # the owner is gone; the lifeline says so as well
+
+
+def main() -> int:
+    """Runs the node; 0 if it was told to stop, 1 if it could not start or EnergyPlus failed."""
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+    line = b""
+    while not line.endswith(b"\n"):
+        more = os.read(0, 65536)
+        if not more:
+            return 1
+        line += more
+    threading.Thread(target=_end_with_owner, daemon=True, name="lifeline").start()
+    try:
+        with Node(read_config(json.loads(line))) as node:
+            _say(ready=node.config.name)
+            node.serve()
+    except Exception as error:
+        _say(**to_wire(error))
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

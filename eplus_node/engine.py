@@ -1,0 +1,263 @@
+"""The engine: EnergyPlus in a process of its own, exchanging one frame a timestep over a socket.
+
+Run as `python -m eplus_node.engine FD`. No Zenoh, no NumPy, no threads: a process like this can be
+forked while it waits. Each frame is an array of native doubles of one fixed length:
+
+    to the node:    [kind, step, sensors…, meters…, feedback…]      kind is one of `Said`
+    from the node:  [order, step, actuators…]                       order is one of `Order`; NaN releases
+
+A `FAILED` frame has the length of a UTF-8 text in place of the step, and the text follows.
+Sample 0 is the state after warm-up. The last sample is sent once EnergyPlus has ended the run by itself,
+so that it stands for a run that was good to its end.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import os
+import shutil
+import signal
+import socket
+import struct
+import sys
+from array import array
+from enum import IntEnum
+from itertools import repeat
+from typing import Any, NoReturn
+
+RUN_PERIOD = 3
+"""EnergyPlus's `kind_of_sim` of a weather-file run period."""
+
+
+class Said(IntEnum):
+    """Kinds of frames to the node."""
+
+    SAMPLE = 1
+    LAST = 2
+    FAILED = 3
+
+
+class Order(IntEnum):
+    """Kinds of frames from the node."""
+
+    STEP = 1
+    FINISH = 2
+
+
+class Engine:
+    """One simulation and its exchange."""
+
+    def __init__(self, link: socket.socket, spec: dict[str, Any]) -> None:
+        from pyenergyplus.api import EnergyPlusAPI
+
+        self.link = link
+        self.spec = spec
+        self.api = EnergyPlusAPI()
+        self.state = self.api.state_manager.new_state()
+        self.api.runtime.set_console_output_status(self.state, False)
+        for variable, key, *_ in spec["sensors"]:
+            self.api.exchange.request_variable(self.state, variable, key)
+        for variable, key in spec["feedback"]:
+            self.api.exchange.request_variable(self.state, variable, key)
+        self._bind_library()
+        self.step = 0
+        self.steps = int(spec["steps"])
+        self.near = False  # in the run period, warm-up included
+        self.live = False  # after the warm-up
+        self.finishing = False
+        self.out = array("d", [0.0]) * (2 + len(spec["sensors"]) + len(spec["meters"]) + len(spec["feedback"]))
+        self.command = array("d", [0.0]) * (2 + len(spec["actuators"]))
+        self.command_bytes = memoryview(self.command).cast("B")
+        self.averaged: list[int] = []
+        self.totals: list[float] = []
+        self.warm_totals: list[float] = []
+
+    def _bind_library(self) -> None:
+        # PyDLL: the getters take a fraction of a microsecond and nobody else wants the GIL.
+        library = ctypes.PyDLL(self.api.api._name)
+        pointer, integer, real = ctypes.c_void_p, ctypes.c_int, ctypes.c_double
+
+        def bind(name: str, result: Any, *arguments: Any) -> Any:
+            function = getattr(library, name)
+            function.restype, function.argtypes = result, arguments
+            return function
+
+        self.get_variable = bind("getVariableValue", real, pointer, integer)
+        self.get_meter = bind("getMeterValue", real, pointer, integer)
+        self.set_actuator = bind("setActuatorValue", None, pointer, integer, real)
+        self.reset_actuator = bind("resetActuator", None, pointer, integer)
+        self.system_step_h = bind("systemTimeStep", real, pointer)
+        self.zone_step_h = bind("zoneTimeStep", real, pointer)
+
+    def run(self) -> NoReturn:
+        """Simulates to the end, or as far as the node wants it, and leaves the process."""
+        runtime = self.api.runtime
+        runtime.callback_begin_new_environment(self.state, self._guarded(self._on_environment))
+        runtime.callback_after_new_environment_warmup_complete(self.state, self._guarded(self._on_warm))
+        runtime.callback_end_system_timestep_after_hvac_reporting(self.state, self._guarded(self._on_system_step))
+        runtime.callback_end_zone_timestep_after_zone_reporting(self.state, self._guarded(self._on_zone_step))
+        spec = self.spec
+        code = runtime.run_energyplus(self.state, ["-w", spec["weather"], "-d", spec["folder"], spec["model"]])
+        if code != 0:
+            self.fail(f"EnergyPlus ended with code {code}")
+        if self.step < self.steps and not self.finishing:
+            self.fail(f"EnergyPlus ended the run after {self.step} of {self.steps} timesteps")
+        if not self.finishing:
+            self.out[0] = Said.LAST
+            self.link.sendall(self.out)
+        leave(0)
+
+    def _guarded(self, callback: Any) -> Any:
+        # ctypes would print an exception and go on with the simulation.
+        def guarded(state: int) -> None:
+            try:
+                callback(state)
+            except Exception as error:
+                self.fail(f"{type(error).__name__}: {error}")
+
+        return guarded
+
+    def fail(self, text: str) -> NoReturn:
+        """Says why and leaves."""
+        raw = text.encode()
+        self.out[0], self.out[1] = Said.FAILED, len(raw)
+        try:
+            self.link.sendall(self.out)
+            self.link.sendall(raw)
+        except OSError:
+            leave(0)  # the node is gone; there is nobody to tell
+        os._exit(1)  # the node reads eplusout.err and clears the folder
+
+    def _on_environment(self, state: int) -> None:
+        if self.api.exchange.kind_of_sim(state) != RUN_PERIOD:
+            return
+        self._find_handles(state)
+        self.near = True
+
+    def _find_handles(self, state: int) -> None:
+        exchange, spec = self.api.exchange, self.spec
+        self.sensors = [exchange.get_variable_handle(state, v, k) for v, k, *_ in spec["sensors"]]
+        self.feedback = [exchange.get_variable_handle(state, v, k) for v, k in spec["feedback"]]
+        self.actuators = [exchange.get_actuator_handle(state, *names) for names in spec["actuators"]]
+        # EnergyPlus 25.2 answers -1 for the first meter in its list, though reading index 0 works
+        # (getMeterHandle takes 0 for "not found"); the survey gives the index of each.
+        self.meters = [int(handle) for _, handle in spec["meters"]]
+        for (name, handle), found in zip(spec["meters"], self.meters, strict=True):
+            said = exchange.get_meter_handle(state, name)
+            if said != found and not (found == 0 and said == -1):
+                raise LookupError(f"meter {name!r} has handle {said}, {handle} expected")
+        wanted = [*spec["sensors"], *spec["feedback"], *spec["actuators"]]
+        for names, found in zip(wanted, [*self.sensors, *self.feedback, *self.actuators], strict=True):
+            if found < 0:
+                raise LookupError(f"EnergyPlus has no {' / '.join(map(str, names))} in this run")
+        how = [(reading, system) for _, _, reading, system in spec["sensors"]]
+        # Variables of the zone kind have one value a zone timestep; only the others are gathered.
+        self.averaged = [i for i, (reading, system) in enumerate(how) if system and reading != "instant"]
+        self.summed = [how[i][0] == "sum" for i in self.averaged]
+        self.averaged_handles = [self.sensors[i] for i in self.averaged]
+
+    def _on_system_step(self, state: int) -> None:
+        """Gathers means and sums as EnergyPlus's reports do: value times its share of the zone timestep."""
+        if not self.near or not self.averaged:
+            return
+        share = self.system_step_h(state) / self.zone_step_h(state)
+        if share == 1.0 and not self.totals:
+            return  # one system timestep fills the zone timestep: its value is read at the end
+        values = map(self.get_variable, repeat(state), self.averaged_handles)
+        parts = [v if s else v * share for v, s in zip(values, self.summed, strict=True)]
+        self.totals = [a + b for a, b in zip(self.totals, parts, strict=True)] if self.totals else parts
+
+    def _gather(self, state: int) -> None:
+        values = list(map(self.get_variable, repeat(state), self.sensors))
+        if self.totals:
+            for place, total in zip(self.averaged, self.totals, strict=True):
+                values[place] = total
+            self.totals = []
+        if self.step:
+            values.extend(map(self.get_meter, repeat(state), self.meters))
+        else:
+            values.extend([0.0] * len(self.meters))  # nothing has been metered yet
+        values.extend(map(self.get_variable, repeat(state), self.feedback))
+        self.out[2:] = array("d", values)
+
+    def _on_warm(self, state: int) -> None:
+        if self.near and not self.live:
+            self.live = True
+            self.totals = self.warm_totals
+            self._gather(state)
+            self._exchange(state)
+
+    def _on_zone_step(self, state: int) -> None:
+        if not self.live:
+            self.warm_totals, self.totals = self.totals, []
+            return
+        if self.finishing:
+            return
+        self.step += 1
+        if self.step > self.steps:
+            raise RuntimeError(f"EnergyPlus simulates more than the {self.steps} timesteps of the run period")
+        self._gather(state)
+        if self.step < self.steps:
+            self._exchange(state)
+        else:
+            self.out[1] = self.step  # sent by run(), once EnergyPlus has ended well
+
+    def _exchange(self, state: int) -> None:
+        """Sends the sample, waits for the order, and sets or releases each actuator."""
+        out, command = self.out, self.command
+        out[0], out[1] = Said.SAMPLE, self.step
+        self.link.sendall(out)
+        got = self.link.recv_into(self.command_bytes)
+        while got and got < len(self.command_bytes):
+            more = self.link.recv_into(self.command_bytes[got:])
+            got = got + more if more else 0
+        if not got:
+            leave(0)  # the node has gone or wants no more of this run
+        if command[0] != Order.STEP:
+            self.finishing = True
+            self.api.runtime.stop_simulation(state)
+            return
+        set_actuator = self.set_actuator
+        for handle, value in zip(self.actuators, command[2:], strict=True):
+            if value == value:
+                set_actuator(state, handle, value)
+            else:
+                self.reset_actuator(state, handle)
+
+
+_own_folder = ""
+
+
+def leave(code: int) -> NoReturn:
+    """Ends the process as a forked child may: no exit handlers; its scratch folder goes with it."""
+    if _own_folder:
+        shutil.rmtree(_own_folder, ignore_errors=True)
+    os._exit(code)
+
+
+def _die_with_parent(parent: int) -> None:
+    """Has the kernel send SIGTERM when the node ends, however it ends (Linux only)."""
+    if sys.platform.startswith("linux"):
+        set_parent_death_signal = 1
+        ctypes.CDLL(None).prctl(set_parent_death_signal, signal.SIGTERM)
+        if os.getppid() != parent:
+            leave(0)
+
+
+def main(descriptor: int) -> NoReturn:
+    """Reads the run's description from the socket and simulates."""
+    global _own_folder
+    link = socket.socket(fileno=descriptor)
+    length = struct.unpack("<I", link.recv(4, socket.MSG_WAITALL))[0]
+    spec = json.loads(link.recv(length, socket.MSG_WAITALL))
+    if not spec["keep"]:
+        _own_folder = spec["folder"]
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the node's to answer
+    signal.signal(signal.SIGTERM, lambda *_: leave(0))
+    _die_with_parent(spec["parent"])
+    Engine(link, spec).run()
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]))

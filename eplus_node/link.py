@@ -1,0 +1,186 @@
+"""The node's side of an engine: start it, exchange a frame a timestep, notice its death, clear up."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import socket
+import struct
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+from numpy.typing import NDArray
+
+from eplus_node.engine import Order, Said
+from models.energyplus import ISOLATED
+from models.errfile import explain
+from models.points import Points
+from topics.errors import EngineDied, ModelRefused
+from topics.messages import Reading
+
+_SOCKET_BYTES = 1 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """What one engine simulates: prepared files, the number of timesteps, the points in order."""
+
+    model: Path
+    weather: Path
+    folder: Path
+    steps: int
+    points: Points
+    keep: bool = False
+
+    def spec(self) -> dict[str, Any]:
+        """The description that the engine reads first."""
+        points = self.points
+        return {
+            "model": str(self.model),
+            "weather": str(self.weather),
+            "folder": str(self.folder),
+            "steps": self.steps,
+            "keep": self.keep,
+            "parent": os.getpid(),
+            "sensors": [
+                (s.variable, s.key, str(s.reading), system)
+                for s, system in zip(points.sensors, points.system, strict=True)
+            ],
+            "meters": [(m.meter, h) for m, h in zip(points.meters, points.meter_handles, strict=True)],
+            "actuators": [(a.component_type, a.control_type, a.key) for a in points.actuators],
+            "feedback": [(a.feedback, a.key) for a in points.actuators if a.feedback],
+        }
+
+
+class EngineLink:
+    """A running engine. `values`, `feedback`, `step` and `last` are those of its latest frame."""
+
+    def __init__(self, run: Run) -> None:
+        self._run = run
+        points = run.points
+        self._told = [i for i, a in enumerate(points.actuators) if a.feedback]
+        values = len(points.sensors) + len(points.meters)
+        self._frame: NDArray[np.float64] = np.zeros(2 + values + len(self._told))
+        self._frame_bytes = memoryview(self._frame).cast("B")
+        self._order: NDArray[np.float64] = np.zeros(2 + len(points.actuators))
+        self._order_bytes = memoryview(self._order).cast("B")
+        self.values = self._frame[2 : 2 + values]
+        self.feedback = self._frame[2 + values :]
+        self.last = False
+        ours, theirs = socket.socketpair()
+        for end in (ours, theirs):
+            end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SOCKET_BYTES)
+        self._socket = ours
+        try:
+            self._process = subprocess.Popen(
+                [*ISOLATED, "eplus_node.engine", str(theirs.fileno())],
+                pass_fds=[theirs.fileno()],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=(run.folder / "engine.log").open("wb"),
+            )
+        finally:
+            theirs.close()
+        spec = json.dumps(run.spec()).encode()
+        self._socket.sendall(struct.pack("<I", len(spec)) + spec)
+
+    @property
+    def pid(self) -> int:
+        """The engine's process id."""
+        return self._process.pid
+
+    @property
+    def alive(self) -> bool:
+        """Whether the process runs."""
+        return self._process.poll() is None
+
+    @property
+    def rss_bytes(self) -> int:
+        """Resident memory of the process; 0 if it has ended."""
+        try:
+            return int(psutil.Process(self._process.pid).memory_info().rss)
+        except psutil.Error:
+            return 0
+
+    def interrupt(self, busy: bool) -> None:
+        """Ends a process that is computing, so that whoever waits for its frame is told; any thread may."""
+        if busy:
+            self._process.kill()
+
+    @property
+    def step(self) -> int:
+        """The number of the latest sample."""
+        return int(self._frame[1])
+
+    @property
+    def told(self) -> list[int]:
+        """Indices of the actuators that `feedback` tells of."""
+        return self._told
+
+    def receive(self) -> None:
+        """Waits for the next frame.
+
+        Raises:
+            ModelRefused: EnergyPlus gave up; with its own words.
+            EngineDied: the process ended without a word.
+        """
+        got, size = 0, len(self._frame_bytes)
+        while got < size:
+            try:
+                more = self._socket.recv_into(self._frame_bytes[got:])
+            except ConnectionResetError:
+                more = 0
+            if more == 0:
+                raise EngineDied(self._last_words())
+            got += more
+        said = self._frame[0]
+        if said == Said.FAILED:
+            raise ModelRefused(self._refusal(int(self._frame[1])))
+        self.last = bool(said == Said.LAST)
+
+    def send(self, actuators: NDArray[np.float64]) -> None:
+        """Orders the next timestep with these actuator values; NaN releases an actuator."""
+        self._order[0], self._order[1] = Order.STEP, self._frame[1]
+        self._order[2:] = actuators
+        try:
+            self._socket.sendall(self._order_bytes)
+        except (BrokenPipeError, ConnectionResetError):
+            raise EngineDied(self._last_words()) from None
+
+    def finish(self) -> None:
+        """Lets EnergyPlus end the run early and write its files, then closes."""
+        self._order[0] = Order.FINISH
+        try:
+            self._socket.sendall(self._order_bytes)
+            self._process.wait()
+        except OSError:
+            pass  # it has ended already
+        self.close()
+
+    def close(self) -> None:
+        """Ends the process and clears its folder unless that is kept; twice is fine."""
+        self._socket.close()
+        if self._process.poll() is None:
+            self._process.kill()
+        self._process.wait()
+        if not self._run.keep:
+            shutil.rmtree(self._run.folder, ignore_errors=True)
+
+    def _refusal(self, length: int) -> str:
+        text = self._socket.recv(length, socket.MSG_WAITALL).decode(errors="replace")
+        self._process.wait()
+        return f"{text}. {explain(self._run.folder, 'EnergyPlus gave no reason in eplusout.err')}"
+
+    def _last_words(self) -> str:
+        code = self._process.wait()
+        how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with code {code}"
+        log = self._run.folder / "engine.log"
+        said = log.read_text(errors="replace").strip().splitlines()[-3:] if log.exists() else []
+        words = explain(self._run.folder, "\n  ".join(["its last words:", *said]) if said else "it left no word")
+        return f"the engine process {how} after sample {self.step}; {words}"

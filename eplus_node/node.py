@@ -1,0 +1,508 @@
+"""The node: one building on the bus. It joins the exchange (rules), the engine (EnergyPlus) and Zenoh.
+
+One thread does all the work: it waits for a message, hands it to the exchange, and when the exchange is due
+it lets the engine simulate a timestep and publishes the sample. Whatever else happens (requests, writes,
+a signal, the engine's death) is put on a shelf by the thread that hears of it, which then wakes this one
+with a message that never leaves the process.
+"""
+
+from __future__ import annotations
+
+import shutil
+import signal
+import tempfile
+from collections import deque
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import numpy as np
+import psutil
+import zenoh
+from zenoh import CongestionControl, Locality
+from zenoh.handlers import Callback, FifoChannel
+
+from bridge import affinity
+from bridge.lockstep import Exchange, Input
+from bridge.session import open_session
+from eplus_node.config import NodeConfig, Plan, plan
+from eplus_node.link import EngineLink, Run
+from models import energyplus
+from models.building import prepared, write
+from topics import VERSION, codec, errors, keys
+from topics.errors import NameTaken, SimulatorError, ZenostatError
+from topics.messages import (
+    Accepted,
+    Claim,
+    Command,
+    Denied,
+    Event,
+    EventKind,
+    Flag,
+    Manifest,
+    Message,
+    Mode,
+    PointValue,
+    Policy,
+    Reset,
+    Sample,
+    State,
+    Status,
+    Stop,
+    Versions,
+    Write,
+)
+
+_INBOX = 4096
+_WAKE = "-"  # no controller can have this name
+_EVENTS_A_STEP = 20
+
+Observer = Callable[["Node"], None]
+
+
+class _Stopped(BaseException):
+    """Raised in the node's thread by a signal or a stop request."""
+
+
+class Node:
+    """A building on the bus. `with Node(config) as node: node.serve()`.
+
+    Raises (on entering):
+        UsageError, SimulatorError, BusError: see `topics.errors`; nothing is left behind.
+    """
+
+    def __init__(self, config: NodeConfig, observer: Observer | None = None) -> None:
+        self.config = config
+        self._observer = observer
+        self._shelf: deque[Callable[[], None]] = deque()
+        self._close = ExitStack()
+        self._stopping = False
+        self._failure = ""
+        self._events_left = _EVENTS_A_STEP
+        self._watched: dict[int, zenoh.Publisher] = {}
+        self._latest = b""
+        self._engine: EngineLink | None = None
+
+    # Life
+
+    def __enter__(self) -> Node:
+        with ExitStack() as undo:
+            undo.callback(self.close)
+            self.plan: Plan = plan(self.config)
+            self._place()
+            self._open_bus()
+            self.exchange = Exchange(self.plan.points.actuators, mode=self.config.mode)
+            self._make_folder()
+            self._close.callback(self._close_engine)
+            self._start_engine()
+            self._announce()
+            undo.pop_all()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Ends the engine, leaves the bus and clears up; twice is fine."""
+        self._close.close()
+
+    def _place(self) -> None:
+        self.cpu = None
+        if self.config.affinity is not affinity.Affinity.OFF:
+            self.cpu = affinity.pick_core() if self.config.cpu is None else self.config.cpu
+            affinity.pin(self.cpu)
+
+    def _open_bus(self) -> None:
+        config = self.config
+        self.session = self._close.enter_context(
+            open_session(listen=config.listen, connect=config.connect, expose=config.expose)
+        )
+        self.instance = str(self.session.zid())
+        self._refuse_second(config.name)
+
+    def _tokens(self) -> list[str]:
+        replies = self.session.liveliness().get(keys.NODE_TOKEN.at(self.config.name, name="*"))
+        return [keys.last_of(str(reply.ok.key_expr)) for reply in replies if reply.ok]
+
+    def _refuse_second(self, name: str) -> None:
+        others = [token for token in self._tokens() if token != self.instance]
+        if others:
+            raise NameTaken(f"a node named {name!r} is on this bus already (instance {others[0]}); name this one else")
+
+    def _make_folder(self) -> None:
+        self._folder = self.config.folder or Path(tempfile.mkdtemp(prefix="zenostat-"))
+        self._folder.mkdir(parents=True, exist_ok=True)
+        self._close.callback(shutil.rmtree, self._folder, ignore_errors=True)
+
+    def _announce(self) -> None:
+        """Says that the node is there: what it answers first, its presence last."""
+        name = self.config.name
+        self.manifest = self._manifest()
+        declare = self._close.enter_context
+        self._inbox = declare(
+            self.session.declare_subscriber(keys.COMMAND.at(name, name="*"), FifoChannel(_INBOX))
+        )
+        self._prefix = len(keys.COMMAND.at(name))
+        self._recv = self._inbox.recv
+        self.session.declare_subscriber(keys.ACTUATOR.at(name, name="*"), Callback(self._on_write, indirect=False))
+        self.session.liveliness().declare_subscriber(
+            keys.CONTROLLER_TOKEN.at(name, name="*"), Callback(self._on_presence, indirect=False)
+        )
+        for topic, answer in (
+            (keys.MANIFEST, lambda: codec.encode(self.manifest)),
+            (keys.SAMPLE, lambda: self._latest),
+            (keys.STATUS, lambda: codec.encode(self.status())),
+        ):
+            self._answer(topic, answer)
+        self._request(keys.CLAIM, Claim, self._claim)
+        self._request(keys.RESET, Reset, self._reset)
+        self._request(keys.STOP, Stop, self._stop)
+        self._samples = declare(self._publisher(keys.SAMPLE))
+        self._events = declare(self._publisher(keys.EVENT))
+        self._manifests = declare(self._publisher(keys.MANIFEST))
+        self._declare_points()
+        signal.signal(signal.SIGCHLD, lambda *_: self._wake())
+        self._manifests.put(codec.encode(self.manifest))
+        self.event(self.exchange.event(EventKind.STARTED, f"{self.manifest.building} waits at its first step"))
+        self._publish()
+        declare(self.session.liveliness().declare_token(keys.NODE_TOKEN.at(name, name=self.instance)))
+        if any(token < self.instance for token in self._tokens()):
+            self._refuse_second(name)  # two that started at once: the one with the lower id stays
+
+    def _publisher(self, topic: keys.Topic, name: str = "") -> zenoh.Publisher:
+        drop = topic.delivery is keys.Delivery.DROP
+        return self.session.declare_publisher(
+            topic.at(self.config.name, name=name),
+            encoding=zenoh.Encoding(codec.encoding(topic.message)) if topic.message else None,
+            congestion_control=CongestionControl.DROP if drop else CongestionControl.BLOCK,
+        )
+
+    def _declare_points(self) -> None:
+        """A publisher a point, with a listener that says whether anybody wants it."""
+        points = self.plan.points
+        topics = [(keys.SENSOR, s.name, s.unit) for s in points.sensors]
+        topics += [(keys.METER, m.name, m.unit) for m in points.meters]
+        self._units = [unit for _, _, unit in topics]
+        for index, (topic, name, _) in enumerate(topics):
+            publisher = self._close.enter_context(self._publisher(topic, name))
+
+            def wanted(status: zenoh.MatchingStatus, i: int = index, p: zenoh.Publisher = publisher) -> None:
+                watched = dict(self._watched)
+                if status.matching:
+                    watched[i] = p
+                else:
+                    watched.pop(i, None)
+                self._watched = watched
+
+            publisher.declare_matching_listener(Callback(wanted, indirect=False))
+
+    def _manifest(self) -> Manifest:
+        plan, config = self.plan, self.config
+        return Manifest(
+            node=config.name,
+            instance=self.instance,
+            building=plan.building.name,
+            weather=plan.weather_name,
+            location=plan.header.place,
+            begin=plan.period.time(0).isoformat(),
+            end=plan.period.time(plan.period.steps).isoformat(),
+            steps_per_hour=plan.period.steps_per_hour,
+            steps=plan.period.steps,
+            mode=config.mode,
+            policy=Policy.WAIT,
+            sensors=plan.points.sensors,
+            meters=plan.points.meters,
+            actuators=plan.points.actuators,
+            versions=Versions(zenostat=VERSION, energyplus=energyplus.version()),
+            host=affinity.host(),
+            cpu=self.cpu,
+        )
+
+    # What other threads hear; they only put it on the shelf
+
+    def _wake(self) -> None:
+        key = keys.COMMAND.at(self.config.name, name=_WAKE)
+        self.session.put(key, b"", allowed_destination=Locality.SESSION_LOCAL)
+
+    def _shelve(self, work: Callable[[], None]) -> None:
+        self._shelf.append(work)
+        self._wake()
+
+    def _on_write(self, message: zenoh.Sample) -> None:
+        name, payload, said = keys.last_of(str(message.key_expr)), message.payload.to_bytes(), str(message.encoding)
+        self._shelve(lambda: self._write(name, payload, said))
+
+    def _on_presence(self, token: zenoh.Sample) -> None:
+        if token.kind == zenoh.SampleKind.DELETE:
+            name = keys.last_of(str(token.key_expr))
+            self._shelve(lambda: self._tell(self.exchange.left(name)))
+
+    def _answer(self, topic: keys.Topic, answer: Callable[[], bytes]) -> None:
+        """A question that any thread may answer: it only reads."""
+        key = topic.at(self.config.name)
+
+        def on_query(query: zenoh.Query) -> None:
+            with query:
+                query.reply(key, answer(), encoding=zenoh.Encoding(codec.encoding(topic.reply or topic.message)))
+
+        self.session.declare_queryable(key, Callback(on_query, indirect=False), complete=True)
+
+    def _request(self, topic: keys.Topic, kind: type[Any], take: Callable[[Any], Message]) -> None:
+        """A request that the node's own thread takes."""
+        key = topic.at(self.config.name)
+
+        def work(query: zenoh.Query) -> None:
+            with query:
+                reply: Message
+                try:
+                    payload = query.payload.to_bytes() if query.payload else b""
+                    reply = take(codec.decode(kind, payload, str(query.encoding)))
+                except ZenostatError as error:
+                    reply = Denied(**errors.to_wire(error))
+                query.reply(key, codec.encode(reply), encoding=zenoh.Encoding(codec.encoding(type(reply))))
+
+        def on_query(query: zenoh.Query) -> None:
+            if kind is Stop:
+                self._stopping = True
+                self._engine.interrupt(self.exchange.state in (State.RUNNING, State.STARTING))
+            self._shelve(lambda: work(query))
+
+        self.session.declare_queryable(key, Callback(on_query, indirect=False), complete=True)
+
+    # The loop
+
+    def serve(self) -> None:
+        """Serves until it is told to stop (by a request, a signal, or its owner's end)."""
+        previous = {s: signal.signal(s, self._on_signal) for s in (signal.SIGINT, signal.SIGTERM)}
+        try:
+            while True:
+                if self.exchange.due():
+                    self._advance()
+                    if self.exchange.mode is Mode.FREE:
+                        self._glance()
+                else:
+                    self._receive(self._recv())
+        except _Stopped:
+            self.exchange.take(Input.STOP)
+            self.event(self.exchange.event(EventKind.STOPPED, "the node was told to stop"))
+        finally:
+            for number, handler in previous.items():
+                signal.signal(number, handler)
+
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        raise _Stopped
+
+    def _glance(self) -> None:
+        message = self._inbox.try_recv()
+        if message is not None:
+            self._receive(message)
+
+    def _receive(self, message: zenoh.Sample) -> None:
+        controller = str(message.key_expr)[self._prefix :]
+        if controller == _WAKE:
+            self._clear_shelf()
+            return
+        try:
+            command = codec.decode(Command, message.payload.to_bytes(), str(message.encoding))
+        except errors.BadMessage as error:
+            self.event(self.exchange.rejected(str(error), controller))
+            return
+        event = self.exchange.command(controller, command)
+        if event is not None:
+            self.event(event)
+
+    def _clear_shelf(self) -> None:
+        while self._shelf:
+            self._shelf.popleft()()
+        if self.exchange.state is State.WAITING and not self._engine.alive:
+            try:
+                self._engine.receive()
+            except SimulatorError as error:
+                self._fail(error)
+
+    def _advance(self) -> None:
+        """One timestep: the commands that rule it to the engine, its sample to the bus."""
+        exchange, engine = self.exchange, self._engine
+        self._tell(exchange.expire(self._elapsed_s()))
+        values, self._ruler = exchange.go()
+        try:
+            engine.send(values[0])
+            engine.receive()
+        except SimulatorError as error:
+            if self._stopping:
+                self._clear_shelf()
+            self._fail(error)
+            return
+        self._note_applied(values[0])
+        exchange.sampled(last=engine.last)
+        self._publish()
+        if engine.last:
+            self.event(exchange.event(EventKind.ENDED, f"the run period is over after {exchange.step[0]} timesteps"))
+
+    def _elapsed_s(self) -> float:
+        return self.exchange.step[0] * self.plan.period.step_s
+
+    def _note_applied(self, commanded: Any) -> None:
+        self._applied[:] = commanded
+        self._applied[self._engine.told] = self._engine.feedback
+
+    def _publish(self) -> None:
+        exchange, period, step = self.exchange, self.plan.period, self.exchange.step[0]
+        flags = Flag.TRUNCATED if self._engine.last else Flag.FIRST if step == 0 else Flag.NONE
+        values = self._engine.values
+        if not np.isfinite(values).all():
+            bad = self.manifest.names[int(np.flatnonzero(~np.isfinite(values))[0])]
+            self._fail(SimulatorError(f"EnergyPlus gives no finite value for {bad!r} at step {step}"))
+            return
+        counts = exchange.counts
+        sample = Sample.model_construct(
+            episode=exchange.episode,
+            step=exchange.step,
+            time=[period.time(step).isoformat()],
+            elapsed_s=[step * period.step_s],
+            flags=[int(flags)],
+            values=values.tobytes(),
+            applied=self._applied.tobytes(),
+            ruler=self._ruler.tobytes(),
+            rulers=exchange.ruler_names,
+            late=counts.late,
+            rejected=counts.rejected,
+        )
+        self._latest = codec.encode(sample)
+        self._samples.put(self._latest)
+        self._events_left = _EVENTS_A_STEP
+        if self._watched:
+            self._publish_points(sample)
+        if self._observer is not None:
+            self._observer(self)
+
+    def _publish_points(self, sample: Sample) -> None:
+        for index, publisher in self._watched.items():
+            value = PointValue.model_construct(
+                value=float(self._engine.values[index]),
+                unit=self._units[index],
+                episode=sample.episode[0],
+                step=sample.step[0],
+                time=sample.time[0],
+            )
+            publisher.put(codec.encode(value))
+
+    def event(self, event: Event) -> None:
+        """Publishes an event; a flood of them within a step is cut, not its counts."""
+        if event.kind in (EventKind.REJECTED, EventKind.LATE, EventKind.DUPLICATE):
+            self._events_left -= 1
+            if self._events_left < 0:
+                return
+        self._events.put(codec.encode(event))
+        if self._observer is not None:
+            self._observer(self)
+
+    def _tell(self, events: list[Event]) -> None:
+        for event in events:
+            self.event(event)
+
+    # The engine
+
+    def _start_engine(self) -> None:
+        """A fresh engine, warmed up, at sample 0."""
+        plan, config, episode = self.plan, self.config, self.exchange.episode[0]
+        name = f"episode-{episode:04}"
+        folder = (config.keep.absolute() if config.keep else self._folder) / name
+        folder.mkdir(parents=True, exist_ok=True)
+        model = write(prepared(plan.building, plan.period, outputs=config.keep is not None), folder)
+        run = Run(model, plan.weather, folder, plan.period.steps, plan.points, keep=config.keep is not None)
+        self._engine = EngineLink(run)
+        try:
+            self._engine.receive()
+        except SimulatorError:
+            if self._stopping:
+                raise _Stopped from None
+            raise
+        self._ready()
+
+    def _close_engine(self) -> None:
+        if self._engine is not None:
+            self._engine.close()
+
+    def _ready(self) -> None:
+        self.exchange.ready()
+        self._applied = np.full(self.exchange.shape[1], np.nan)
+        self._ruler = np.zeros(self.exchange.shape, np.uint8)
+        self._note_applied(np.nan)
+        self._failure = ""
+
+    def _fail(self, error: SimulatorError) -> None:
+        self.exchange.take(Input.FAIL)
+        self._failure = str(error)
+        said = errors.to_wire(error)
+        self.event(self.exchange.event(EventKind.FAILED, said["message"], error=said["error"]))
+        self._engine.close()
+
+    # Requests
+
+    def _claim(self, claim: Claim) -> Message:
+        self._tell(self.exchange.claim(claim))
+        return Accepted(episode=self.exchange.episode)
+
+    def _reset(self, reset: Reset) -> Message:
+        if reset.options:
+            raise errors.Refused(f"unknown reset options {sorted(reset.options)}; there are none yet")
+        untouched = self.exchange.state is State.WAITING and not self.exchange.touched
+        self.exchange.reset()
+        # The answer goes out first: a start takes seconds in large buildings.
+        self._shelf.append(lambda: self._restart(untouched, reset.controller))
+        return Accepted(episode=self.exchange.episode, fresh=untouched)
+
+    def _restart(self, untouched: bool, source: str) -> None:
+        if untouched and self._engine.alive:
+            self._ready()
+        else:
+            self._engine.finish() if self.config.keep else self._engine.close()
+            try:
+                self._start_engine()
+            except SimulatorError as error:
+                self._fail(error)
+                return
+        text = f"episode {self.exchange.episode[0]} begins"
+        self.event(self.exchange.event(EventKind.STARTED, text, source))
+        self._publish()
+
+    def _stop(self, stop: Stop) -> Message:
+        self._shelf.append(self._leave)
+        return Accepted(episode=self.exchange.episode)
+
+    def _leave(self) -> None:
+        raise _Stopped
+
+    def _write(self, name: str, payload: bytes, said: str) -> None:
+        try:
+            write_ = codec.decode(Write, payload, said)
+        except errors.BadMessage as error:
+            self.event(self.exchange.rejected(f"{name}: {error}", "anonymous"))
+            return
+        self.event(self.exchange.write(name, write_, self._elapsed_s()))
+
+    def status(self) -> Status:
+        """Where the node stands; any thread may ask."""
+        exchange, counts = self.exchange, self.exchange.counts
+        return Status(
+            node=self.config.name,
+            state=exchange.state,
+            building=self.plan.building.name,
+            weather=self.plan.weather_name,
+            mode=exchange.mode,
+            episode=exchange.episode,
+            step=exchange.step,
+            steps=self.plan.period.steps,
+            time=[self.plan.period.time(exchange.step[0]).isoformat()],
+            controllers=exchange.controllers(),
+            accepted=counts.accepted,
+            rejected=counts.rejected,
+            late=counts.late,
+            duplicate=counts.duplicate,
+            failure=self._failure,
+            node_rss_bytes=psutil.Process().memory_info().rss,
+            engine_rss_bytes=self._engine.rss_bytes,
+        )

@@ -1,0 +1,119 @@
+"""A building model as epJSON: read, converted from IDF where needed, and prepared for one episode."""
+
+from __future__ import annotations
+
+import json
+from copy import copy
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from models import energyplus
+from models.catalog import Entry
+from models.period import Period, parse_day, year_of
+from models.store import digest, made
+from topics.errors import InvalidConfig
+
+Objects = dict[str, dict[str, Any]]
+"""epJSON: object type, object name, fields."""
+
+_SILENT = {
+    "OutputControl:Files": {
+        "silent": {
+            f"output_{name}": "No"
+            for name in (
+                "csv mtr eso eio tabular sqlite json audit space_sizing zone_sizing system_sizing dxf bnd rdd mdd"
+                " mtd shd dfs glhe delightin delighteldmp delightdfdmp edd dbg perflog sln sci wrl screen"
+                " extshd tarcog"
+            ).split()
+        }
+    }
+}
+"""Everything that EnergyPlus can leave unwritten, but for `eplusout.err` and `eplusout.end`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Building:
+    """A model's name, its objects, and a key of its content."""
+
+    name: str
+    objects: dict[str, Objects]
+    content: str
+
+    @property
+    def run_period(self) -> dict[str, Any]:
+        """The fields of the model's first run period; empty if it has none."""
+        return dict(next(iter(self.objects.get("RunPeriod", {}).values()), {}))
+
+    @property
+    def steps_per_hour(self) -> int:
+        """The model's own number of timesteps an hour (6 where it says nothing, as in EnergyPlus)."""
+        timestep = next(iter(self.objects.get("Timestep", {}).values()), {})
+        return int(timestep.get("number_of_timesteps_per_hour", 6))
+
+    def period(self, begin: str | None, end: str | None, steps_per_hour: int | None) -> Period:
+        """The run period that was asked for, in the model's own calendar where no year is named."""
+        own = self.run_period
+        month, day = int(own.get("begin_month", 1)), int(own.get("begin_day_of_month", 1))
+        year = int(own.get("begin_year") or year_of(month, day, own.get("day_of_week_for_start_day")))
+        last = f"{own.get('end_month', 12)}-{own.get('end_day_of_month', 31)}"
+        first = parse_day(begin or f"{month}-{day}", "begin", year)
+        return Period(first, parse_day(end or last, "end", first.year), steps_per_hour or self.steps_per_hour)
+
+
+def read_building(entry: Entry) -> Building:
+    """The model of a catalogue entry; an IDF is converted once per content and engine version.
+
+    Raises:
+        InvalidConfig: an epJSON that is no JSON object of objects.
+        ModelRefused: an IDF that EnergyPlus cannot read.
+    """
+    raw = entry.path.read_bytes()
+    content = digest(raw, energyplus.version())
+    path = entry.path
+    if path.suffix.lower() == ".idf":
+        path = made(f"models/{content}.epJSON", lambda target: energyplus.call("convert", entry.path, target))
+    try:
+        objects = json.loads(path.read_bytes())
+    except ValueError as error:
+        raise InvalidConfig(f"{entry.path} is no epJSON: {error}") from None
+    if not isinstance(objects, dict) or "Building" not in objects:
+        raise InvalidConfig(f"{entry.path} is no epJSON building model: it has no 'Building' object")
+    return Building(entry.name, objects, content)
+
+
+def prepared(building: Building, period: Period, *, outputs: bool = False) -> dict[str, Objects]:
+    """The objects of one episode: its run period and timestep, no design-day environments.
+
+    `outputs`: keep the output objects of the model; else EnergyPlus writes nothing but its errors.
+    No object that acts on the building is touched.
+    """
+    objects = {kind: copy(items) for kind, items in building.objects.items()}
+    if not outputs:
+        kept = "OutputControl:ReportingTolerances"
+        objects = {k: v for k, v in objects.items() if not k.startswith("Output") or k == kept} | _SILENT
+    own = {k: v for k, v in building.run_period.items() if k != "day_of_week_for_start_day"}
+    objects["RunPeriod"] = {
+        "zenostat": own
+        | {
+            "begin_month": period.begin.month,
+            "begin_day_of_month": period.begin.day,
+            "begin_year": period.begin.year,
+            "end_month": period.end.month,
+            "end_day_of_month": period.end.day,
+            "end_year": period.end.year,
+        }
+    }
+    objects["Timestep"] = {"zenostat": {"number_of_timesteps_per_hour": period.steps_per_hour}}
+    control = dict(next(iter(objects.get("SimulationControl", {}).values()), {}))
+    control["run_simulation_for_sizing_periods"] = "No"
+    control["run_simulation_for_weather_file_run_periods"] = "Yes"
+    objects["SimulationControl"] = {"zenostat": control}
+    return objects
+
+
+def write(objects: dict[str, Objects], folder: Path) -> Path:
+    """Writes `in.epJSON` into `folder`."""
+    path = folder / "in.epJSON"
+    path.write_text(json.dumps(objects))
+    return path

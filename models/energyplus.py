@@ -1,0 +1,130 @@
+"""EnergyPlus run once, in a process of its own, for what is not a simulation: converting and surveying.
+
+A model can make EnergyPlus end its process, so nothing here runs in the caller's. The child is this
+module as a program: `python -m models.energyplus convert|survey|version …`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from models.errfile import explain
+from topics.errors import ModelRefused
+
+ISOLATED = (sys.executable, "-P", "-m")
+"""How a room's program is started: `-P` keeps the caller's folder (and its `models.py`) out of sight."""
+
+
+def call(verb: str, *arguments: str | Path) -> None:
+    """Runs this module as a program; files are the result.
+
+    Raises:
+        ModelRefused: with the lines of `eplusout.err` that matter, if the child failed.
+    """
+    folder = Path(arguments[-1]).parent
+    done = subprocess.run(
+        [*ISOLATED, "models.energyplus", verb, *map(str, arguments)],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        check=False,
+    )
+    if not Path(arguments[-1]).exists():
+        said = (done.stdout or "").strip().splitlines()[-5:]
+        fallback = "\n  ".join([f"it ended with {done.returncode} and said:", *said])
+        raise ModelRefused(f"EnergyPlus could not {verb} {arguments[0]}. {explain(folder, fallback)}")
+
+
+@cache
+def version() -> str:
+    """Version of the installed engine, from the name of its library: `25.2.0`."""
+    from models.catalog import _wheel
+
+    for library in sorted(_wheel().parent.glob("libenergyplusapi.*")):
+        tail = library.name.removeprefix("libenergyplusapi.").removeprefix("so.").removesuffix(".dylib")
+        if tail[:1].isdigit():
+            return tail
+    return "unknown"
+
+
+def _convert(source: str, target: str) -> None:
+    from pyenergyplus.api import EnergyPlusAPI
+
+    folder = os.path.dirname(target)
+    dictionary = os.path.join(folder, "none.idd")
+    with open(dictionary, "w"):
+        pass  # the wheel has no Energy+.idd; any file by that option serves (EnergyPlus reads its own schema)
+    api = EnergyPlusAPI()
+    state = api.state_manager.new_state()
+    api.runtime.set_console_output_status(state, False)
+    api.runtime.run_energyplus(state, ["--convert-only", "-i", dictionary, "-d", folder, source])
+    made = os.path.join(folder, os.path.splitext(os.path.basename(source))[0] + ".epJSON")
+    if os.path.exists(made):
+        os.replace(made, target)
+
+
+def _survey(model: str, weather: str, target: str) -> None:
+    """Two passes: the first names the model's variables, the second asks for each with every key."""
+    folder = os.path.dirname(target)
+    with open(model) as file:
+        prepared: dict[str, Any] = json.load(file)
+    prepared["Output:VariableDictionary"] = {"dictionary": {"key_field": "regular"}}
+    _run_until_ready(prepared, weather, os.path.join(folder, "names"))
+    kinds = _variable_kinds(os.path.join(folder, "names", "eplusout.rdd"))
+    prepared["Output:Variable"] = {
+        f"v{i}": {"key_value": "*", "variable_name": name, "reporting_frequency": "RunPeriod"}
+        for i, name in enumerate(kinds)
+    }
+    points = _run_until_ready(prepared, weather, os.path.join(folder, "keys"))
+    with open(target + ".part", "w") as file:
+        json.dump({"kinds": kinds, "points": points}, file)
+    os.replace(target + ".part", target)
+
+
+def _variable_kinds(dictionary: str) -> dict[str, list[str]]:
+    """From `eplusout.rdd`: variable name to [zone or hvac, average or sum]."""
+    kinds: dict[str, list[str]] = {}
+    with open(dictionary) as file:
+        for line in file:
+            parts = line.rstrip("\n").split(",", 2)
+            if len(parts) == 3 and parts[0] in ("Zone", "HVAC"):
+                name = parts[2].rsplit("[", 1)[0].strip()
+                kinds[name] = [parts[0].lower(), parts[1].lower()]
+    return kinds
+
+
+def _run_until_ready(model: dict[str, Any], weather: str, folder: str) -> list[list[str]]:
+    """Starts a run and stops it once the API's lists are complete; returns them."""
+    from pyenergyplus.api import EnergyPlusAPI
+
+    os.makedirs(folder)
+    path = os.path.join(folder, "in.epJSON")
+    with open(path, "w") as file:
+        json.dump(model, file)
+    api = EnergyPlusAPI()
+    state = api.state_manager.new_state()
+    api.runtime.set_console_output_status(state, False)
+    found: list[list[str]] = []
+
+    def ready(at: Any) -> None:
+        if not found and api.exchange.api_data_fully_ready(at):
+            found.extend([p.what, p.name, p.key, p.type, p.unit] for p in api.exchange.get_api_data(at))
+            api.runtime.stop_simulation(at)
+
+    api.runtime.callback_begin_new_environment(state, ready)
+    api.runtime.run_energyplus(state, ["-w", weather, "-d", folder, path])
+    if not found:
+        sys.stdout.write(explain(Path(folder), "EnergyPlus stopped before its first environment"))
+        sys.exit(1)
+    return found
+
+
+if __name__ == "__main__":
+    {"convert": _convert, "survey": _survey}[sys.argv[1]](*sys.argv[2:])

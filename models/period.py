@@ -1,0 +1,77 @@
+"""The run period of an episode: its days, its timesteps and the simulated time of each step."""
+
+from __future__ import annotations
+
+import calendar
+import re
+from dataclasses import dataclass
+from datetime import date, datetime, timedelta
+
+from topics.errors import InvalidConfig
+
+_WEEKDAYS = ("Monday", "Tuesday", "Wednesday", "Thursday", "Friday", "Saturday", "Sunday")
+_DAY = re.compile(r"(?:(\d{4})-)?(\d{1,2})-(\d{1,2})")
+
+
+def year_of(begin_month: int, begin_day: int, weekday: str | None) -> int:
+    """The latest common year up to 2017 in which that day is that weekday.
+
+    It is EnergyPlus's own choice for a run period that names a weekday but no year (Input Output
+    Reference, RunPeriod); 2017 where neither is named.
+    """
+    if weekday not in _WEEKDAYS:
+        return 2017
+    for year in range(2017, 1989, -1):
+        if calendar.isleap(year):
+            continue
+        if date(year, begin_month, begin_day).weekday() == _WEEKDAYS.index(weekday):
+            return year
+    raise AssertionError("each weekday occurs within any 28 years")
+
+
+def parse_day(text: str, what: str, year: int) -> date:
+    """`07-01` in the model's year, or `2018-07-01`.
+
+    Raises:
+        InvalidConfig: no such form, or no such day.
+    """
+    match = _DAY.fullmatch(text.strip())
+    if not match:
+        raise InvalidConfig(f"{what} {text!r} is no day; write it as MM-DD or YYYY-MM-DD, for example 07-01")
+    try:
+        return date(int(match[1] or year), int(match[2]), int(match[3]))
+    except ValueError:
+        raise InvalidConfig(f"{what} {text!r} is not in the calendar of {match[1] or year}") from None
+
+
+@dataclass(frozen=True, slots=True)
+class Period:
+    """Whole days from `begin` to `end`, both included, in equal timesteps."""
+
+    begin: date
+    end: date
+    steps_per_hour: int
+
+    def __post_init__(self) -> None:
+        if self.end < self.begin:
+            raise InvalidConfig(f"the run period ends ({self.end}) before it begins ({self.begin})")
+        if self.steps_per_hour < 1 or self.steps_per_hour > 60 or 60 % self.steps_per_hour:
+            raise InvalidConfig(
+                f"steps_per_hour {self.steps_per_hour} does not divide the hour; "
+                "EnergyPlus takes 1, 2, 3, 4, 5, 6, 10, 12, 15, 20, 30 or 60"
+            )
+
+    @property
+    def step_s(self) -> float:
+        """Length of a timestep in seconds."""
+        return 3600.0 / self.steps_per_hour
+
+    @property
+    def steps(self) -> int:
+        """Number of timesteps of an episode."""
+        return ((self.end - self.begin).days + 1) * 24 * self.steps_per_hour
+
+    def time(self, step: int) -> datetime:
+        """Local standard time at the end of timestep `step`; step 0 is the episode's begin."""
+        begin = datetime(self.begin.year, self.begin.month, self.begin.day)
+        return begin + timedelta(seconds=step * self.step_s)

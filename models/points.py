@@ -1,0 +1,320 @@
+"""The points of a run: what the user named, checked against the model, or a sensible set found in it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from models.building import Building
+from models.survey import ActuatorPoint, MeterPoint, Survey, Variable
+from topics.errors import InvalidConfig, UnknownName, ZenostatError, near
+from topics.keys import check_name, safe
+from topics.messages import Actuator, Meter, Reading, Sensor
+from topics.units import limits
+
+Spec = Mapping[str, Sequence[object]]
+MeterSpec = Mapping[str, str]
+
+HVAC_POWER = "Facility Total HVAC Electricity Demand Rate"
+ZONE_TEMPERATURE = "Zone Air Temperature"
+THERMOSTAT = "Zone Temperature Control"
+
+_ZONE_SENSORS = {
+    "air_temperature": ZONE_TEMPERATURE,
+    "relative_humidity": "Zone Air Relative Humidity",
+    "occupants": "Zone People Occupant Count",
+}
+_SITE_SENSORS = {
+    "outdoor_temperature": ("Site Outdoor Air Drybulb Temperature", "Environment"),
+    "outdoor_humidity": ("Site Outdoor Air Relative Humidity", "Environment"),
+    "hvac_electricity_power": (HVAC_POWER, "Whole Building"),
+}
+_FUELS = (
+    "Electricity",
+    "NaturalGas",
+    "DistrictCooling",
+    "DistrictHeatingWater",
+    "DistrictHeatingSteam",
+    "Propane",
+    "FuelOilNo1",
+    "FuelOilNo2",
+    "Gasoline",
+    "Diesel",
+    "Coal",
+    "OtherFuel1",
+    "OtherFuel2",
+)
+
+# Thermostat bounds: those of the medium office in the paper that Zenostat follows (Sinergym). They meet
+# at 22.5 degC because EnergyPlus ends the run when a heating setpoint lies above the cooling setpoint.
+_SETPOINT_BOUNDS = {"Heating Setpoint": (15.0, 22.5), "Cooling Setpoint": (22.5, 30.0)}
+
+_FEEDBACK = {
+    (THERMOSTAT, "Heating Setpoint"): "Zone Thermostat Heating Setpoint Temperature",
+    (THERMOSTAT, "Cooling Setpoint"): "Zone Thermostat Cooling Setpoint Temperature",
+}
+
+# Rates and flows: EnergyPlus's own reports are means, and energy follows only from means.
+_RATES = {"W", "W/m2", "W/m", "W/m2-K", "kg/s", "kgWater/s", "m3/s", "kmol/s", "L/s", "ach"}
+
+# EnergyPlus's own limits on surface temperatures (Input Output Reference, HeatBalanceAlgorithm and
+# "Temperature out of bounds" warnings): air cannot leave them and the simulation go on.
+_AIR_TEMPERATURE_BOUNDS = (-100.0, 200.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Points:
+    """The points of a run, in manifest order. `system`: which sensors follow the system timestep."""
+
+    sensors: tuple[Sensor, ...]
+    meters: tuple[Meter, ...]
+    actuators: tuple[Actuator, ...]
+    system: tuple[bool, ...]
+    meter_handles: tuple[int, ...]
+
+
+@dataclass(slots=True)
+class _Faults:
+    said: list[str] = field(default_factory=list)
+
+    def collect(self, error: ZenostatError) -> None:
+        self.said.append(str(error))
+
+    def raise_all(self) -> None:
+        if self.said:
+            raise UnknownName("\n".join(self.said))
+
+
+def choose(
+    building: Building,
+    survey: Survey,
+    sensors: Spec | None,
+    meters: MeterSpec | None,
+    actuators: Spec | None,
+) -> Points:
+    """The points that were asked for; None is the default set of that kind.
+
+    Args:
+        building: for the limits of its schedules.
+        survey: the points that the model has.
+        sensors: name to (variable, key) or (variable, key, reading).
+        meters: name to meter.
+        actuators: name to (component type, control type, key) or that with (…, low, high).
+
+    Raises:
+        UnknownName: points that the model does not have, all of them at once, with near names.
+        InvalidConfig: names used twice or unfit for a topic, a reading or bounds that cannot be.
+    """
+    faults = _Faults()
+    wanted_sensors = default_sensors(survey) if sensors is None else sensors
+    wanted_meters = default_meters(survey) if meters is None else meters
+    wanted_actuators = default_actuators(survey) if actuators is None else actuators
+    twice = set(wanted_sensors) & set(wanted_meters)
+    if twice:
+        raise InvalidConfig(f"names used for a sensor and a meter: {', '.join(sorted(twice))}")
+    found_sensors = _each(wanted_sensors, lambda n, s: _sensor(survey, n, s), faults)
+    found_meters = _each(wanted_meters, lambda n, s: _meter(survey, n, s), faults)
+    found_actuators = _each(wanted_actuators, lambda n, s: _actuator(building, survey, n, s), faults)
+    faults.raise_all()
+    return Points(
+        sensors=tuple(s for s, _ in found_sensors),
+        meters=tuple(m for m, _ in found_meters),
+        actuators=tuple(found_actuators),
+        system=tuple(variable.system for _, variable in found_sensors),
+        meter_handles=tuple(meter.index for _, meter in found_meters),
+    )
+
+
+def _each(wanted, find, faults):  # type: ignore[no-untyped-def]  # three kinds, one loop
+    found = []
+    for name, spec in wanted.items():
+        try:
+            found.append(find(check_name(name, "the point name"), spec))
+        except UnknownName as error:
+            faults.collect(error)
+    return found
+
+
+def _sensor(survey: Survey, name: str, spec: Sequence[object]) -> tuple[Sensor, Variable]:
+    variable, key, asked = _texts("sensor", name, spec, "(variable, key) or (variable, key, reading)", 2, 3)
+    found = find_variable(survey, name, variable, key)
+    if asked and asked not in list(Reading):
+        raise InvalidConfig(f"sensor {name!r}: reading {asked!r}; there are: {', '.join(Reading)}")
+    reading = Reading(asked) if asked else default_reading(found)
+    if (reading is Reading.SUM) != found.summed and reading is not Reading.INSTANT:
+        right = "sum" if found.summed else "mean"
+        raise InvalidConfig(f"sensor {name!r}: EnergyPlus reports {variable!r} as a {right}, not as a {reading}")
+    low, high = sensor_bounds(found)
+    sensor = Sensor(name=name, variable=found.name, key=found.key, unit=found.unit, reading=reading, low=low, high=high)
+    return sensor, found
+
+
+def _texts(what: str, name: str, spec: Sequence[object], form: str, least: int, most: int) -> list[str]:
+    parts = [] if isinstance(spec, str) else [str(part) for part in spec]
+    if not least <= len(parts) <= most:
+        raise InvalidConfig(f"{what} {name!r}: expected {form}, got {spec!r}")
+    return parts + [""] * (most - len(parts))
+
+
+def find_variable(survey: Survey, name: str, variable: str, key: str) -> Variable:
+    """The variable of that name and key, in any case; `UnknownName` lists near ones."""
+    same = [v for v in survey.variables if v.name.casefold() == variable.casefold()]
+    if not same:
+        raise UnknownName(
+            f"sensor {name!r}: the model has no variable {variable!r}; "
+            + near(variable, (v.name for v in survey.variables))
+        )
+    for candidate in same:
+        if candidate.key.casefold() == key.casefold():
+            return candidate
+    raise UnknownName(f"sensor {name!r}: {variable!r} has no key {key!r}; {near(key, (v.key for v in same))}")
+
+
+def default_reading(variable: Variable) -> Reading:
+    """`sum` for what EnergyPlus sums, `mean` for rates and flows, `instant` for states."""
+    if variable.summed:
+        return Reading.SUM
+    return Reading.MEAN if variable.unit in _RATES else Reading.INSTANT
+
+
+def sensor_bounds(variable: Variable) -> tuple[float | None, float | None]:
+    """Limits that no value of the variable leaves; None where there is none."""
+    name = variable.name
+    if variable.unit == "degC" and (name.startswith("Zone ") or name.startswith("Site ")) and "Air " in name:
+        return _AIR_TEMPERATURE_BOUNDS
+    if name.endswith("Occupant Count") or (name.startswith("Site ") and variable.unit in ("W/m2", "m/s")):
+        return (0.0, None)
+    if name == HVAC_POWER:
+        return (0.0, None)
+    return limits(variable.unit)
+
+
+def _meter(survey: Survey, name: str, spec: object) -> tuple[Meter, MeterPoint]:
+    for candidate in survey.meters:
+        if candidate.name.casefold() == str(spec).casefold():
+            return Meter(name=name, meter=candidate.name, unit=candidate.unit), candidate
+    raise UnknownName(
+        f"meter {name!r}: the model has no meter {spec!r}; {near(str(spec), (m.name for m in survey.meters))}"
+    )
+
+
+def _actuator(building: Building, survey: Survey, name: str, spec: Sequence[object]) -> Actuator:
+    if isinstance(spec, str) or len(spec) not in (3, 5):
+        raise InvalidConfig(
+            f"actuator {name!r}: expected (component type, control type, key) or that with low and high, got {spec!r}"
+        )
+    found = find_actuator(survey, name, *(str(part) for part in spec[:3]))
+    low, high = actuator_bounds(building, found)
+    if len(spec) == 5:
+        low, high = float(str(spec[3])), float(str(spec[4]))
+    if low is not None and high is not None and not low < high:
+        raise InvalidConfig(f"actuator {name!r}: its lower bound {low} is not below its upper bound {high}")
+    feedback = _FEEDBACK.get((found.component_type, found.control_type))
+    if found.control_type == "Schedule Value":
+        feedback = "Schedule Value"
+    if feedback and not _has_variable(survey, feedback, found.key):
+        feedback = None
+    return Actuator(
+        name=name,
+        component_type=found.component_type,
+        control_type=found.control_type,
+        key=found.key,
+        unit=found.unit,
+        low=low,
+        high=high,
+        feedback=feedback,
+    )
+
+
+def _has_variable(survey: Survey, name: str, key: str) -> bool:
+    return any(v.name == name and v.key.casefold() == key.casefold() for v in survey.variables)
+
+
+def find_actuator(survey: Survey, name: str, component: str, control: str, key: str) -> ActuatorPoint:
+    """The actuator of those three names, in any case; `UnknownName` says which of them is wrong."""
+
+    def same(one: str, other: str) -> bool:
+        return one.casefold() == other.casefold()
+
+    of_type = [a for a in survey.actuators if same(a.component_type, component)]
+    if not of_type:
+        raise UnknownName(
+            f"actuator {name!r}: the model has no component type {component!r}; "
+            + near(component, (a.component_type for a in survey.actuators))
+        )
+    of_control = [a for a in of_type if same(a.control_type, control)]
+    if not of_control:
+        raise UnknownName(
+            f"actuator {name!r}: {component!r} has no control type {control!r}; "
+            + near(control, (a.control_type for a in of_type))
+        )
+    for candidate in of_control:
+        if same(candidate.key, key):
+            return candidate
+    raise UnknownName(
+        f"actuator {name!r}: {component!r}, {control!r} has no key {key!r}; {near(key, (a.key for a in of_control))}"
+    )
+
+
+def actuator_bounds(building: Building, actuator: ActuatorPoint) -> tuple[float | None, float | None]:
+    """Limits of an actuator: a thermostat's, its schedule's type limits, or its unit's."""
+    if actuator.component_type == THERMOSTAT and actuator.control_type in _SETPOINT_BOUNDS:
+        return _SETPOINT_BOUNDS[actuator.control_type]
+    if actuator.control_type == "Schedule Value":
+        for kind, schedules in building.objects.items():
+            if kind.casefold() == actuator.component_type.casefold():
+                return _schedule_limits(building, schedules, actuator.key)
+    return limits(actuator.unit)
+
+
+def _schedule_limits(
+    building: Building, schedules: Mapping[str, Mapping[str, object]], key: str
+) -> tuple[float | None, float | None]:
+    fields = next((f for n, f in schedules.items() if n.casefold() == key.casefold()), {})
+    named = str(fields.get("schedule_type_limits_name", "")).casefold()
+    for name, bounds in building.objects.get("ScheduleTypeLimits", {}).items():
+        if name.casefold() == named:
+            low, high = bounds.get("lower_limit_value"), bounds.get("upper_limit_value")
+            return (None if low is None else float(low), None if high is None else float(high))
+    return (None, None)
+
+
+def thermostat_zones(survey: Survey) -> list[str]:
+    """Keys of the zones whose thermostat can be set, in EnergyPlus's order."""
+    return list(dict.fromkeys(a.key for a in survey.actuators if a.component_type == THERMOSTAT))
+
+
+def default_sensors(survey: Survey) -> dict[str, tuple[str, str]]:
+    """Outdoor temperature and humidity, HVAC power, and each conditioned zone's air and occupants."""
+    has = {(v.name, v.key.casefold()) for v in survey.variables}
+    found = {name: (variable, key) for name, (variable, key) in _SITE_SENSORS.items()}
+    for zone in thermostat_zones(survey):
+        for suffix, variable in _ZONE_SENSORS.items():
+            found[f"{safe(zone)}_{suffix}"] = (variable, zone)
+    return {name: spec for name, spec in found.items() if (spec[0], spec[1].casefold()) in has}
+
+
+def default_meters(survey: Survey) -> dict[str, str]:
+    """The facility's meters of whatever fuels the model uses, and the HVAC's electricity."""
+    has = {m.name for m in survey.meters}
+    wanted = [f"{fuel}:Facility" for fuel in _FUELS] + ["Electricity:HVAC"]
+    return {safe(name.replace(":", "_")): name for name in wanted if name in has}
+
+
+def default_actuators(survey: Survey) -> dict[str, tuple[str, str, str]]:
+    """The heating and cooling setpoints of each zone."""
+    return {
+        f"{safe(a.key)}_{safe(a.control_type)}": (a.component_type, a.control_type, a.key)
+        for a in survey.actuators
+        if a.component_type == THERMOSTAT and a.control_type in _SETPOINT_BOUNDS
+    }
+
+
+def listing(survey: Survey) -> Iterable[tuple[str, str, str, str]]:
+    """Rows (kind, name, key, unit) of all points of a model."""
+    for v in survey.variables:
+        yield "sensor", v.name, v.key, v.unit
+    for m in survey.meters:
+        yield "meter", m.name, "", m.unit
+    for a in survey.actuators:
+        yield "actuator", f"{a.component_type} / {a.control_type}", a.key, a.unit

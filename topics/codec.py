@@ -1,0 +1,101 @@
+"""Messages to bytes and back: msgpack maps, with the message's class and version in the encoding.
+
+A payload whose encoding names another class or version is refused by name; one that names none (a
+stranger that speaks msgpack alone) is checked like any other.
+"""
+
+from __future__ import annotations
+
+from typing import Any, TypeVar
+
+import msgpack
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from topics.errors import BadMessage
+from topics.messages import SCHEMA, Message
+
+M = TypeVar("M", bound=Message)
+
+MAX_BYTES = 8 * 1024 * 1024
+"""Larger payloads are refused unread."""
+
+_MEDIA = "application/msgpack"
+_SCHEMA_MARK = ";zenostat/"
+
+
+def encoding(message: type[Message]) -> str:
+    """The encoding of a message class: `application/msgpack;zenostat/1.Sample`."""
+    return f"{_MEDIA}{_SCHEMA_MARK}{SCHEMA}.{message.__name__}"
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Message):
+        return value.__dict__
+    raise TypeError(f"{type(value).__name__} does not travel")
+
+
+def encode(message: Message) -> bytes:
+    """The payload of a message: one msgpack map of its fields."""
+    packed: bytes = msgpack.packb(message.__dict__, default=_plain)
+    return packed
+
+
+def decode(message: type[M], payload: bytes, said: str = "") -> M:
+    """The message in `payload`; `said` is the encoding that came with it.
+
+    Raises:
+        BadMessage: what was wrong, with the path of the bad value.
+    """
+    if _SCHEMA_MARK in said and said != encoding(message):
+        raise BadMessage(f"expected encoding {encoding(message)!r}, got {said!r}")
+    if len(payload) > MAX_BYTES:
+        raise BadMessage(f"{len(payload)} bytes; a {message.__name__} has at most {MAX_BYTES}")
+    try:
+        fields = msgpack.unpackb(payload)
+    except Exception as error:  # msgpack raises a dozen unrelated classes on malformed input
+        raise BadMessage(f"not msgpack: {type(error).__name__} {error}".rstrip()) from None
+    if not isinstance(fields, dict):
+        raise BadMessage(f"a {message.__name__} is a map of its fields, got {type(fields).__name__}")
+    try:
+        return message.model_validate(fields)
+    except ValidationError as error:
+        raise BadMessage(f"{message.__name__}: {explain(error)}") from None
+
+
+def explain(error: ValidationError) -> str:
+    """All faults that pydantic found, in one line: path, what came, what would be right."""
+    faults = []
+    for fault in error.errors(include_url=False):
+        path = ".".join(str(part) for part in fault["loc"]) or "(whole)"
+        faults.append(f"{path}: {fault['msg']}, got {_short(fault['input'])}")
+    return "; ".join(faults)
+
+
+def _short(value: Any, most: int = 60) -> str:
+    text = repr(value)
+    return text if len(text) <= most else text[: most - 1] + "…"
+
+
+def floats(raw: bytes, shape: tuple[int, ...], what: str) -> NDArray[np.float64]:
+    """A read-only float64 array over `raw`, or `BadMessage` if the size is not that of `shape`."""
+    return _array(raw, np.dtype("<f8"), shape, what)
+
+
+def octets(raw: bytes, shape: tuple[int, ...], what: str) -> NDArray[np.uint8]:
+    """A read-only uint8 array over `raw`, or `BadMessage` if the size is not that of `shape`."""
+    return _array(raw, np.dtype("u1"), shape, what)
+
+
+def _array(raw: bytes, kind: np.dtype[Any], shape: tuple[int, ...], what: str) -> NDArray[Any]:
+    array = np.frombuffer(raw, kind) if len(raw) % kind.itemsize == 0 else None
+    expected = 1
+    for length in shape:
+        expected *= length
+    if array is None or array.size != expected:
+        raise BadMessage(
+            f"{what} has {len(raw)} bytes; {expected * kind.itemsize} expected: "
+            f"{' x '.join(map(str, shape))} of {kind.name}"
+        )
+    return array.reshape(shape)

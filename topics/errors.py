@@ -1,0 +1,136 @@
+"""Every error that Zenostat raises on purpose.
+
+    ZenostatError
+    ├── UsageError              a mistake of this side; nothing was started
+    │   ├── UnknownName         a building, weather, point or controller that is not there
+    │   ├── InvalidConfig       a setting or a combination of settings that cannot be
+    │   └── InvalidAction       an action of the wrong shape, out of bounds or not finite
+    ├── PeerError               a mistake of the other side of the bus
+    │   ├── BadMessage          malformed, oversized, of another schema version
+    │   ├── Refused             a request or command that the node did not take, and why
+    │   └── EpisodeChanged      the episode was reset or stopped under a controller
+    ├── SimulatorError          EnergyPlus did not do its part
+    │   ├── ModelRefused        EnergyPlus refused the model or gave up; `lines` of eplusout.err
+    │   └── EngineDied          the engine process ended without a word
+    └── BusError                the way to the other side
+        ├── EndpointTaken       another program listens there
+        ├── NameTaken           a node of that name is on the bus already
+        ├── NothingThere        nobody answers at that endpoint or under that name
+        └── NodeLost            a node that was there is gone
+
+An error crosses a process border as `{"error": class name, "message": text}` and is raised there
+again as the same class.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class ZenostatError(Exception):
+    """The root; `except ZenostatError` catches whatever Zenostat raises on purpose."""
+
+
+class UsageError(ZenostatError):
+    """A mistake of this side; nothing was started."""
+
+
+class UnknownName(UsageError):
+    """A name that is not there; the text lists near ones."""
+
+
+class InvalidConfig(UsageError):
+    """A setting, or a combination of settings, that cannot be."""
+
+
+class InvalidAction(UsageError):
+    """An action of the wrong shape, out of its bounds, or not finite."""
+
+
+class PeerError(ZenostatError):
+    """A mistake of the other side of the bus."""
+
+
+class BadMessage(PeerError):
+    """A message that is malformed, oversized, or of another schema version."""
+
+
+class Refused(PeerError):
+    """A request or command that the node did not take, with its reason."""
+
+
+class EpisodeChanged(PeerError):
+    """The episode was reset or stopped by somebody else."""
+
+
+class SimulatorError(ZenostatError):
+    """EnergyPlus did not do its part."""
+
+
+class ModelRefused(SimulatorError):
+    """EnergyPlus refused the model or gave up; the text has the lines of eplusout.err that matter."""
+
+
+class EngineDied(SimulatorError):
+    """The engine process ended without a word."""
+
+
+class BusError(ZenostatError):
+    """The way to the other side does not work."""
+
+
+class EndpointTaken(BusError):
+    """Another program listens at that endpoint."""
+
+
+class NameTaken(BusError):
+    """A node of that name is on the bus already."""
+
+
+class NothingThere(BusError):
+    """Nobody answers at that endpoint or under that name."""
+
+
+class NodeLost(BusError):
+    """A node that was there is gone."""
+
+
+def _tree(cls: type[ZenostatError]) -> Iterable[type[ZenostatError]]:
+    yield cls
+    for child in cls.__subclasses__():
+        yield from _tree(child)
+
+
+_BY_NAME = {cls.__name__: cls for cls in _tree(ZenostatError)}
+
+
+def to_wire(error: BaseException) -> dict[str, str]:
+    """What a process says of `error` to another; a stranger's exception keeps its type's name."""
+    if isinstance(error, ZenostatError):
+        return {"error": type(error).__name__, "message": str(error)}
+    return {"error": "ZenostatError", "message": f"{type(error).__name__}: {error}"}
+
+
+def from_wire(said: dict[str, str]) -> ZenostatError:
+    """The exception that another process described with `to_wire`."""
+    return _BY_NAME.get(said.get("error", ""), ZenostatError)(said.get("message", "no reason given"))
+
+
+def near(name: str, known: Iterable[str], *, most: int = 5) -> str:
+    """`name`'s nearest neighbours among `known`, as the end of an error text.
+
+    Names that contain the text come first, then those that are spelled alike.
+    """
+    names = list(dict.fromkeys(known))
+    if not names:
+        return "there are none"
+    folded = name.casefold()
+    parts = [n for n in names if folded and folded in n.casefold()]
+    alike = difflib.get_close_matches(folded, [n.casefold() for n in names], n=most, cutoff=0.5)
+    by_fold = {n.casefold(): n for n in names}
+    picked = list(dict.fromkeys(parts + [by_fold[a] for a in alike]))[:most]
+    if picked:
+        return "near names: " + ", ".join(repr(n) for n in picked)
+    shown = ", ".join(repr(n) for n in names[:most])
+    return f"there are: {shown}" + (f" and {len(names) - most} more" if len(names) > most else "")

@@ -1,0 +1,135 @@
+"""The table of topics: each key expression of the bus, written once.
+
+Root: `zenostat/v1/{node}`. Chunks that begin with `@` are matched by no wildcard.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from enum import StrEnum
+
+from topics.errors import InvalidConfig
+from topics.messages import (
+    SCHEMA,
+    Accepted,
+    Ask,
+    Claim,
+    Command,
+    Event,
+    Manifest,
+    Message,
+    PointValue,
+    Reset,
+    Sample,
+    Status,
+    Stop,
+    Write,
+)
+
+PREFIX = f"zenostat/v{SCHEMA}"
+NODE_CHUNK = 2
+"""Index of the node's name among a key's chunks."""
+
+
+class Role(StrEnum):
+    """Who speaks."""
+
+    NODE = "node"
+    CONTROLLER = "controller"
+    ANYONE = "anyone"
+
+
+class Delivery(StrEnum):
+    """How a topic's messages travel."""
+
+    DROP = "drop"  # a slow listener loses messages; the sender never waits
+    BLOCK = "block"  # the sender waits for a slow listener; nothing is lost
+    QUERY = "query"  # request and reply
+    TOKEN = "token"  # presence
+
+
+@dataclass(frozen=True, slots=True)
+class Topic:
+    """One row: `key` below the root, who sends it, the class of the message and of the reply."""
+
+    key: str
+    sender: Role
+    message: type[Message] | None
+    delivery: Delivery
+    reply: type[Message] | None = None
+
+    def at(self, node: str, *, name: str = "") -> str:
+        """The full key expression; `*` is a name that matches all."""
+        return f"{PREFIX}/{node}/{self.key.replace('{name}', name)}"
+
+
+MANIFEST = Topic("manifest", Role.NODE, Manifest, Delivery.BLOCK, reply=Manifest)
+SAMPLE = Topic("sample", Role.NODE, Sample, Delivery.DROP, reply=Sample)
+SENSOR = Topic("sensor/{name}", Role.NODE, PointValue, Delivery.DROP)
+METER = Topic("meter/{name}", Role.NODE, PointValue, Delivery.DROP)
+COMMAND = Topic("command/{name}", Role.CONTROLLER, Command, Delivery.BLOCK)
+ACTUATOR = Topic("actuator/{name}", Role.ANYONE, Write, Delivery.BLOCK)
+EVENT = Topic("event", Role.NODE, Event, Delivery.DROP)
+CLAIM = Topic("rpc/claim", Role.CONTROLLER, Claim, Delivery.QUERY, reply=Accepted)
+RESET = Topic("rpc/reset", Role.CONTROLLER, Reset, Delivery.QUERY, reply=Accepted)
+STOP = Topic("rpc/stop", Role.CONTROLLER, Stop, Delivery.QUERY, reply=Accepted)
+STATUS = Topic("rpc/status", Role.ANYONE, Ask, Delivery.QUERY, reply=Status)
+NODE_TOKEN = Topic("@live/node/{name}", Role.NODE, None, Delivery.TOKEN)
+CONTROLLER_TOKEN = Topic("@live/controller/{name}", Role.CONTROLLER, None, Delivery.TOKEN)
+
+TOPICS = (
+    MANIFEST,
+    SAMPLE,
+    SENSOR,
+    METER,
+    COMMAND,
+    ACTUATOR,
+    EVENT,
+    CLAIM,
+    RESET,
+    STOP,
+    STATUS,
+    NODE_TOKEN,
+    CONTROLLER_TOKEN,
+)
+
+OWN_STREAM = "*"
+"""Below a node's root: the topics of one chunk (manifest, sample, event), in the order sent."""
+
+WAKE = "wake"
+"""Below a node's root: never on the wire; a process wakes its own receiving thread with it."""
+
+
+def root(node: str) -> str:
+    """`zenostat/v1/{node}`."""
+    return f"{PREFIX}/{node}"
+
+
+def node_of(key: str) -> str:
+    """The node's name in a full key."""
+    return key.split("/")[NODE_CHUNK]
+
+
+def last_of(key: str) -> str:
+    """The last chunk of a full key: a point's, a controller's or an instance's name."""
+    return key.rsplit("/", 1)[1]
+
+
+_UNSAFE = re.compile(r"[^A-Za-z0-9_.\-]+")
+_SAFE = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.\-]{0,127}")
+
+
+def safe(text: str) -> str:
+    """`text` made fit for a key chunk: other characters become `_`, in lower case."""
+    return _UNSAFE.sub("_", text).strip("_.-").lower()[:128] or "x"
+
+
+def check_name(name: str, what: str) -> str:
+    """`name`, or `InvalidConfig` that says what would be right."""
+    if not _SAFE.fullmatch(name):
+        raise InvalidConfig(
+            f"{what} {name!r} cannot stand in a topic: use letters, digits, '_', '.' and '-', at most "
+            f"128 of them; for example {safe(name)!r}"
+        )
+    return name

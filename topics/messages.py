@@ -1,0 +1,311 @@
+"""Every message class of the bus.
+
+Each is frozen, refuses unknown fields and refuses NaN and infinities: a message that exists is
+valid. Arrays travel as raw little-endian float64 (`values`, `applied`) or uint8 (`mask`, `ruler`)
+bytes in C order with the shape `(slots, points)`, in the manifest's order.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum, IntFlag, StrEnum
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field
+
+SCHEMA = 1
+"""Version of the contract; part of every key's root and of every message's encoding."""
+
+SafeName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.\-]{0,127}$")]
+"""A name that may stand as a chunk of a key: letters, digits, `_`, `.`, `-`; at most 128."""
+
+Count = Annotated[int, Field(ge=0)]
+Level = Annotated[int, Field(ge=1, le=16)]
+
+
+class Message(BaseModel):
+    """Base of everything that travels."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, ser_json_inf_nan="null")
+
+
+class Reading(StrEnum):
+    """How a sensor is read over a timestep.
+
+    `MEAN` and `SUM` are what EnergyPlus reports for the timestep: the time-weighted mean, or the sum,
+    over its system timesteps. `INSTANT` is the state at the end of the timestep.
+    """
+
+    MEAN = "mean"
+    SUM = "sum"
+    INSTANT = "instant"
+
+
+class Mode(StrEnum):
+    """Who sets the pace of simulated time."""
+
+    LOCKSTEP = "lockstep"
+    FREE = "free"
+
+
+class Policy(StrEnum):
+    """What the node does when a required controller gives no valid command."""
+
+    WAIT = "wait"
+
+
+class State(StrEnum):
+    """Where a node stands in an episode."""
+
+    STARTING = "starting"
+    WAITING = "waiting"
+    RUNNING = "running"
+    ENDED = "ended"
+    FAILED = "failed"
+    STOPPED = "stopped"
+
+
+class Flag(IntFlag):
+    """What a sample says about its episode."""
+
+    NONE = 0
+    FIRST = 1
+    TRUNCATED = 2
+
+
+class Mask(IntEnum):
+    """What a command does to one actuator at the controller's level."""
+
+    KEEP = 0
+    SET = 1
+    RELEASE = 2
+
+
+class Sensor(Message):
+    """An EnergyPlus output variable, under a name of the user's."""
+
+    name: SafeName
+    variable: str
+    key: str
+    unit: str
+    reading: Reading
+    low: float | None = None
+    high: float | None = None
+
+
+class Meter(Message):
+    """An EnergyPlus meter: what was used in the timestep (J for energy)."""
+
+    name: SafeName
+    meter: str
+    unit: str
+    low: float | None = None
+    high: float | None = None
+
+
+class Actuator(Message):
+    """An EnergyPlus actuator. `feedback` is the output variable that tells what really ruled."""
+
+    name: SafeName
+    component_type: str
+    control_type: str
+    key: str
+    unit: str
+    low: float | None = None
+    high: float | None = None
+    default: float | None = None
+    feedback: str | None = None
+
+
+class Versions(Message):
+    """What a node is made of."""
+
+    zenostat: str
+    energyplus: str
+    contract: int = SCHEMA
+
+
+class Manifest(Message):
+    """All that a stranger needs to read a node's samples and to command it."""
+
+    node: SafeName
+    instance: str
+    building: str
+    weather: str
+    location: str
+    begin: str
+    end: str
+    steps_per_hour: Annotated[int, Field(ge=1, le=60)]
+    steps: Count
+    slots: Annotated[int, Field(ge=1)] = 1
+    mode: Mode
+    policy: Policy
+    sensors: tuple[Sensor, ...]
+    meters: tuple[Meter, ...]
+    actuators: tuple[Actuator, ...]
+    versions: Versions
+    host: str = ""
+    cpu: int | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of `Sample.values`: the sensors, then the meters."""
+        return tuple(p.name for p in self.sensors) + tuple(p.name for p in self.meters)
+
+
+class Sample(Message):
+    """One frame a step. Lists have an entry a slot; slot 0 is the only one of a plain node.
+
+    `values` are the sensors, then the meters. `applied` says what each actuator really was in the
+    timestep that this sample closes; NaN where EnergyPlus has no variable that tells. `ruler` is an
+    index into `rulers`: who set it, with `rulers[0]` the building's own control.
+    """
+
+    episode: list[Count]
+    step: list[Count]
+    time: list[str]
+    elapsed_s: list[float]
+    flags: list[int]
+    values: bytes
+    applied: bytes
+    ruler: bytes
+    rulers: list[str]
+    late: Count = 0
+    rejected: Count = 0
+
+
+class Command(Message):
+    """A controller's answer to sample `step` of `episode`; it rules timestep `step + 1`.
+
+    `values` has all actuators of all slots. `mask` (one `Mask` byte each) says which of them are
+    set, kept as they are, or released; without it all are set.
+    """
+
+    episode: list[Count]
+    step: list[Count]
+    values: bytes
+    mask: bytes | None = None
+
+
+class Write(Message):
+    """One actuator, written by a device or a person; `value` None releases it.
+
+    `priority` as in BACnet: 1 the highest, 16 the lowest, 8 a person's.
+    `for_s`: seconds of simulated time after which it is released by itself.
+    """
+
+    value: float | None
+    priority: Level = 8
+    for_s: Annotated[float, Field(gt=0)] | None = None
+    source: str = "anonymous"
+
+
+class PointValue(Message):
+    """One point at one step, for dashboards and devices that want just that."""
+
+    value: float
+    unit: str
+    episode: Count
+    step: Count
+    time: str
+
+
+class EventKind(StrEnum):
+    """What an event tells."""
+
+    STARTED = "started"
+    ENDED = "ended"
+    FAILED = "failed"
+    STOPPED = "stopped"
+    REJECTED = "rejected"
+    LATE = "late"
+    DUPLICATE = "duplicate"
+    WRITTEN = "written"
+    EXPIRED = "expired"
+    JOINED = "joined"
+    LEFT = "left"
+    WARNING = "warning"
+
+
+class Event(Message):
+    """What happened on a node; `source` is the controller or device that it is about."""
+
+    kind: EventKind
+    text: str
+    source: str = ""
+    error: str = ""
+    episode: Count = 0
+    step: Count = 0
+
+
+class Claim(Message):
+    """Asks for a priority level on actuators (None: all). Required controllers are waited for."""
+
+    controller: SafeName
+    level: Level = 10
+    actuators: list[str] | None = None
+    required: bool = True
+
+
+class Reset(Message):
+    """Asks for a new episode."""
+
+    controller: str = ""
+    seed: Annotated[int, Field(ge=0)] | None = None
+    options: dict[str, Any] = Field(default_factory=dict)
+
+
+class Stop(Message):
+    """Asks the node to end."""
+
+    source: str = ""
+
+
+class Ask(Message):
+    """A question without parameters (status)."""
+
+
+class Accepted(Message):
+    """The node took a request. `episode` is the one that is running or starting now."""
+
+    episode: list[Count]
+    fresh: bool = False
+
+
+class Denied(Message):
+    """The node did not take a request: an error class of `topics.errors` and its text."""
+
+    error: str
+    message: str
+
+
+class ControllerStatus(Message):
+    """One controller that has claimed something."""
+
+    controller: str
+    level: Level
+    actuators: Count
+    required: bool
+    present: bool
+    accepted: Count
+
+
+class Status(Message):
+    """Where a node stands."""
+
+    node: SafeName
+    state: State
+    building: str
+    weather: str
+    mode: Mode
+    episode: list[Count]
+    step: list[Count]
+    steps: Count
+    time: list[str]
+    controllers: list[ControllerStatus]
+    accepted: Count
+    rejected: Count
+    late: Count
+    duplicate: Count
+    failure: str = ""
+    node_rss_bytes: Count = 0
+    engine_rss_bytes: Count = 0
