@@ -191,7 +191,7 @@ class _Spin:
     wanted by others: when the system takes the thread off its core more often than each fourth step.
     """
 
-    LIMIT_S = 0.002
+    LIMIT_S = 0.004
     WINDOW = 256
     PAUSE = 4096
 
@@ -268,13 +268,12 @@ class ControlLink:
         watch = session.liveliness().declare_subscriber(token, Callback(self._on_node, indirect=False), history=True)
         self._close.callback(watch.undeclare)
         declare(session.liveliness().declare_token(keys.CONTROLLER_TOKEN.at(manifest.node, name=claim.controller)))
-        self._commands = declare(
-            session.declare_publisher(
-                keys.COMMAND.at(manifest.node, name=claim.controller),
-                encoding=zenoh.Encoding(codec.encoding(Command)),
-                congestion_control=CongestionControl.BLOCK,
-            )
+        commands = session.declare_publisher(
+            keys.COMMAND.at(manifest.node, name=claim.controller),
+            encoding=zenoh.Encoding(codec.encoding(Command)),
+            congestion_control=CongestionControl.BLOCK,
         )
+        self._put_command = declare(commands).put
         self.bus.claim(manifest.node, claim)
 
     def _on_node(self, token: zenoh.Sample) -> None:
@@ -384,7 +383,7 @@ class ControlLink:
     # Commands
 
     def send(self, values: Mapping[str, float | None] | NDArray[np.float64] | None = None) -> None:
-        """Answers the present sample.
+        """Answers the present sample. An episode's last sample takes no answer: nothing is sent.
 
         Args:
             values: by actuator name, None releasing it to the building's own control and the others kept
@@ -395,11 +394,12 @@ class ControlLink:
         """
         if self._latest is None:
             raise PeerError("there is no sample to answer yet; receive one first")
+        if self._latest.truncated:
+            return
         wire = self._latest.wire
         raw, mask = self._coded(values)
-        command = Command.model_construct(episode=wire.episode, step=wire.step, values=raw, mask=mask)
         self._answered = True
-        self._commands.put(codec.encode(command))
+        self._put_command(codec.pack(episode=wire.episode, step=wire.step, mask=mask, values=raw))
 
     def _coded(self, values: Mapping[str, float | None] | NDArray[np.float64] | None) -> tuple[bytes, bytes | None]:
         count = self._shape[1]

@@ -78,6 +78,7 @@ class Claimant:
     allowed: NDArray[np.bool_]
     required: bool
     source: int
+    whole: bool
     present: bool = True
     accepted: int = 0
 
@@ -121,16 +122,22 @@ class Exchange:
     touched: bool = False
     _pending: set[str] = field(default_factory=set)
     _expiries: list[_Expiry] = field(default_factory=list)
-    _bounds: NDArray[np.float64] = field(init=False)
+    _limits: NDArray[np.float64] = field(init=False)
+    _clipped: NDArray[np.float64] = field(init=False)
+    _size: int = field(init=False)
     _array: PriorityArray = field(init=False)
     _index: dict[str, int] = field(init=False)
+    _head: bytes = field(init=False, default=b"")
 
     def __post_init__(self) -> None:
         self.episode = self.episode or [0] * self.slots
         self.step = self.step or [0] * self.slots
-        low = [-np.inf if a.low is None else a.low for a in self.actuators]
-        high = [np.inf if a.high is None else a.high for a in self.actuators]
-        self._bounds = np.array([low, high]).reshape(2, len(self.actuators))
+        most = float(np.finfo(np.float64).max)  # an unbounded actuator takes any finite value
+        low = [-most if a.low is None else a.low for a in self.actuators]
+        high = [most if a.high is None else a.high for a in self.actuators]
+        self._limits = np.tile(np.array([low, high]).reshape(2, -1), self.slots)
+        self._clipped = np.empty(self._limits.shape[1])
+        self._size = self._clipped.nbytes
         self._array = PriorityArray(self.slots, len(self.actuators))
         self._index = {a.name: i for i, a in enumerate(self.actuators)}
 
@@ -162,13 +169,17 @@ class Exchange:
         self.take(Input.READY)
         self.step = [0] * self.slots
         self.touched = False
-        self._await_all()
+        self.listen()
 
     def sampled(self, *, last: bool) -> None:
-        """The engine has simulated a timestep."""
+        """The engine has simulated a timestep. Call `listen` once the sample is published."""
         self.take(Input.ENDED if last else Input.SAMPLED)
         self.step = [step + 1 for step in self.step]
-        self._await_all()
+
+    def listen(self) -> None:
+        """Gets ready for the answers to the present sample; apart from `sampled` so that the sample goes first."""
+        self._pending = {c.name for c in self.claimants.values() if c.required}
+        self._head = codec.command_head(self.episode, self.step, self._size)
 
     def reset(self) -> None:
         """A new episode begins: claims stay, what was set is released."""
@@ -178,9 +189,6 @@ class Exchange:
         self._expiries.clear()
         for claimant in self.claimants.values():
             claimant.source = self._array.source(claimant.name)
-
-    def _await_all(self) -> None:
-        self._pending = {c.name for c in self.claimants.values() if c.required}
 
     def due(self) -> bool:
         """Whether the next timestep may be simulated now."""
@@ -194,8 +202,8 @@ class Exchange:
         """Required controllers that have not answered the present sample."""
         return sorted(self._pending)
 
-    def go(self) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
-        """Starts the timestep: the values that rule it (NaN: the building's own) and who set them."""
+    def go(self) -> tuple[bytes, bytes]:
+        """Starts the timestep: the values that rule it (float64, NaN: the building's own) and who set them (uint8)."""
         self.take(Input.GO)
         self.touched = True
         return self._array.resolve()
@@ -223,7 +231,13 @@ class Exchange:
         old = self.claimants.get(claim.controller)
         source = self._array.source(claim.controller)
         self.claimants[claim.controller] = Claimant(
-            claim.controller, claim.level, allowed, claim.required, source, accepted=old.accepted if old else 0
+            claim.controller,
+            claim.level,
+            allowed,
+            claim.required,
+            source,
+            whole=bool(allowed.all()),
+            accepted=old.accepted if old else 0,
         )
         if claim.required and self.state is State.WAITING:
             self._pending.add(claim.controller)
@@ -261,6 +275,29 @@ class Exchange:
         waits = ", the node waits for it" if claimant.required and self.mode is Mode.LOCKSTEP else ""
         return [self.event(EventKind.LEFT, f"{name} has gone{waits}", name)]
 
+    def hear(self, controller: str, payload: bytes, said: str = "") -> Event | None:
+        """Takes a command's bytes; an event if it was not taken.
+
+        The usual command (all actuators of one controller, for the present step) is known by its head and
+        needs no decoding.
+        """
+        head = self._head
+        if controller in self._pending and len(payload) == len(head) + self._size and payload.startswith(head):
+            claimant, raw = self.claimants[controller], payload[len(head) :]
+            if claimant.whole and self.state is State.WAITING and self._within(raw):
+                self._array.put_all(claimant.level, claimant.source, raw)
+                self._took(claimant)
+                return None
+        try:
+            return self.command(controller, codec.decode(Command, payload, said))
+        except BadMessage as error:
+            return self.rejected(str(error), controller)
+
+    def _took(self, claimant: Claimant) -> None:
+        claimant.accepted += 1
+        self.counts.accepted += 1
+        self._pending.discard(claimant.name)
+
     def command(self, controller: str, command: Command) -> Event | None:
         """Takes a command; an event if it was not taken."""
         claimant = self.claimants.get(controller)
@@ -276,9 +313,7 @@ class Exchange:
             self._apply(claimant, command)
         except BadMessage as error:
             return self.rejected(str(error), controller)
-        claimant.accepted += 1
-        self.counts.accepted += 1
-        self._pending.discard(controller)
+        self._took(claimant)
         return None
 
     def _wrong_step(self, controller: str, command: Command) -> Event:
@@ -291,12 +326,12 @@ class Exchange:
 
     def _apply(self, claimant: Claimant, command: Command) -> None:
         values = codec.floats(command.values, self.shape, "values")
-        if command.mask is None and claimant.allowed.all():
+        if command.mask is None and claimant.whole:
             self._check(values)
-            self._array.put(claimant.level, claimant.source, values)
+            self._array.put_all(claimant.level, claimant.source, command.values)
             return
         mask = self._mask(claimant, command)
-        self._check(np.where(mask == Mask.SET, values, self._bounds[0].clip(-1e300, 1e300)))
+        self._check(np.where(mask == Mask.SET, values, self._limits[0].reshape(self.shape)))
         self._array.put(claimant.level, claimant.source, np.where(mask == Mask.SET, values, np.nan), mask != Mask.KEEP)
 
     def _mask(self, claimant: Claimant, command: Command) -> NDArray[np.uint8]:
@@ -311,13 +346,20 @@ class Exchange:
             raise BadMessage(f"{self.actuators[index].name!r} is not among the actuators it claimed")
         return mask
 
+    def _within(self, raw: bytes) -> bool:
+        """Whether clipping would change nothing; a quick yes, while a no (also for -0.0) wants `_check`."""
+        low, high = self._limits
+        clipped = self._clipped
+        np.fmin(np.fmax(np.frombuffer(raw), low, out=clipped), high, out=clipped)
+        return clipped.tobytes() == raw
+
     def _check(self, values: NDArray[np.float64]) -> None:
-        low, high = self._bounds
-        good = (values >= low) & (values <= high)
-        if good.all() and np.isfinite(values).all():
-            return
-        slot, index = np.argwhere(~(good & np.isfinite(values)))[0]
-        raise BadMessage(self._out_of_bounds(int(index), float(values[slot, index])))
+        """All values, shape (slots, actuators), finite and within bounds, or `BadMessage`."""
+        low, high = self._limits.reshape(2, *self.shape)
+        wrong = ~((values >= low) & (values <= high))  # true for NaN
+        if wrong.any():
+            slot, index = np.argwhere(wrong)[0]
+            raise BadMessage(self._out_of_bounds(int(index), float(values[slot, index])))
 
     def _out_of_bounds(self, index: int, value: float) -> str:
         actuator = self.actuators[index]
@@ -331,7 +373,7 @@ class Exchange:
         index = self._index[name]
         if write.value is not None:
             actuator = self.actuators[index]
-            low, high = self._bounds[:, index]
+            low, high = self._limits[:, index]
             if not low <= write.value <= high:
                 return self.rejected(self._out_of_bounds(index, write.value), write.source)
             text = f"{name} = {write.value:g} {actuator.unit} at priority {write.priority}"
@@ -347,15 +389,20 @@ class Exchange:
         return self.event(EventKind.WRITTEN, text, write.source)
 
     def _set(self, level: int, source: str, index: int, value: float | None) -> None:
-        if len(self._array.names) > 250 and source not in self._array.names:
-            source = "others"
         self.touched = True
         self._array.put_one(level, self._array.source(source), index, np.nan if value is None else value)
 
+    @property
+    def expiring(self) -> bool:
+        """Whether anything was written for a time."""
+        return bool(self._expiries)
+
+    def nobody(self) -> tuple[bytes, bytes]:
+        """What `go` returns where nobody commands."""
+        return PriorityArray(*self.shape).resolve()
+
     def expire(self, elapsed_s: float) -> list[Event]:
         """Releases what was written for a time that is over."""
-        if not self._expiries:
-            return []
         over = [e for e in self._expiries if e.at_s <= elapsed_s]
         self._expiries = [e for e in self._expiries if e.at_s > elapsed_s]
         for e in over:

@@ -14,7 +14,7 @@ import threading
 
 from eplus_node.config import read_config
 from eplus_node.node import Node
-from topics.errors import to_wire
+from topics.errors import ZenostatError, to_wire
 
 
 def _end_with_owner() -> None:
@@ -44,9 +44,12 @@ def main() -> int:
         with Node(read_config(json.loads(line))) as node:
             _say(ready=node.config.name)
             node.serve()
-    except Exception as error:
+    except ZenostatError as error:
         _say(**to_wire(error))
         return 1
+    except Exception as error:
+        _say(**to_wire(error))
+        raise
     return 0
 
 

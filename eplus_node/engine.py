@@ -14,6 +14,7 @@ so that it stands for a run that was good to its end.
 from __future__ import annotations
 
 import ctypes
+import gc
 import json
 import os
 import shutil
@@ -24,6 +25,7 @@ import sys
 from array import array
 from enum import IntEnum
 from itertools import repeat
+from math import isfinite
 from typing import Any, NoReturn
 
 RUN_PERIOD = 3
@@ -179,7 +181,16 @@ class Engine:
         else:
             values.extend([0.0] * len(self.meters))  # nothing has been metered yet
         values.extend(map(self.get_variable, repeat(state), self.feedback))
+        if not isfinite(sum(values)):
+            self._refuse_strange(values)
         self.out[2:] = array("d", values)
+
+    def _refuse_strange(self, values: list[float]) -> None:
+        spec = self.spec
+        names = [*spec["sensors"], *spec["meters"], *spec["feedback"]]
+        for names_of, value in zip(names, values, strict=True):
+            if not isfinite(value):
+                raise ArithmeticError(f"EnergyPlus gives {value} for {names_of[0]!r} {names_of[1]!r} at step {self.step}")
 
     def _on_warm(self, state: int) -> None:
         if self.near and not self.live:
@@ -256,6 +267,7 @@ def main(descriptor: int) -> NoReturn:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the node's to answer
     signal.signal(signal.SIGTERM, lambda *_: leave(0))
     _die_with_parent(spec["parent"])
+    gc.disable()  # nothing here makes cycles
     Engine(link, spec).run()
 
 

@@ -59,7 +59,7 @@ class Run:
 
 
 class EngineLink:
-    """A running engine. `values`, `feedback`, `step` and `last` are those of its latest frame."""
+    """A running engine. `values`, `step` and `last` are those of its latest frame."""
 
     def __init__(self, run: Run) -> None:
         self._run = run
@@ -68,10 +68,11 @@ class EngineLink:
         values = len(points.sensors) + len(points.meters)
         self._frame: NDArray[np.float64] = np.zeros(2 + values + len(self._told))
         self._frame_bytes = memoryview(self._frame).cast("B")
-        self._order: NDArray[np.float64] = np.zeros(2 + len(points.actuators))
-        self._order_bytes = memoryview(self._order).cast("B")
+        self._values_bytes = self._frame_bytes[16 : 16 + 8 * values]
+        self._feedback_bytes = self._frame_bytes[16 + 8 * values :]
+        self._finish = struct.pack("=dd", Order.FINISH, 0.0) + bytes(8 * len(points.actuators))
+        self._step = struct.pack("=dd", Order.STEP, 0.0)
         self.values = self._frame[2 : 2 + values]
-        self.feedback = self._frame[2 + values :]
         self.last = False
         ours, theirs = socket.socketpair()
         for end in (ours, theirs):
@@ -118,10 +119,17 @@ class EngineLink:
         """The number of the latest sample."""
         return int(self._frame[1])
 
-    @property
-    def told(self) -> list[int]:
-        """Indices of the actuators that `feedback` tells of."""
-        return self._told
+    def values_bytes(self) -> bytes:
+        """The latest sensors and meters, raw."""
+        return bytes(self._values_bytes)
+
+    def applied_bytes(self, commanded: bytes) -> bytes:
+        """What each actuator really was, raw: as EnergyPlus tells, else as `commanded`."""
+        if len(self._told) * 8 == len(commanded):
+            return bytes(self._feedback_bytes)
+        applied = np.frombuffer(commanded).copy()
+        applied[self._told] = np.frombuffer(self._feedback_bytes)
+        return applied.tobytes()
 
     def receive(self) -> None:
         """Waits for the next frame.
@@ -144,20 +152,17 @@ class EngineLink:
             raise ModelRefused(self._refusal(int(self._frame[1])))
         self.last = bool(said == Said.LAST)
 
-    def send(self, actuators: NDArray[np.float64]) -> None:
-        """Orders the next timestep with these actuator values; NaN releases an actuator."""
-        self._order[0], self._order[1] = Order.STEP, self._frame[1]
-        self._order[2:] = actuators
+    def send(self, actuators: bytes) -> None:
+        """Orders the next timestep with these actuator values (float64); NaN releases an actuator."""
         try:
-            self._socket.sendall(self._order_bytes)
+            self._socket.sendall(self._step + actuators)
         except (BrokenPipeError, ConnectionResetError):
             raise EngineDied(self._last_words()) from None
 
     def finish(self) -> None:
         """Lets EnergyPlus end the run early and write its files, then closes."""
-        self._order[0] = Order.FINISH
         try:
-            self._socket.sendall(self._order_bytes)
+            self._socket.sendall(self._finish)
             self._process.wait()
         except OSError:
             pass  # it has ended already

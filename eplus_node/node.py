@@ -8,17 +8,18 @@ with a message that never leaves the process.
 
 from __future__ import annotations
 
+import gc
 import shutil
 import signal
 import tempfile
 from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack
+from datetime import timedelta
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
-import numpy as np
 import psutil
 import zenoh
 from zenoh import CongestionControl, Locality
@@ -58,6 +59,7 @@ from topics.messages import (
 _INBOX = 4096
 _WAKE = "-"  # no controller can have this name
 _EVENTS_A_STEP = 20
+_NO_FLAG, _FIRST, _TRUNCATED = int(Flag.NONE), int(Flag.FIRST), int(Flag.TRUNCATED)
 
 Observer = Callable[["Node"], None]
 
@@ -91,6 +93,8 @@ class Node:
         with ExitStack() as undo:
             undo.callback(self.close)
             self.plan: Plan = plan(self.config)
+            self._begin = self.plan.period.time(0)
+            self._step_time = timedelta(seconds=self.plan.period.step_s)
             self._place()
             self._open_bus()
             self.exchange = Exchange(self.plan.points.actuators, mode=self.config.mode)
@@ -159,7 +163,7 @@ class Node:
         self._request(keys.CLAIM, Claim, self._claim)
         self._request(keys.RESET, Reset, self._reset)
         self._request(keys.STOP, Stop, self._stop)
-        self._samples = declare(self._publisher(keys.SAMPLE))
+        self._put_sample = declare(self._publisher(keys.SAMPLE)).put
         self._events = declare(self._publisher(keys.EVENT))
         self._manifests = declare(self._publisher(keys.MANIFEST))
         self._declare_points()
@@ -275,6 +279,7 @@ class Node:
 
     def serve(self) -> None:
         """Serves until it is told to stop (by a request, a signal, or its owner's end)."""
+        gc.freeze()  # what is loaded by now stays; collections need not look at it
         previous = {s: signal.signal(s, self._on_signal) for s in (signal.SIGINT, signal.SIGTERM)}
         try:
             while True:
@@ -304,12 +309,7 @@ class Node:
         if controller == _WAKE:
             self._clear_shelf()
             return
-        try:
-            command = codec.decode(Command, message.payload.to_bytes(), str(message.encoding))
-        except errors.BadMessage as error:
-            self.event(self.exchange.rejected(str(error), controller))
-            return
-        event = self.exchange.command(controller, command)
+        event = self.exchange.hear(controller, message.payload.to_bytes(), str(message.encoding))
         if event is not None:
             self.event(event)
 
@@ -325,17 +325,18 @@ class Node:
     def _advance(self) -> None:
         """One timestep: the commands that rule it to the engine, its sample to the bus."""
         exchange, engine = self.exchange, self._engine
-        self._tell(exchange.expire(self._elapsed_s()))
+        if exchange.expiring:
+            self._tell(exchange.expire(self._elapsed_s()))
         values, self._ruler = exchange.go()
         try:
-            engine.send(values[0])
+            engine.send(values)
             engine.receive()
         except SimulatorError as error:
             if self._stopping:
                 self._clear_shelf()
             self._fail(error)
             return
-        self._note_applied(values[0])
+        self._applied = engine.applied_bytes(values)
         exchange.sampled(last=engine.last)
         self._publish()
         if engine.last:
@@ -344,50 +345,38 @@ class Node:
     def _elapsed_s(self) -> float:
         return self.exchange.step[0] * self.plan.period.step_s
 
-    def _note_applied(self, commanded: Any) -> None:
-        self._applied[:] = commanded
-        self._applied[self._engine.told] = self._engine.feedback
-
     def _publish(self) -> None:
-        exchange, period, step = self.exchange, self.plan.period, self.exchange.step[0]
-        flags = Flag.TRUNCATED if self._engine.last else Flag.FIRST if step == 0 else Flag.NONE
-        values = self._engine.values
-        if not np.isfinite(values).all():
-            bad = self.manifest.names[int(np.flatnonzero(~np.isfinite(values))[0])]
-            self._fail(SimulatorError(f"EnergyPlus gives no finite value for {bad!r} at step {step}"))
-            return
-        counts = exchange.counts
-        sample = Sample.model_construct(
+        exchange, counts = self.exchange, self.exchange.counts
+        step = exchange.step[0]
+        elapsed = step * self._step_time
+        self._latest = codec.pack(
             episode=exchange.episode,
             step=exchange.step,
-            time=[period.time(step).isoformat()],
-            elapsed_s=[step * period.step_s],
-            flags=[int(flags)],
-            values=values.tobytes(),
-            applied=self._applied.tobytes(),
-            ruler=self._ruler.tobytes(),
+            time=[(self._begin + elapsed).isoformat()],
+            elapsed_s=[elapsed.total_seconds()],
+            flags=[_TRUNCATED if self._engine.last else _NO_FLAG if step else _FIRST],
+            values=self._engine.values_bytes(),
+            applied=self._applied,
+            ruler=self._ruler,
             rulers=exchange.ruler_names,
             late=counts.late,
             rejected=counts.rejected,
         )
-        self._latest = codec.encode(sample)
-        self._samples.put(self._latest)
+        self._put_sample(self._latest)
+        exchange.listen()
         self._events_left = _EVENTS_A_STEP
         if self._watched:
-            self._publish_points(sample)
+            self._publish_points()
         if self._observer is not None:
             self._observer(self)
 
-    def _publish_points(self, sample: Sample) -> None:
+    def _publish_points(self) -> None:
+        episode, step = self.exchange.episode[0], self.exchange.step[0]
+        time = self.plan.period.time(step).isoformat()
         for index, publisher in self._watched.items():
-            value = PointValue.model_construct(
-                value=float(self._engine.values[index]),
-                unit=self._units[index],
-                episode=sample.episode[0],
-                step=sample.step[0],
-                time=sample.time[0],
-            )
-            publisher.put(codec.encode(value))
+            value = float(self._engine.values[index])
+            unit = self._units[index]
+            publisher.put(codec.encode(PointValue(value=value, unit=unit, episode=episode, step=step, time=time)))
 
     def event(self, event: Event) -> None:
         """Publishes an event; a flood of them within a step is cut, not its counts."""
@@ -428,9 +417,8 @@ class Node:
 
     def _ready(self) -> None:
         self.exchange.ready()
-        self._applied = np.full(self.exchange.shape[1], np.nan)
-        self._ruler = np.zeros(self.exchange.shape, np.uint8)
-        self._note_applied(np.nan)
+        values, self._ruler = self.exchange.nobody()
+        self._applied = self._engine.applied_bytes(values)
         self._failure = ""
 
     def _fail(self, error: SimulatorError) -> None:

@@ -192,7 +192,8 @@ def sensor_bounds(variable: Variable) -> tuple[float | None, float | None]:
 def _meter(survey: Survey, name: str, spec: object) -> tuple[Meter, MeterPoint]:
     for candidate in survey.meters:
         if candidate.name.casefold() == str(spec).casefold():
-            return Meter(name=name, meter=candidate.name, unit=candidate.unit), candidate
+            low = 0.0 if candidate.name.split(":")[0] in _FUELS else None  # consumption is never negative
+            return Meter(name=name, meter=candidate.name, unit=candidate.unit, low=low), candidate
     raise UnknownName(
         f"meter {name!r}: the model has no meter {spec!r}; {near(str(spec), (m.name for m in survey.meters))}"
     )

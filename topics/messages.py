@@ -177,13 +177,14 @@ class Command(Message):
     """A controller's answer to sample `step` of `episode`; it rules timestep `step + 1`.
 
     `values` has all actuators of all slots. `mask` (one `Mask` byte each) says which of them are
-    set, kept as they are, or released; without it all are set.
+    set, kept as they are, or released; without it all are set. `values` stands last, so that a command's
+    bytes are a head that the node can foresee and the values: it needs no decoding (`codec.command_head`).
     """
 
     episode: list[Count]
     step: list[Count]
-    values: bytes
     mask: bytes | None = None
+    values: bytes
 
 
 class Write(Message):

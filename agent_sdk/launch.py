@@ -1,0 +1,88 @@
+"""A node of one's own: started as a program, reached over a private unix socket, ended with its owner."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from bridge import affinity
+from bridge.affinity import Affinity
+from topics.errors import NodeLost, from_wire
+
+_SOCKET_PATH_MAX = 100  # sun_path has 108 bytes
+
+
+class OwnNode:
+    """A node process that ends on `close()`, or when this process ends in any way.
+
+    Args:
+        settings: of `eplus_node.config.NodeConfig`; the endpoint, folder and core are filled in here.
+        placement: see `bridge.affinity`.
+
+    Raises:
+        ZenostatError: whatever the node raised when it could not start.
+        NodeLost: it ended without a word.
+    """
+
+    def __init__(self, settings: dict[str, Any], placement: Affinity) -> None:
+        self.folder = Path(tempfile.mkdtemp(prefix="zenostat-"))
+        if len(str(self.folder)) > _SOCKET_PATH_MAX - 10:
+            self.folder.rmdir()
+            self.folder = Path(tempfile.mkdtemp(prefix="zenostat-", dir="/tmp"))
+        self.endpoint = f"unixsock-stream/{self.folder}/bus"
+        self.core = None if placement is Affinity.OFF else affinity.pick_core()
+        config = {**settings, "listen": [self.endpoint], "folder": str(self.folder / "run")}
+        config |= {"affinity": Affinity.OFF if self.core is None else Affinity.NODE, "cpu": self.core}
+        # -P: a models.py in the caller's folder must not stand in for the room of that name.
+        # A process group of its own: Ctrl-C in the terminal is for the owner, who then ends the node. Not a
+        # session of its own: Linux schedules sessions against each other, which costs some 20 us a step.
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "eplus_node"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            process_group=0,
+        )
+        try:
+            self._wait_ready(config)
+        except BaseException:
+            self.close()
+            raise
+
+    def _wait_ready(self, config: dict[str, Any]) -> None:
+        assert self._process.stdin is not None and self._process.stdout is not None
+        try:
+            self._process.stdin.write(json.dumps(config).encode() + b"\n")
+            self._process.stdin.flush()
+        except BrokenPipeError:
+            pass  # what it said before it ended, if anything, is read next
+        line = self._process.stdout.readline()
+        if not line:
+            raise NodeLost(f"the node ended with code {self._process.wait()} before it was ready")
+        said = json.loads(line)
+        if "error" in said:
+            raise from_wire(said)
+
+    @property
+    def pid(self) -> int:
+        """The node's process id."""
+        return self._process.pid
+
+    def close(self) -> None:
+        """Ends the node and clears its folder; twice is fine."""
+        for pipe in (self._process.stdin, self._process.stdout):
+            if pipe is not None and not pipe.closed:
+                try:
+                    pipe.close()
+                except BrokenPipeError:
+                    pass
+        try:
+            self._process.wait(timeout=10)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        shutil.rmtree(self.folder, ignore_errors=True)
