@@ -1,15 +1,14 @@
 """A controller's side of the bus, without Gymnasium.
 
-    with agent_sdk.connect("tcp/127.0.0.1:7447") as bus:
-        for sample in bus.controller("office"):
-            sample.send({"core_zn_cooling_setpoint": 26.0})
+with agent_sdk.connect("tcp/127.0.0.1:7447") as bus:
+    for sample in bus.controller("office"):
+        sample.send({"core_zn_cooling_setpoint": 26.0})
 """
 
 from __future__ import annotations
 
 import itertools
 import os
-import time
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from types import TracebackType
@@ -24,6 +23,7 @@ from zenoh.handlers import Callback, FifoChannel
 from agent_sdk.sample import SampleView
 from bridge import affinity
 from bridge.affinity import Affinity
+from bridge.polling import Polling
 from bridge.session import DEFAULT_ENDPOINT, open_session
 from topics import codec, keys
 from topics.errors import (
@@ -62,7 +62,11 @@ _numbers = itertools.count()
 
 
 def connect(
-    endpoint: str = DEFAULT_ENDPOINT, *, wait: bool = False, affinity: Affinity = Affinity.NODE, core: int | None = None
+    endpoint: str = DEFAULT_ENDPOINT,
+    *,
+    wait: bool = False,
+    affinity: Affinity = Affinity.APART,
+    core: int | None = None,
 ) -> Bus:
     """Connects to the bus at `endpoint`; use it with `with`.
 
@@ -183,51 +187,6 @@ def _placed(wanted: Affinity, core: int | None):  # type: ignore[no-untyped-def]
     return affinity.threads_started_on(None if wanted is Affinity.OFF else core)
 
 
-class _Spin:
-    """How long to poll for a sample before sleeping.
-
-    Waking a sleeping thread on another core costs more than a small building's own timestep, so while
-    answers come within a millisecond the thread polls for them. It stops doing so where the core is
-    wanted by others: when the system takes the thread off its core more often than each fourth step.
-    """
-
-    LIMIT_S = 0.004
-    WINDOW = 256
-    PAUSE = 4096
-
-    def __init__(self, enabled: bool) -> None:
-        self.typical_s = 0.0
-        self._enabled = enabled and (os.cpu_count() or 1) > 1
-        self._steps = 0
-        self._resume = 0
-        self._switches = _involuntary_switches()
-
-    def budget_s(self) -> float:
-        """Seconds to poll now; 0 is none."""
-        if not self._enabled or self._steps < self._resume:
-            return 0.0
-        return min(2.0 * self.typical_s, self.LIMIT_S) if self.typical_s < self.LIMIT_S / 2 else 0.0
-
-    def waited(self, seconds: float) -> None:
-        """Learns how long the last answer took."""
-        self._steps += 1
-        self.typical_s += 0.1 * (seconds - self.typical_s)
-        if self._steps % self.WINDOW == 0:
-            switches = _involuntary_switches()
-            if switches - self._switches > self.WINDOW // 4:
-                self._resume = self._steps + self.PAUSE
-            self._switches = switches
-
-
-def _involuntary_switches() -> int:
-    try:
-        import resource
-
-        return resource.getrusage(resource.RUSAGE_THREAD).ru_nivcsw
-    except (ImportError, AttributeError):
-        return 0
-
-
 class ControlLink:
     """One controller's hold on one node. Iterate over it, or call `receive` and `send` in turn.
 
@@ -249,8 +208,8 @@ class ControlLink:
             self.manifest = bus.manifest(node)
             self._open(bus.session, claim)
             undo.pop_all()
-        near_node = self.manifest.host == affinity.host() and placement is Affinity.NODE
-        self._spin = _Spin(enabled=near_node)
+        near_node = self.manifest.host == affinity.host()
+        self._polling = Polling(enabled=near_node and placement is Affinity.NODE)
 
     def _open(self, session: zenoh.Session, claim: Claim) -> None:
         """Listens first, claims last: nothing that the node says afterwards is missed."""
@@ -341,18 +300,11 @@ class ControlLink:
         return sample
 
     def _next(self, *, changes: bool) -> SampleView:
-        """The next sample in the inbox, this thread asleep or polling meanwhile."""
-        start = time.perf_counter()
-        until = start + self._spin.budget_s()
+        """The next sample in the inbox."""
         while True:
-            message = self._try_recv()
-            if message is None:
-                if time.perf_counter() < until:
-                    continue
-                message = self._recv()
+            message = self._polling.wait(self._try_recv, self._recv)
             key = str(message.key_expr)
             if key == self._sample_key:
-                self._spin.waited(time.perf_counter() - start)
                 return self._view(codec.decode(Sample, message.payload.to_bytes(), str(message.encoding)))
             self._hear(key, message, changes)
 
@@ -410,7 +362,9 @@ class ControlLink:
         row, mask = np.zeros(count), np.full(count, Mask.KEEP, np.uint8)
         for name, value in (values or {}).items():
             if name not in self._actuators:
-                raise InvalidAction(f"node {self.manifest.node!r} has no actuator {name!r}; {near(name, self._actuators)}")
+                raise InvalidAction(
+                    f"node {self.manifest.node!r} has no actuator {name!r}; {near(name, self._actuators)}"
+                )
             index = self._actuators[name]
             if value is not None and not np.isfinite(value):
                 raise InvalidAction(f"{name} = {value}; a finite number or None (release) expected")

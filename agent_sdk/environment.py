@@ -73,7 +73,7 @@ class BuildingEnv(gym.Env[Observation, NDArray[np.float32]]):
         node: str | None = None,
         level: int = 10,
         keep: str | Path | None = None,
-        affinity: Affinity | str = Affinity.NODE,
+        affinity: Affinity | str = Affinity.APART,
     ) -> None:
         given = dict(zip(_PER_NODE, (building, weather, sensors, meters, actuators, begin, end, steps_per_hour, keep)))
         self._close = ExitStack()
@@ -106,13 +106,17 @@ class BuildingEnv(gym.Env[Observation, NDArray[np.float32]]):
             self.own_node = None
             twice = [name for name, value in given.items() if value is not None]
             if twice:
-                raise InvalidConfig(f"{', '.join(twice)}: the node at {endpoint} has its own; leave out what it decides")
+                raise InvalidConfig(
+                    f"{', '.join(twice)}: the node at {endpoint} has its own; leave out what it decides"
+                )
             if node is None:
                 raise InvalidConfig(f"connect={endpoint!r} needs the node's name: node='office'")
         bus = self._close.enter_context(connect(endpoint, affinity=placement, core=core))
         return self._close.enter_context(bus.controller(node, name="env", level=level))
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
         """Starts an episode: sample 0, the state after warm-up, and its info."""
         super().reset(seed=seed)
         if options:

@@ -35,9 +35,9 @@ class OwnNode:
             self.folder.rmdir()
             self.folder = Path(tempfile.mkdtemp(prefix="zenostat-", dir="/tmp"))
         self.endpoint = f"unixsock-stream/{self.folder}/bus"
-        self.core = None if placement is Affinity.OFF else affinity.pick_core()
+        engine_core, self.core = affinity.pick_cores(placement)
         config = {**settings, "listen": [self.endpoint], "folder": str(self.folder / "run")}
-        config |= {"affinity": Affinity.OFF if self.core is None else Affinity.NODE, "cpu": self.core}
+        config |= {"affinity": placement, "cpu": self.core, "engine_cpu": engine_core}
         # -P: a models.py in the caller's folder must not stand in for the room of that name.
         # A process group of its own: Ctrl-C in the terminal is for the owner, who then ends the node. Not a
         # session of its own: Linux schedules sessions against each other, which costs some 20 us a step.

@@ -172,7 +172,7 @@ def main() -> None:
         with tempfile.TemporaryDirectory(prefix="zenostat-bench-") as folder:
             times = in_process[kind](InProcess(building, days, Path(folder)))
     else:
-        times = environment(building, days, monitors, {"env": "node", "together": "together", "off": "off"}[kind])
+        times = environment(building, days, monitors, kind)
     spans = np.diff(times[SKIP:])
     print(json.dumps({"mean_us": float(spans.mean() * 1e6), "median_us": float(np.median(spans) * 1e6)}))
 

@@ -1,8 +1,10 @@
-"""Which core a process's threads run on. Wake-ups rule the speed of a step, and a wake-up on the same
-core costs a tenth of one on another.
+"""Which core a process's threads run on.
 
-The default places the node, its engine and the *bus threads* of its controller on one core: then a step
-crosses between cores twice, when the controller's own thread hands its command over and gets its sample.
+The step is strictly sequential (engine, node, controller, node, engine), so wake-ups rule its speed. A thread
+that sleeps on another core takes 20 to 60 us to wake; a thread that polls takes none, and one on the same core
+5 us. And EnergyPlus runs a quarter slower on a core whose caches the bus shares. Hence the default, APART: the
+engine has a core to itself and polls there; the node polls on another one, which it shares with the bus threads
+of its controller. `docs/performance.md` has the measurements.
 """
 
 from __future__ import annotations
@@ -14,12 +16,17 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from enum import StrEnum
 
-_next = itertools.count(os.getpid())
+_turn = itertools.count(os.getpid())
 
 
 class Affinity(StrEnum):
-    """`NODE`: node, engine and bus threads on one core. `TOGETHER`: the controller as well. `OFF`: none."""
+    """Where engine, node and the controller's bus threads run.
 
+    `APART`: the engine on one core; node and bus threads on another. `NODE`: all of them on one core.
+    `TOGETHER`: as `NODE`, and the controller's own thread there as well. `OFF`: wherever the system likes.
+    """
+
+    APART = "apart"
     NODE = "node"
     TOGETHER = "together"
     OFF = "off"
@@ -39,12 +46,16 @@ def host() -> str:
         return socket.gethostname()
 
 
-def pick_core() -> int | None:
-    """The next of the cores that this process may use, in turn; None where there is no choice."""
-    if not supported():
-        return None
+def pick_cores(wanted: Affinity) -> tuple[int | None, int | None]:
+    """(the engine's, the node's) core of those that this process may use, in turn; None: no choice."""
+    if wanted is Affinity.OFF or not supported():
+        return None, None
     cores = sorted(os.sched_getaffinity(0))
-    return cores[next(_next) % len(cores)] if len(cores) > 1 else None
+    if len(cores) < 2:
+        return None, None
+    first = next(_turn) * (2 if wanted is Affinity.APART else 1)
+    engine, node = cores[first % len(cores)], cores[(first + 1) % len(cores)]
+    return (engine, node) if wanted is Affinity.APART else (engine, engine)
 
 
 def pin(core: int | None) -> None:

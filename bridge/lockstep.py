@@ -275,11 +275,10 @@ class Exchange:
         waits = ", the node waits for it" if claimant.required and self.mode is Mode.LOCKSTEP else ""
         return [self.event(EventKind.LEFT, f"{name} has gone{waits}", name)]
 
-    def hear(self, controller: str, payload: bytes, said: str = "") -> Event | None:
-        """Takes a command's bytes; an event if it was not taken.
+    def take_usual(self, controller: str, payload: bytes) -> bool:
+        """Takes the bytes of a usual command: all actuators of one controller, for the present step.
 
-        The usual command (all actuators of one controller, for the present step) is known by its head and
-        needs no decoding.
+        It is known by its head and needs no decoding; false (and nothing changed) for any other.
         """
         head = self._head
         if controller in self._pending and len(payload) == len(head) + self._size and payload.startswith(head):
@@ -287,7 +286,11 @@ class Exchange:
             if claimant.whole and self.state is State.WAITING and self._within(raw):
                 self._array.put_all(claimant.level, claimant.source, raw)
                 self._took(claimant)
-                return None
+                return True
+        return False
+
+    def hear(self, controller: str, payload: bytes, said: str = "") -> Event | None:
+        """Takes the bytes of any command; an event if it was not taken."""
         try:
             return self.command(controller, codec.decode(Command, payload, said))
         except BadMessage as error:

@@ -28,8 +28,7 @@ def check_endpoint(endpoint: str) -> str:
     """`endpoint`, or `InvalidConfig` that says what would be right."""
     if not _FORM.fullmatch(endpoint):
         raise InvalidConfig(
-            f"{endpoint!r} is no endpoint; write tcp/HOST:PORT (for example {DEFAULT_ENDPOINT}) "
-            "or unixsock-stream/PATH"
+            f"{endpoint!r} is no endpoint; write tcp/HOST:PORT (for example {DEFAULT_ENDPOINT}) or unixsock-stream/PATH"
         )
     return endpoint
 
@@ -90,7 +89,7 @@ def _refuse_used_socket(listen: Sequence[str]) -> None:
 
 def _explained(error: zenoh.ZError, listen: Sequence[str], connect: Sequence[str]) -> BusError:
     text = str(error)
-    if "Address already in use" in text or "listener" in text and "os error 98" in text:
+    if "Address already in use" in text or ("listener" in text and "os error 98" in text):
         return EndpointTaken(
             f"another program listens on {' or '.join(listen)}; name another port (--listen), "
             "or join the bus that is there (--connect)"

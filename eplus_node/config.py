@@ -41,8 +41,9 @@ class NodeConfig(BaseModel):
     expose: bool = False
     keep: Path | None = None
     folder: Path | None = None
-    affinity: Affinity = Affinity.NODE
+    affinity: Affinity = Affinity.APART
     cpu: int | None = None
+    engine_cpu: int | None = None
 
 
 @dataclass(frozen=True, slots=True)

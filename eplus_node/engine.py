@@ -28,6 +28,8 @@ from itertools import repeat
 from math import isfinite
 from typing import Any, NoReturn
 
+from bridge.polling import Polling
+
 RUN_PERIOD = 3
 """EnergyPlus's `kind_of_sim` of a weather-file run period."""
 
@@ -45,6 +47,9 @@ class Order(IntEnum):
 
     STEP = 1
     FINISH = 2
+
+
+_SAMPLE, _STEP = float(Said.SAMPLE), float(Order.STEP)
 
 
 class Engine:
@@ -71,6 +76,10 @@ class Engine:
         self.out = array("d", [0.0]) * (2 + len(spec["sensors"]) + len(spec["meters"]) + len(spec["feedback"]))
         self.command = array("d", [0.0]) * (2 + len(spec["actuators"]))
         self.command_bytes = memoryview(self.command).cast("B")
+        self.command_buffers = [self.command_bytes]
+        self.descriptor = link.fileno()
+        self.polling = Polling(spec["poll"])
+        self.out_size = len(self.out) * self.out.itemsize
         self.averaged: list[int] = []
         self.totals: list[float] = []
         self.warm_totals: list[float] = []
@@ -190,7 +199,9 @@ class Engine:
         names = [*spec["sensors"], *spec["meters"], *spec["feedback"]]
         for names_of, value in zip(names, values, strict=True):
             if not isfinite(value):
-                raise ArithmeticError(f"EnergyPlus gives {value} for {names_of[0]!r} {names_of[1]!r} at step {self.step}")
+                raise ArithmeticError(
+                    f"EnergyPlus gives {value} for {names_of[0]!r} {names_of[1]!r} at step {self.step}"
+                )
 
     def _on_warm(self, state: int) -> None:
         if self.near and not self.live:
@@ -217,15 +228,21 @@ class Engine:
     def _exchange(self, state: int) -> None:
         """Sends the sample, waits for the order, and sets or releases each actuator."""
         out, command = self.out, self.command
-        out[0], out[1] = Said.SAMPLE, self.step
-        self.link.sendall(out)
-        got = self.link.recv_into(self.command_bytes)
-        while got and got < len(self.command_bytes):
-            more = self.link.recv_into(self.command_bytes[got:])
-            got = got + more if more else 0
+        out[0], out[1] = _SAMPLE, self.step
+        size = len(self.command_bytes)
+        try:
+            written = os.write(self.descriptor, out)
+            if written < self.out_size:
+                self.link.sendall(memoryview(out).cast("B")[written:])
+            got = self.polling.wait(self._try_read, self._read)
+            while got and got < size:
+                more = self.link.recv_into(self.command_bytes[got:])
+                got = got + more if more else 0
+        except ConnectionError:
+            got = 0
         if not got:
             leave(0)  # the node has gone or wants no more of this run
-        if command[0] != Order.STEP:
+        if command[0] != _STEP:
             self.finishing = True
             self.api.runtime.stop_simulation(state)
             return
@@ -235,6 +252,15 @@ class Engine:
                 set_actuator(state, handle, value)
             else:
                 self.reset_actuator(state, handle)
+
+    def _try_read(self) -> int | None:
+        try:
+            return self.link.recv_into(self.command_bytes, 0, socket.MSG_DONTWAIT)
+        except BlockingIOError:
+            return None
+
+    def _read(self) -> int:
+        return os.readv(self.descriptor, self.command_buffers)
 
 
 _own_folder = ""
@@ -267,6 +293,8 @@ def main(descriptor: int) -> NoReturn:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the node's to answer
     signal.signal(signal.SIGTERM, lambda *_: leave(0))
     _die_with_parent(spec["parent"])
+    if spec["cpu"] is not None:
+        os.sched_setaffinity(0, {spec["cpu"]})
     gc.disable()  # nothing here makes cycles
     Engine(link, spec).run()
 

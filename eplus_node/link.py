@@ -17,12 +17,12 @@ import numpy as np
 import psutil
 from numpy.typing import NDArray
 
+from bridge.polling import Polling
 from eplus_node.engine import Order, Said
 from models.energyplus import ISOLATED
 from models.errfile import explain
 from models.points import Points
 from topics.errors import EngineDied, ModelRefused
-from topics.messages import Reading
 
 _SOCKET_BYTES = 1 << 20
 
@@ -37,6 +37,8 @@ class Run:
     steps: int
     points: Points
     keep: bool = False
+    cpu: int | None = None
+    poll: bool = False
 
     def spec(self) -> dict[str, Any]:
         """The description that the engine reads first."""
@@ -48,6 +50,8 @@ class Run:
             "steps": self.steps,
             "keep": self.keep,
             "parent": os.getpid(),
+            "cpu": self.cpu,
+            "poll": self.poll,
             "sensors": [
                 (s.variable, s.key, str(s.reading), system)
                 for s, system in zip(points.sensors, points.system, strict=True)
@@ -78,6 +82,9 @@ class EngineLink:
         for end in (ours, theirs):
             end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SOCKET_BYTES)
         self._socket = ours
+        self._descriptor = ours.fileno()
+        self._frame_buffers = [self._frame_bytes]
+        self._polling = Polling(run.poll)
         try:
             self._process = subprocess.Popen(
                 [*ISOLATED, "eplus_node.engine", str(theirs.fileno())],
@@ -138,24 +145,38 @@ class EngineLink:
             ModelRefused: EnergyPlus gave up; with its own words.
             EngineDied: the process ended without a word.
         """
-        got, size = 0, len(self._frame_bytes)
-        while got < size:
-            try:
-                more = self._socket.recv_into(self._frame_bytes[got:])
-            except ConnectionResetError:
-                more = 0
-            if more == 0:
-                raise EngineDied(self._last_words())
-            got += more
+        got, size = self._polling.wait(self._try_read, self._read), len(self._frame_bytes)
+        while got and got < size:
+            more = self._socket.recv_into(self._frame_bytes[got:])
+            got = got + more if more else 0
+        if not got:
+            raise EngineDied(self._last_words())
         said = self._frame[0]
         if said == Said.FAILED:
             raise ModelRefused(self._refusal(int(self._frame[1])))
         self.last = bool(said == Said.LAST)
 
+    def _try_read(self) -> int | None:
+        try:
+            return self._socket.recv_into(self._frame_bytes, 0, socket.MSG_DONTWAIT)
+        except BlockingIOError:
+            return None
+        except ConnectionResetError:
+            return 0
+
+    def _read(self) -> int:
+        try:
+            return os.readv(self._descriptor, self._frame_buffers)
+        except ConnectionResetError:
+            return 0
+
     def send(self, actuators: bytes) -> None:
         """Orders the next timestep with these actuator values (float64); NaN releases an actuator."""
+        order = self._step + actuators
         try:
-            self._socket.sendall(self._step + actuators)
+            written = os.write(self._descriptor, order)
+            if written < len(order):
+                self._socket.sendall(order[written:])
         except (BrokenPipeError, ConnectionResetError):
             raise EngineDied(self._last_words()) from None
 

@@ -37,7 +37,6 @@ from topics.errors import NameTaken, SimulatorError, ZenostatError
 from topics.messages import (
     Accepted,
     Claim,
-    Command,
     Denied,
     Event,
     EventKind,
@@ -48,7 +47,6 @@ from topics.messages import (
     PointValue,
     Policy,
     Reset,
-    Sample,
     State,
     Status,
     Stop,
@@ -85,7 +83,6 @@ class Node:
         self._events_left = _EVENTS_A_STEP
         self._watched: dict[int, zenoh.Publisher] = {}
         self._latest = b""
-        self._engine: EngineLink | None = None
 
     # Life
 
@@ -113,10 +110,11 @@ class Node:
         self._close.close()
 
     def _place(self) -> None:
-        self.cpu = None
-        if self.config.affinity is not affinity.Affinity.OFF:
-            self.cpu = affinity.pick_core() if self.config.cpu is None else self.config.cpu
-            affinity.pin(self.cpu)
+        config = self.config
+        self.engine_cpu, self.cpu = config.engine_cpu, config.cpu
+        if config.cpu is None:
+            self.engine_cpu, self.cpu = affinity.pick_cores(config.affinity)
+        affinity.pin(self.cpu)
 
     def _open_bus(self) -> None:
         config = self.config
@@ -145,9 +143,7 @@ class Node:
         name = self.config.name
         self.manifest = self._manifest()
         declare = self._close.enter_context
-        self._inbox = declare(
-            self.session.declare_subscriber(keys.COMMAND.at(name, name="*"), FifoChannel(_INBOX))
-        )
+        self._inbox = declare(self.session.declare_subscriber(keys.COMMAND.at(name, name="*"), FifoChannel(_INBOX)))
         self._prefix = len(keys.COMMAND.at(name))
         self._recv = self._inbox.recv
         self.session.declare_subscriber(keys.ACTUATOR.at(name, name="*"), Callback(self._on_write, indirect=False))
@@ -309,9 +305,11 @@ class Node:
         if controller == _WAKE:
             self._clear_shelf()
             return
-        event = self.exchange.hear(controller, message.payload.to_bytes(), str(message.encoding))
-        if event is not None:
-            self.event(event)
+        payload = message.payload.to_bytes()
+        if not self.exchange.take_usual(controller, payload):
+            event = self.exchange.hear(controller, payload, str(message.encoding))
+            if event is not None:
+                self.event(event)
 
     def _clear_shelf(self) -> None:
         while self._shelf:
@@ -401,7 +399,16 @@ class Node:
         folder = (config.keep.absolute() if config.keep else self._folder) / name
         folder.mkdir(parents=True, exist_ok=True)
         model = write(prepared(plan.building, plan.period, outputs=config.keep is not None), folder)
-        run = Run(model, plan.weather, folder, plan.period.steps, plan.points, keep=config.keep is not None)
+        run = Run(
+            model,
+            plan.weather,
+            folder,
+            plan.period.steps,
+            plan.points,
+            keep=config.keep is not None,
+            cpu=self.engine_cpu,
+            poll=self.engine_cpu != self.cpu,
+        )
         self._engine = EngineLink(run)
         try:
             self._engine.receive()
@@ -412,7 +419,7 @@ class Node:
         self._ready()
 
     def _close_engine(self) -> None:
-        if self._engine is not None:
+        if hasattr(self, "_engine"):
             self._engine.close()
 
     def _ready(self) -> None:

@@ -19,7 +19,8 @@ _FORMAT = "1"
 @dataclass(frozen=True, slots=True)
 class Variable:
     """An output variable. `system`: updated each system timestep (else each zone timestep).
-    `summed`: reported as a sum over the timestep (else as a mean)."""
+    `summed`: reported as a sum over the timestep (else as a mean).
+    """
 
     name: str
     key: str
@@ -85,5 +86,3 @@ def _read(path: Path) -> Survey:
         elif what == "Actuator":
             actuators.append(ActuatorPoint(name, control, key, unit_name(unit)))
     return Survey(tuple(variables), tuple(meters), tuple(actuators))
-
-
