@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import os
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from types import TracebackType
 from typing import TypeVar
 
@@ -18,7 +18,7 @@ import numpy as np
 import zenoh
 from numpy.typing import NDArray
 from zenoh import CongestionControl, Locality
-from zenoh.handlers import Callback, FifoChannel
+from zenoh.handlers import Callback, FifoChannel, RingChannel
 
 from agent_sdk.sample import SampleView
 from bridge import affinity
@@ -58,6 +58,7 @@ R = TypeVar("R", bound=Message)
 
 _REQUEST_TIMEOUT_S = 600.0  # a start of the largest bundled building takes 14 s; death is noticed at once
 _INBOX = 1024
+_LISTEN = 16384
 _numbers = itertools.count()
 
 
@@ -147,12 +148,49 @@ class Bus:
         )
         for reply in replies:
             if reply.ok is None:
-                raise PeerError(f"node {node!r} did not answer {topic.key}: {reply.err.payload.to_string()}")
+                why = reply.err.payload.to_string() if reply.err else "no reason given"
+                raise PeerError(f"node {node!r} did not answer {topic.key}: {why}")
             said, payload = str(reply.ok.encoding), reply.ok.payload.to_bytes()
             if said == codec.encoding(Denied):
                 raise from_wire(codec.decode(Denied, payload, said).__dict__)
             return codec.decode(answer, payload, said)
         raise NothingThere(f"no node {node!r} on {self.endpoint}; {near(node, self.nodes())}")
+
+    @contextmanager
+    def listen(self, node: str) -> Iterator[Iterator[SampleView]]:
+        """All samples of a node from now on, without controlling it: `with bus.listen("office") as samples:`.
+
+        A listener that falls behind by more than some ten thousand samples misses the oldest.
+
+        Raises:
+            NothingThere: no such node.
+            NodeLost: (from the iterator) the node is gone.
+        """
+        manifest = self.manifest(node)
+        names = {name: i for i, name in enumerate(manifest.names)}
+        token, wake = keys.NODE_TOKEN.at(node, name=manifest.instance), f"{keys.root(node)}/{keys.WAKE}"
+
+        def on_token(sample: zenoh.Sample) -> None:
+            if sample.kind == zenoh.SampleKind.DELETE:
+                self.session.put(wake, b"", allowed_destination=Locality.SESSION_LOCAL)
+
+        with ExitStack() as stack:
+            own = f"{keys.root(node)}/{keys.OWN_STREAM}"
+            inbox = stack.enter_context(self.session.declare_subscriber(own, RingChannel(_LISTEN)))
+            watch = self.session.liveliness().declare_subscriber(token, Callback(on_token, indirect=False))
+            stack.callback(watch.undeclare)
+
+            def samples() -> Iterator[SampleView]:
+                while True:
+                    message = inbox.recv()
+                    key = str(message.key_expr)
+                    if key == wake:
+                        raise NodeLost(f"node {node!r} is gone")
+                    if key == keys.SAMPLE.at(node):
+                        wire = codec.decode(Sample, message.payload.to_bytes(), str(message.encoding))
+                        yield SampleView(wire, manifest, names)
+
+            yield samples()
 
     def controller(
         self,
@@ -181,7 +219,7 @@ class Bus:
         return ControlLink(self, node, claim, self._affinity)
 
 
-def _placed(wanted: Affinity, core: int | None):  # type: ignore[no-untyped-def]  # a context manager
+def _placed(wanted: Affinity, core: int | None) -> AbstractContextManager[None]:
     if wanted is Affinity.TOGETHER:
         affinity.pin(core)
     return affinity.threads_started_on(None if wanted is Affinity.OFF else core)
@@ -306,12 +344,12 @@ class ControlLink:
             key = str(message.key_expr)
             if key == self._sample_key:
                 return self._view(codec.decode(Sample, message.payload.to_bytes(), str(message.encoding)))
-            self._hear(key, message, changes)
+            self._hear(key, message, changes=changes)
 
     def _view(self, sample: Sample) -> SampleView:
         return SampleView(sample, self.manifest, self._names, self)
 
-    def _hear(self, key: str, message: zenoh.Sample, changes: bool) -> None:
+    def _hear(self, key: str, message: zenoh.Sample, *, changes: bool) -> None:
         """What is not a sample: raises what ends the wait."""
         node = self.manifest.node
         if self._lost:

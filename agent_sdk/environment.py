@@ -75,16 +75,18 @@ class BuildingEnv(gym.Env[Observation, NDArray[np.float32]]):
         keep: str | Path | None = None,
         affinity: Affinity | str = Affinity.APART,
     ) -> None:
-        given = dict(zip(_PER_NODE, (building, weather, sensors, meters, actuators, begin, end, steps_per_hour, keep)))
+        decided = (building, weather, sensors, meters, actuators, begin, end, steps_per_hour, keep)
+        given = dict(zip(_PER_NODE, decided, strict=True))
         self._close = ExitStack()
         with ExitStack() as undo:
             undo.callback(self.close)
             self.link = self._open(given, connect, node, level, Affinity(affinity))
             manifest = self.manifest = self.link.manifest
             self.observation_space = spaces.observation_space(manifest)
-            self.action_space = spaces.action_space(manifest)
+            self.action_space = actions = spaces.action_space(manifest)
             self._reward = reward.bind(manifest) if reward is not None else None
             undo.pop_all()
+        self._space_low, self._space_high = actions.low, actions.high
         self._low = np.array([-np.inf if a.low is None else a.low for a in manifest.actuators])
         self._high = np.array([np.inf if a.high is None else a.high for a in manifest.actuators])
         self._timestep = timedelta(hours=1 / manifest.steps_per_hour)
@@ -145,21 +147,23 @@ class BuildingEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     def _checked(self, action: ArrayLike) -> NDArray[np.float64]:
         values = np.asarray(action, np.float64)
-        space = self.action_space
-        if values.shape != space.shape:
-            raise InvalidAction(f"action of shape {values.shape}; {space.shape} expected: {self._actuator_names()}")
-        if not ((values >= space.low) & (values <= space.high)).all():
+        if values.shape != self._low.shape:
+            raise InvalidAction(f"action of shape {values.shape}; {self._low.shape} expected: {self._actuator_names()}")
+        if not self._inside(values).all():
             raise InvalidAction(self._fault(values))
         # The space's float32 bounds may lie a rounding error outside the actuators' own.
         return np.clip(values, self._low, self._high)
+
+    def _inside(self, values: NDArray[np.float64]) -> NDArray[np.bool_]:
+        finite = np.isfinite(values)  # an unbounded actuator takes any finite value
+        return finite & (values >= self._space_low) & (values <= self._space_high)
 
     def _actuator_names(self) -> str:
         return ", ".join(a.name for a in self.manifest.actuators) or "the building's own control"
 
     def _fault(self, values: NDArray[np.float64]) -> str:
-        inside = (values >= self.action_space.low) & (values <= self.action_space.high)
         faults = []
-        for index in np.flatnonzero(~inside):
+        for index in np.flatnonzero(~self._inside(values)):
             actuator = self.manifest.actuators[index]
             bounds = f"{self._low[index]:g} to {self._high[index]:g} {actuator.unit}"
             faults.append(f"{actuator.name} = {values[index]:g}; its bounds are {bounds}")

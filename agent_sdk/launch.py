@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import shutil
 import subprocess
@@ -54,12 +55,11 @@ class OwnNode:
             raise
 
     def _wait_ready(self, config: dict[str, Any]) -> None:
-        assert self._process.stdin is not None and self._process.stdout is not None
-        try:
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        with contextlib.suppress(BrokenPipeError):  # what it said before it ended, if anything, is read next
             self._process.stdin.write(json.dumps(config).encode() + b"\n")
             self._process.stdin.flush()
-        except BrokenPipeError:
-            pass  # what it said before it ended, if anything, is read next
         line = self._process.stdout.readline()
         if not line:
             raise NodeLost(f"the node ended with code {self._process.wait()} before it was ready")
@@ -76,10 +76,8 @@ class OwnNode:
         """Ends the node and clears its folder; twice is fine."""
         for pipe in (self._process.stdin, self._process.stdout):
             if pipe is not None and not pipe.closed:
-                try:
+                with contextlib.suppress(BrokenPipeError):
                     pipe.close()
-                except BrokenPipeError:
-                    pass
         try:
             self._process.wait(timeout=10)
         except subprocess.TimeoutExpired:

@@ -60,13 +60,15 @@ class SampleView:
         """Sensors, then meters, shape (points,), in manifest order and units."""
         manifest = self.manifest
         shape = (manifest.slots, len(manifest.sensors) + len(manifest.meters))
-        return codec.floats(self.wire.values, shape, "values")[self.slot]
+        row: NDArray[np.float64] = codec.floats(self.wire.values, shape, "values")[self.slot]
+        return row
 
     @property
     def applied(self) -> NDArray[np.float64]:
         """What each actuator really was, shape (actuators,); NaN where EnergyPlus does not tell."""
         shape = (self.manifest.slots, len(self.manifest.actuators))
-        return codec.floats(self.wire.applied, shape, "applied")[self.slot]
+        row: NDArray[np.float64] = codec.floats(self.wire.applied, shape, "applied")[self.slot]
+        return row
 
     @property
     def ruled_by(self) -> dict[str, str]:

@@ -30,7 +30,7 @@ class Polling:
     PAUSE = 1024
     LEAST_SHARE = 0.6
 
-    def __init__(self, enabled: bool) -> None:
+    def __init__(self, *, enabled: bool) -> None:
         self._enabled = enabled and (os.cpu_count() or 1) > 1
         self._typical_s = self.LIMIT_S
         self._waits = 0

@@ -1,5 +1,7 @@
-"""Who rules an actuator: 16 levels each, as in BACnet (ASHRAE 135, clause 19.2). The lowest occupied level
-rules, releasing it falls to the next, and an empty array gives the building's own control back.
+"""Who rules an actuator: 16 levels each, as in BACnet (ASHRAE 135, clause 19.2).
+
+The lowest occupied level rules, releasing it falls to the next, and an empty array gives the building's own
+control back.
 
 Rules without I/O. Values stay in the bytes that they came in as long as one level rules alone: the usual
 case then costs neither an array nor a copy.

@@ -59,12 +59,12 @@ def open_session(
             )
     _refuse_used_socket(listen)
     try:
-        return zenoh.open(_config(listen, connect, wait))
+        return zenoh.open(_config(listen, connect, wait=wait))
     except zenoh.ZError as error:
         raise _explained(error, listen, connect) from None
 
 
-def _config(listen: Sequence[str], connect: Sequence[str], wait: bool) -> zenoh.Config:
+def _config(listen: Sequence[str], connect: Sequence[str], *, wait: bool) -> zenoh.Config:
     settings: dict[str, Any] = {
         "mode": "peer" if listen else "client",
         "listen/endpoints": list(listen),

@@ -78,7 +78,7 @@ class Engine:
         self.command_bytes = memoryview(self.command).cast("B")
         self.command_buffers = [self.command_bytes]
         self.descriptor = link.fileno()
-        self.polling = Polling(spec["poll"])
+        self.polling = Polling(enabled=spec["poll"])
         self.out_size = len(self.out) * self.out.itemsize
         self.averaged: list[int] = []
         self.totals: list[float] = []

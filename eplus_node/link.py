@@ -70,8 +70,8 @@ class EngineLink:
         points = run.points
         self._told = [i for i, a in enumerate(points.actuators) if a.feedback]
         values = len(points.sensors) + len(points.meters)
-        self._frame: NDArray[np.float64] = np.zeros(2 + values + len(self._told))
-        self._frame_bytes = memoryview(self._frame).cast("B")
+        self._frame_bytes = memoryview(bytearray(8 * (2 + values + len(self._told))))
+        self._frame: NDArray[np.float64] = np.frombuffer(self._frame_bytes)
         self._values_bytes = self._frame_bytes[16 : 16 + 8 * values]
         self._feedback_bytes = self._frame_bytes[16 + 8 * values :]
         self._finish = struct.pack("=dd", Order.FINISH, 0.0) + bytes(8 * len(points.actuators))
@@ -84,7 +84,7 @@ class EngineLink:
         self._socket = ours
         self._descriptor = ours.fileno()
         self._frame_buffers = [self._frame_bytes]
-        self._polling = Polling(run.poll)
+        self._polling = Polling(enabled=run.poll)
         try:
             self._process = subprocess.Popen(
                 [*ISOLATED, "eplus_node.engine", str(theirs.fileno())],
@@ -116,7 +116,7 @@ class EngineLink:
         except psutil.Error:
             return 0
 
-    def interrupt(self, busy: bool) -> None:
+    def interrupt(self, *, busy: bool) -> None:
         """Ends a process that is computing, so that whoever waits for its frame is told; any thread may."""
         if busy:
             self._process.kill()

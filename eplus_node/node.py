@@ -242,10 +242,11 @@ class Node:
     def _answer(self, topic: keys.Topic, answer: Callable[[], bytes]) -> None:
         """A question that any thread may answer: it only reads."""
         key = topic.at(self.config.name)
+        said = zenoh.Encoding(codec.encoding(topic.reply)) if topic.reply else None
 
         def on_query(query: zenoh.Query) -> None:
             with query:
-                query.reply(key, answer(), encoding=zenoh.Encoding(codec.encoding(topic.reply or topic.message)))
+                query.reply(key, answer(), encoding=said)
 
         self.session.declare_queryable(key, Callback(on_query, indirect=False), complete=True)
 
@@ -266,7 +267,7 @@ class Node:
         def on_query(query: zenoh.Query) -> None:
             if kind is Stop:
                 self._stopping = True
-                self._engine.interrupt(self.exchange.state in (State.RUNNING, State.STARTING))
+                self._engine.interrupt(busy=self.exchange.state in (State.RUNNING, State.STARTING))
             self._shelve(lambda: work(query))
 
         self.session.declare_queryable(key, Callback(on_query, indirect=False), complete=True)
@@ -292,7 +293,7 @@ class Node:
             for number, handler in previous.items():
                 signal.signal(number, handler)
 
-    def _on_signal(self, number: int, frame: FrameType | None) -> None:
+    def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
         raise _Stopped
 
     def _glance(self) -> None:
@@ -447,10 +448,10 @@ class Node:
         untouched = self.exchange.state is State.WAITING and not self.exchange.touched
         self.exchange.reset()
         # The answer goes out first: a start takes seconds in large buildings.
-        self._shelf.append(lambda: self._restart(untouched, reset.controller))
+        self._shelf.append(lambda: self._restart(untouched=untouched, source=reset.controller))
         return Accepted(episode=self.exchange.episode, fresh=untouched)
 
-    def _restart(self, untouched: bool, source: str) -> None:
+    def _restart(self, *, untouched: bool, source: str) -> None:
         if untouched and self._engine.alive:
             self._ready()
         else:
@@ -464,7 +465,7 @@ class Node:
         self.event(self.exchange.event(EventKind.STARTED, text, source))
         self._publish()
 
-    def _stop(self, stop: Stop) -> Message:
+    def _stop(self, _: Stop) -> Message:
         self._shelf.append(self._leave)
         return Accepted(episode=self.exchange.episode)
 

@@ -21,7 +21,39 @@ _SILENT = {
     "OutputControl:Files": {
         "silent": {
             f"output_{name}": "No"
-            for name in ["csv", "mtr", "eso", "eio", "tabular", "sqlite", "json", "audit", "space_sizing", "zone_sizing", "system_sizing", "dxf", "bnd", "rdd", "mdd", "mtd", "shd", "dfs", "glhe", "delightin", "delighteldmp", "delightdfdmp", "edd", "dbg", "perflog", "sln", "sci", "wrl", "screen", "extshd", "tarcog"]
+            for name in [
+                "csv",
+                "mtr",
+                "eso",
+                "eio",
+                "tabular",
+                "sqlite",
+                "json",
+                "audit",
+                "space_sizing",
+                "zone_sizing",
+                "system_sizing",
+                "dxf",
+                "bnd",
+                "rdd",
+                "mdd",
+                "mtd",
+                "shd",
+                "dfs",
+                "glhe",
+                "delightin",
+                "delighteldmp",
+                "delightdfdmp",
+                "edd",
+                "dbg",
+                "perflog",
+                "sln",
+                "sci",
+                "wrl",
+                "screen",
+                "extshd",
+                "tarcog",
+            ]
         }
     }
 }

@@ -23,7 +23,8 @@ class Entry:
 
 
 @cache
-def _wheel() -> Path:
+def wheel() -> Path:
+    """The folder of the EnergyPlus wheel; `InvalidConfig` if it is not installed."""
     found = importlib.util.find_spec("pyenergyplus")
     if found is None or not found.submodule_search_locations:
         raise InvalidConfig("EnergyPlus is not installed: pip install pyenergyplus-lbnl")
@@ -53,14 +54,14 @@ def weather_name(stem: str) -> str:
 @cache
 def buildings() -> tuple[Entry, ...]:
     """The models of the EnergyPlus wheel, by name."""
-    files = (_wheel() / "data" / "model").glob("*.idf")
+    files = (wheel() / "data" / "model").glob("*.idf")
     return tuple(sorted((Entry(building_name(f.stem), f) for f in files), key=lambda e: e.name))
 
 
 @cache
 def weathers() -> tuple[Entry, ...]:
     """The weather files of the EnergyPlus wheel, by name."""
-    files = (_wheel() / "data" / "weather").glob("*.epw")
+    files = (wheel() / "data" / "weather").glob("*.epw")
     return tuple(sorted((Entry(weather_name(f.stem), f) for f in files), key=lambda e: e.name))
 
 

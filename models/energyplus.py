@@ -1,7 +1,7 @@
 """EnergyPlus run once, in a process of its own, for what is not a simulation: converting and surveying.
 
 A model can make EnergyPlus end its process, so nothing here runs in the caller's. The child is this
-module as a program: `python -m models.energyplus convert|survey|version …`.
+module as a program: `python -m models.energyplus convert|survey …`.
 """
 
 from __future__ import annotations
@@ -45,9 +45,9 @@ def call(verb: str, *arguments: str | Path) -> None:
 @cache
 def version() -> str:
     """Version of the installed engine, from the name of its library: `25.2.0`."""
-    from models.catalog import _wheel
+    from models.catalog import wheel
 
-    for library in sorted(_wheel().parent.glob("libenergyplusapi.*")):
+    for library in sorted(wheel().parent.glob("libenergyplusapi.*")):
         tail = library.name.removeprefix("libenergyplusapi.").removeprefix("so.").removesuffix(".dylib")
         if tail[:1].isdigit():
             return tail
@@ -127,4 +127,7 @@ def _run_until_ready(model: dict[str, Any], weather: str, folder: str) -> list[l
 
 
 if __name__ == "__main__":
-    {"convert": _convert, "survey": _survey}[sys.argv[1]](*sys.argv[2:])
+    if sys.argv[1] == "convert":
+        _convert(*sys.argv[2:])
+    else:
+        _survey(*sys.argv[2:])

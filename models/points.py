@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 from models.building import Building
 from models.survey import ActuatorPoint, MeterPoint, Survey, Variable
-from topics.errors import InvalidConfig, UnknownName, ZenostatError, near
+from topics.errors import InvalidConfig, UnknownName, near
 from topics.keys import check_name, safe
 from topics.messages import Actuator, Meter, Reading, Sensor
 from topics.units import limits
+
+S = TypeVar("S")
+T = TypeVar("T")
 
 Spec = Mapping[str, Sequence[object]]
 MeterSpec = Mapping[str, str]
@@ -77,9 +81,6 @@ class Points:
 class _Faults:
     said: list[str] = field(default_factory=list)
 
-    def collect(self, error: ZenostatError) -> None:
-        self.said.append(str(error))
-
     def raise_all(self) -> None:
         if self.said:
             raise UnknownName("\n".join(self.said))
@@ -125,13 +126,14 @@ def choose(
     )
 
 
-def _each(wanted, find, faults):  # type: ignore[no-untyped-def]  # three kinds, one loop
+def _each(wanted: Mapping[str, S], find: Callable[[str, S], T], faults: _Faults) -> list[T]:
+    """Finds each, keeping on after one that is not there so that all faults are said at once."""
     found = []
     for name, spec in wanted.items():
         try:
             found.append(find(check_name(name, "the point name"), spec))
         except UnknownName as error:
-            faults.collect(error)
+            faults.said.append(str(error))
     return found
 
 
@@ -180,7 +182,7 @@ def default_reading(variable: Variable) -> Reading:
 def sensor_bounds(variable: Variable) -> tuple[float | None, float | None]:
     """Limits that no value of the variable leaves; None where there is none."""
     name = variable.name
-    if variable.unit == "degC" and (name.startswith("Zone ") or name.startswith("Site ")) and "Air " in name:
+    if variable.unit == "degC" and name.startswith(("Zone ", "Site ")) and "Air " in name:
         return _AIR_TEMPERATURE_BOUNDS
     if name.endswith("Occupant Count") or (name.startswith("Site ") and variable.unit in ("W/m2", "m/s")):
         return (0.0, None)

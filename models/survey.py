@@ -18,8 +18,10 @@ _FORMAT = "1"
 
 @dataclass(frozen=True, slots=True)
 class Variable:
-    """An output variable. `system`: updated each system timestep (else each zone timestep).
-    `summed`: reported as a sum over the timestep (else as a mean).
+    """An output variable.
+
+    `system`: updated each system timestep (else each zone timestep); `summed`: reported as a sum over the
+    timestep (else as a mean).
     """
 
     name: str
@@ -76,7 +78,9 @@ _LISTS = {"OutputControl:Files": {"lists": {"output_rdd": "Yes", "output_eso": "
 def _read(path: Path) -> Survey:
     found = json.loads(path.read_bytes())
     kinds = {name.casefold(): kind for name, kind in found["kinds"].items()}
-    variables, meters, actuators = [], [], []
+    variables: list[Variable] = []
+    meters: list[MeterPoint] = []
+    actuators: list[ActuatorPoint] = []
     for what, name, key, control, unit in found["points"]:
         if what == "OutputVariable":
             where, how = kinds.get(name.casefold(), ("hvac", "average"))

@@ -21,8 +21,10 @@ MonthDay = tuple[int, int]
 
 
 class LinearReward(BaseModel):
-    """Weighted sum of power and of degrees outside the comfort band (Sinergym's `LinearReward`; Campoy-Nieves
-    et al., "Sinergym: a virtual testbed for building energy optimization with RL", Energy and Buildings).
+    """Weighted sum of power and of degrees outside the comfort band.
+
+    Source: the `LinearReward` of Campoy-Nieves et al., "Sinergym: a virtual testbed for building energy
+    optimization with Reinforcement Learning", Energy and Buildings.
 
         r = -w * lambda_energy * P - (1 - w) * lambda_temperature * sum_z max(low - T_z, T_z - high, 0)
 

@@ -1,0 +1,116 @@
+"""`zenostat demo`: a week of a building, with its own control and with rules, in separate processes."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.table import Table
+
+from cli.console import out, progress
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+    from agent_sdk import Bus
+    from agent_sdk.evaluation import Result
+
+NODE = "office"
+ZENOSTAT = [sys.executable, "-P", "-m", "cli.main"]
+
+
+def demo(
+    folder: Annotated[Path, typer.Option(help="Where the recording and the picture go.")] = Path("demo"),
+    building: Annotated[str, typer.Option(help="Short name of a building.")] = "office-medium",
+    weather: Annotated[str, typer.Option(help="Short name of a weather.")] = "USA_CO_Denver",
+    begin: Annotated[str, typer.Option(help="First day.")] = "07-01",
+    end: Annotated[str, typer.Option(help="Last day.")] = "07-07",
+) -> None:
+    """Runs a node, a controller and a monitor as processes of their own and compares the controllers.
+
+    Example: `zenostat demo --begin 01-08 --end 01-14`
+    """
+    from agent_sdk import connect
+    from agent_sdk.launch import OwnNode
+    from bridge.affinity import Affinity
+
+    folder.mkdir(parents=True, exist_ok=True)
+    recording, picture = folder / "run.rrd", folder / "run.png"
+    results: dict[str, tuple[Result, float]] = {}
+    with ExitStack() as stack, progress() as bars:
+        settings = {"building": building, "weather": weather, "begin": begin, "end": end, "name": NODE}
+        with out.status("starting the node"):
+            own = OwnNode(settings, Affinity.APART)
+        stack.callback(own.close)
+        watcher = _start(
+            "monitor", "--connect", own.endpoint, "--save", recording, "--screenshot", picture, "--once", wait=True
+        )
+        stack.callback(watcher.terminate)
+        bus = stack.enter_context(connect(own.endpoint, core=own.core))
+        for controller, title in (("building", "the building's own control"), ("rbc", "rules on comfort bands")):
+            results[title] = _episode(bus, own.endpoint, controller, title, bars)
+        bus.stop(NODE)
+        own.close()
+        bars.console.print("monitor:", " ".join(_rest(watcher)))
+    out.print(_table(results, f"{building}, {weather}, {begin} to {end}"))
+    out.print(f"recording: {recording}" + (f", picture: {picture}" if picture.exists() else ""))
+
+
+def _start(*arguments: object, wait: bool = False) -> subprocess.Popen[str]:
+    process = subprocess.Popen(
+        [*ZENOSTAT, *map(str, arguments)], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
+    if wait and process.stdout is not None:
+        process.stdout.readline()  # it says when it listens
+    return process
+
+
+def _rest(process: subprocess.Popen[str]) -> list[str]:
+    said, _ = process.communicate(timeout=120)
+    return [line.strip() for line in said.splitlines() if line.strip()]
+
+
+def _episode(bus: Bus, endpoint: str, controller: str, title: str, bars: Progress) -> tuple[Result, float]:
+    """One episode under one controller in a process of its own; its totals and its timesteps per second."""
+    from agent_sdk.evaluation import Tally
+
+    manifest = bus.manifest(NODE)
+    tally, bar = Tally(manifest), bars.add_task(title, total=manifest.steps, rate="")
+    start = 0.0
+    with bus.listen(NODE) as samples:
+        process = _start("run", "--node", NODE, "--controller", controller, "--connect", endpoint)
+        for sample in samples:
+            if sample.step == 1:
+                start = time.monotonic()
+            tally.add(sample)
+            if sample.step % 24 == 0 or sample.truncated:
+                rate = (sample.step - 1) / max(time.monotonic() - start, 1e-9) if sample.step > 1 else 0.0
+                bars.update(bar, completed=sample.step, rate=f"{rate:,.0f} steps/s")
+            if sample.truncated:
+                break
+    steps_per_s = (manifest.steps - 1) / (time.monotonic() - start)
+    process.communicate(timeout=60)
+    return tally.result(), steps_per_s
+
+
+def _table(results: dict[str, tuple[Result, float]], title: str) -> Table:
+    table = Table("", *results, title=title)
+    rows = {
+        "electricity (kWh)": [f"{r.electricity_kwh:,.0f}" for r, _ in results.values()],
+        "  of it HVAC (kWh)": [f"{r.hvac_electricity_kwh:,.0f}" for r, _ in results.values()],
+        "gas (kWh)": [f"{r.gas_kwh:,.0f}" for r, _ in results.values()],
+        "peak (kW)": [f"{r.peak_kw:,.1f}" for r, _ in results.values()],
+        "outside comfort, occupied (K h)": [f"{r.occupied_discomfort_kh:,.1f}" for r, _ in results.values()],
+        "outside comfort, always (K h)": [f"{r.discomfort_kh:,.1f}" for r, _ in results.values()],
+        "timesteps": [f"{r.steps}" for r, _ in results.values()],
+        "timesteps/s": [f"{rate:,.0f}" for _, rate in results.values()],
+        "late, rejected messages": [f"{r.late}, {r.rejected}" for r, _ in results.values()],
+    }
+    for name, cells in rows.items():
+        table.add_row(name, *cells)
+    return table

@@ -1,0 +1,70 @@
+"""`zenostat monitor`: live plots in Rerun."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from bridge.session import DEFAULT_ENDPOINT
+from cli.console import err, out, until_signal
+from topics.errors import InvalidConfig
+
+
+def monitor(
+    node: Annotated[str, typer.Option(help="Only this node; all by default.")] = "*",
+    connect: Annotated[str, typer.Option(help="Endpoint of the bus; it may come later.")] = DEFAULT_ENDPOINT,
+    save: Annotated[Path | None, typer.Option(help="Write a recording (.rrd).")] = None,
+    screenshot: Annotated[Path | None, typer.Option(help="Write a picture (.png) at the end.")] = None,
+    web: Annotated[bool, typer.Option("--web", help="Serve the viewer as a web page on this machine.")] = False,
+    once: Annotated[bool, typer.Option("--once", help="End when a node that was seen has gone.")] = False,
+) -> None:
+    """Streams the bus to Rerun until Ctrl-C: a viewer if there is a display, a web page, a file, a picture.
+
+    Example: `zenostat monitor --save run.rrd --screenshot run.png`
+    """
+    from bridge.rerun_program import NO_VULKAN
+    from bridge.rerun_program import screenshot as draw
+    from bridge.rerun_stream import RerunStream
+    from bridge.session import open_session
+
+    with ExitStack() as stack:
+        recording = save
+        if screenshot is not None and recording is None:
+            recording = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="zenostat-"))) / "run.rrd"
+        sinks = _sinks(stack, recording, web)
+        stop = stack.enter_context(until_signal())
+        with open_session(connect=[connect], wait=True) as session, RerunStream(session, node, sinks) as stream:
+            out.print(f"listening on {connect}; Ctrl-C ends it")
+            stream.run(until=lambda: stop.is_set() or (once and stream.left))
+        out.print(f"{stream.samples} samples logged, {stream.missed} missed" + (f", in {save}" if save else ""))
+        if screenshot is not None and recording is not None and not draw(recording, screenshot):
+            err.print(NO_VULKAN)
+
+
+def _sinks(stack: ExitStack, recording: Path | None, web: bool) -> list[Any]:
+    import rerun as rr
+
+    from bridge.rerun_program import web_viewer
+
+    sinks: list[Any] = []
+    if recording is not None:
+        if not recording.absolute().parent.is_dir():
+            raise InvalidConfig(f"there is no folder {recording.absolute().parent} to write {recording.name} into")
+        sinks.append(rr.FileSink(str(recording)))
+    if web:
+        page, url = stack.enter_context(web_viewer())
+        out.print(f"viewer: {page}")
+        sinks.append(rr.GrpcSink(url))
+    if not sinks:
+        if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+            raise InvalidConfig(
+                "there is no display for the viewer; use --web, --save FILE.rrd or --screenshot FILE.png"
+            )
+        rr.spawn(connect=False)
+        sinks.append(rr.GrpcSink())
+    return sinks
