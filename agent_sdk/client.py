@@ -216,7 +216,7 @@ class Bus:
         """
         identity = f"{keys.check_name(name, 'the controller')}-{os.getpid()}-{next(_numbers)}"
         claim = Claim(controller=identity, level=level, actuators=actuators, required=required)
-        return ControlLink(self, node, claim, self._affinity)
+        return self._close.enter_context(ControlLink(self, node, claim, self._affinity))
 
 
 def _placed(wanted: Affinity, core: int | None) -> AbstractContextManager[None]:

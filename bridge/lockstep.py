@@ -182,11 +182,12 @@ class Exchange:
         self._head = codec.command_head(self.episode, self.step, self._size)
 
     def reset(self) -> None:
-        """A new episode begins: claims stay, what was set is released."""
+        """A new episode begins: claims of controllers that are there stay, what was set is released."""
         self.take(Input.RESET)
         self.episode = [episode + 1 for episode in self.episode]
         self._array.clear()
         self._expiries.clear()
+        self.claimants = {name: c for name, c in self.claimants.items() if c.present}
         for claimant in self.claimants.values():
             claimant.source = self._array.source(claimant.name)
 

@@ -14,6 +14,7 @@ from topics.errors import InvalidConfig
 
 NO_VULKAN = "no Vulkan driver was found, so no picture was made; on Debian: apt install mesa-vulkan-drivers libvulkan1"
 _START_S = 20.0
+_SETTLE_S = 1.5  # `open` answers before all plots are drawn, and the viewer does not say when they are
 
 
 def program() -> str:
@@ -28,18 +29,27 @@ def _free_port() -> int:
 
 
 @contextmanager
-def web_viewer() -> Iterator[tuple[str, str]]:
-    """Serves the viewer as a page on loopback: (address of the page, address for the recording)."""
-    grpc, web = _free_port(), _free_port()
-    command = [program(), "--serve-web", "--bind", "127.0.0.1", "--port", str(grpc), "--web-viewer-port", str(web)]
-    server = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+def _serving(port: int, *options: str) -> Iterator[None]:
+    """Runs the program on loopback while it is needed; `InvalidConfig` if it ends before it listens."""
+    command = [program(), "--bind", "127.0.0.1", "--port", str(port), *options]
+    server = subprocess.Popen(
+        command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+    )
     try:
-        _wait_for_port(server, grpc)
-        url = f"rerun+http://127.0.0.1:{grpc}/proxy"
-        yield f"http://127.0.0.1:{web}/?url={url}", url
+        _wait_for_port(server, port)
+        yield
     finally:
         server.terminate()
         server.wait()
+
+
+@contextmanager
+def web_viewer() -> Iterator[tuple[str, str]]:
+    """Serves the viewer as a page on loopback: (address of the page, address for the recording)."""
+    grpc, web = _free_port(), _free_port()
+    with _serving(grpc, "--serve-web", "--web-viewer-port", str(web)):
+        url = f"rerun+http://127.0.0.1:{grpc}/proxy"
+        yield f"http://127.0.0.1:{web}/?url={url}", url
 
 
 def _wait_for_port(server: subprocess.Popen[bytes], port: int) -> None:
@@ -54,19 +64,17 @@ def _wait_for_port(server: subprocess.Popen[bytes], port: int) -> None:
     raise InvalidConfig(f"the rerun program did not listen on port {port} within {_START_S:.0f} s")
 
 
-def screenshot(recording: Path, picture: Path, *, size: str = "1600x1200") -> bool:
-    """Draws a recording into a PNG without a screen; false where there is no Vulkan driver."""
-    command = [program(), "--headless", "--screenshot-to", str(picture), "--window-size", size, "--bind", "127.0.0.1"]
-    command += ["--port", str(_free_port()), str(recording)]
+def screenshot(recording: Path, picture: Path) -> bool:
+    """Draws a recording into a PNG of 1920 x 1080 without a screen; false where there is no Vulkan driver."""
+    from rerun.experimental import ViewerClient
+
+    port = _free_port()
     try:
-        done = subprocess.run(
-            command,
-            check=False,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            timeout=120,
-        )
-    except subprocess.TimeoutExpired:
+        with _serving(port, "--headless", "--window-size", "1920x1080"):
+            viewer = ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
+            viewer.open(str(recording.absolute()))
+            time.sleep(_SETTLE_S)
+            viewer.save_screenshot(str(picture.absolute()))
+    except (InvalidConfig, ConnectionError):  # it ends at start, sometimes after it listens
         return False
-    return done.returncode == 0 and picture.exists()
+    return picture.exists()

@@ -28,6 +28,8 @@ from topics.messages import Event, EventKind, Manifest, Meter, Sample, Sensor
 
 RING = 65536
 PERIOD_S = 0.1
+LEGEND = 6
+"""Plots of more series than this begin with their legend hidden."""
 
 _TITLES = {
     "degC": "temperature (degC)",
@@ -209,7 +211,13 @@ class RerunStream:
                 view_range=TimeRange(_boundary(node.manifest.begin), _boundary(node.manifest.end)), zoom_lock=False
             )
             plots = [
-                rrb.TimeSeriesView(origin=self._entity(node, q), name=q.title, axis_x=axis) for q in node.quantities
+                rrb.TimeSeriesView(
+                    origin=self._entity(node, q),
+                    name=q.title,
+                    axis_x=axis,
+                    plot_legend=rrb.PlotLegend(visible=len(q.names) <= LEGEND),
+                )
+                for q in node.quantities
             ]
             tabs.append(rrb.Grid(*plots, name=f"{node.manifest.node}: {node.manifest.building}", grid_columns=2))
         layout = tabs[0] if len(tabs) == 1 else rrb.Tabs(*tabs)

@@ -76,7 +76,7 @@ def node(
             manifest = running.manifest
             bars.console.print(
                 f"[bold]{name}[/bold] on {listen}: {manifest.building} in {manifest.location}, "
-                f"{manifest.begin[:10]} to {manifest.end[:10]}, {manifest.steps} timesteps of "
+                f"{running.plan.period.begin} to {running.plan.period.end}, {manifest.steps} timesteps of "
                 f"{60 // manifest.steps_per_hour} min; {len(manifest.sensors)} sensors, {len(manifest.meters)} meters, "
                 f"{len(manifest.actuators)} actuators. Ctrl-C ends it."
             )

@@ -21,24 +21,31 @@ def status(connect: Annotated[str, typer.Option(help="Endpoint of the bus.")] = 
 
     with connect_bus(connect) as bus:
         nodes = [bus.status(name) for name in bus.nodes()]
-    table = Table("node", "state", "building", "weather", "episode", "step", "simulated time", "messages", "memory")
+    if not nodes:
+        out.print(f"no nodes on {connect}")
     for node in nodes:
-        table.add_row(
-            node.node,
-            node.state,
-            node.building,
-            node.weather,
-            str(node.episode[0]),
-            f"{node.step[0]} of {node.steps}",
-            node.time[0],
-            f"{node.accepted} accepted, {node.rejected} rejected, {node.late} late, {node.duplicate} duplicate",
-            f"{(node.node_rss_bytes + node.engine_rss_bytes) / 1e6:.0f} MB",
-        )
-    out.print(table)
+        out.print(_node_table(node))
     _print_controllers(nodes)
     for node in nodes:
         if node.failure:
             out.print(f"{node.node}: {node.failure}", style="red", markup=False)
+
+
+def _node_table(node: Status) -> Table:
+    """A node's state, a line each."""
+    table = Table("node", node.node, title_justify="left")
+    memory_mb = (node.node_rss_bytes + node.engine_rss_bytes) / 1e6
+    messages = f"{node.accepted} accepted, {node.rejected} rejected, {node.late} late, {node.duplicate} duplicate"
+    for name, value in {
+        "state": f"{node.state} ({node.mode})",
+        "building": f"{node.building}, {node.weather}",
+        "episode": f"{node.episode[0]}, step {node.step[0]} of {node.steps}",
+        "simulated time": node.time[0],
+        "commands": messages,
+        "memory": f"{memory_mb:.0f} MB",
+    }.items():
+        table.add_row(name, value)
+    return table
 
 
 def _print_controllers(nodes: list[Status]) -> None:
@@ -49,5 +56,5 @@ def _print_controllers(nodes: list[Status]) -> None:
             table.add_row(c.controller, node.node, str(c.level), str(c.actuators), *yes_no, str(c.accepted))
     if table.row_count:
         out.print(table)
-    else:
+    elif nodes:
         out.print("no controllers")

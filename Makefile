@@ -1,0 +1,31 @@
+# The whole interface: make demo, make test, make check, make bench.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+WORKERS ?= 2
+
+.PHONY: demo test check bench clean
+
+$(READY): pyproject.toml constraints.txt
+	$(PYTHON) -c 'import sys; sys.exit(None if sys.version_info >= (3, 11) else "Zenostat needs Python 3.11 or newer")'
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	touch $(READY)
+
+demo: $(READY)  ## A building, its controller and its monitor in separate processes; results in demo/
+	$(BIN)/zenostat demo --folder demo
+
+test: $(READY)  ## All tests
+	$(BIN)/python -m pytest -n $(WORKERS)
+
+check: $(READY)  ## Format, lint, types
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
+bench: $(READY)  ## What a step costs, as ratios within one run; results in bench/results/
+	$(BIN)/python -m bench
+
+clean:  ## Removes what the others made
+	rm -rf $(VENV) demo bench/results .mypy_cache .ruff_cache .pytest_cache .hypothesis *.egg-info
