@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import importlib.util
 import socket
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -18,8 +18,12 @@ _SETTLE_S = 1.5  # `open` answers before all plots are drawn, and the viewer doe
 
 
 def program() -> str:
-    """Path of the `rerun` program of this environment."""
-    return str(Path(sys.executable).parent / "rerun")
+    """Path of the `rerun` program: the binary itself, not the script of that name, whose end it would outlive."""
+    found = importlib.util.find_spec("rerun_cli")
+    folders = found.submodule_search_locations if found else None
+    if not folders:
+        raise InvalidConfig("the rerun program is not installed: pip install rerun-sdk")
+    return str(Path(folders[0]) / "rerun")
 
 
 def _free_port() -> int:

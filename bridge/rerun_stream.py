@@ -131,22 +131,26 @@ class RerunStream:
 
     def pump(self) -> int:
         """Logs what has come in since the last time; returns the number of samples."""
-        took = self._look_around()
+        messages = []
         while (message := self._inbox.try_recv()) is not None:
-            took += self._take(message)
+            messages.append(message)
+        took = self._look_around(heard={keys.node_of(str(m.key_expr)) for m in messages})
+        took += sum(map(self._take, messages))
         for node in self._nodes.values():
             self._log(node)
         self.samples += took
         return took
 
-    def _look_around(self) -> int:
-        """Meets nodes that have come, with the sample that they stand at, and notes those that have gone."""
+    def _look_around(self, heard: set[str]) -> int:
+        """Meets silent nodes that have come, with the sample that they stand at, and notes those that have gone."""
         took = 0
         while (token := self._tokens.try_recv()) is not None:
             if token.kind == zenoh.SampleKind.DELETE:
                 self.left = True
                 continue
             name = keys.node_of(str(token.key_expr))
+            if name in heard or name in self._nodes:
+                continue
             for reply in self._session.get(keys.SAMPLE.at(name)):
                 if reply.ok is not None:
                     took += self._take_sample(name, codec.decode(Sample, reply.ok.payload.to_bytes()))
@@ -172,7 +176,7 @@ class RerunStream:
             return 0  # it has gone before it could be asked what its values mean
         if sample.episode[0] != node.episode:
             self._log(node)
-            node.episode = sample.episode[0]
+            node.episode, node.step = sample.episode[0], -1
             self._begin_episode(node)
         elif sample.step[0] <= node.step:
             return 0  # asked for and heard as well

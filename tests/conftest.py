@@ -1,0 +1,45 @@
+"""What the tests of the joints share: short private folders, and a count of what is left behind."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from nodes import nothing_left
+
+
+@contextmanager
+def _short_folder() -> Iterator[Path]:
+    # Not pytest's own: the path of a unix socket has 108 bytes at most.
+    folder = Path(tempfile.mkdtemp(prefix="zt-", dir="/tmp")).resolve()
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+@pytest.fixture
+def folder() -> Iterator[Path]:
+    """A folder of the test's own whose path is short enough for sockets."""
+    with _short_folder() as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def module_folder() -> Iterator[Path]:
+    """The same for a module."""
+    with _short_folder() as made:
+        yield made
+
+
+@pytest.fixture
+def scratch(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """The place of temporary files of this test and its programs; in the end nothing of ours may be left."""
+    monkeypatch.setenv("TMPDIR", str(folder))
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    with nothing_left(folder):
+        yield folder

@@ -1,0 +1,218 @@
+"""Nodes and controllers as programs, and what they must leave behind: nothing."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+from topics.errors import from_wire
+
+PATIENCE_S = 60.0
+"""How long `until` waits before it says what did not happen; no test depends on its length."""
+
+WEATHER = "USA_CO_Denver"
+SMALL: dict[str, Any] = {
+    "building": "ref-small-office",
+    "weather": WEATHER,
+    "begin": "07-03",
+    "end": "07-03",
+    "steps_per_hour": 4,
+}
+"""A summer weekday (96 timesteps) of a building of five zones that has no EMS programs of its own."""
+
+ZONES = ("core_zn", "perimeter_zn_1", "perimeter_zn_2", "perimeter_zn_3", "perimeter_zn_4")
+COOLING = {f"{zone}_cooling_setpoint": ("Zone Temperature Control", "Cooling Setpoint", zone.upper()) for zone in ZONES}
+
+
+def until(holds: Callable[[], Any], what: str) -> Any:
+    """The first true answer of `holds`, asked again and again; fails with `what` after `PATIENCE_S`."""
+    pause = threading.Event()
+    deadline = time.monotonic() + PATIENCE_S
+    while not (answer := holds()):
+        if time.monotonic() > deadline:
+            raise AssertionError(f"it did not happen: {what}")
+        pause.wait(0.005)
+    return answer
+
+
+def free_port() -> int:
+    """A tcp port of the loopback that nobody listened on a moment ago."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+class NodeProgram:
+    """A node as a program: `python -P -m eplus_node`, its settings on standard input.
+
+    Args:
+        folder: for its socket (if `listen` names nothing else) and its scratch files.
+        settings: of `eplus_node.config.NodeConfig`.
+
+    Raises:
+        ZenostatError: what the node said when it could not start; it has ended by then.
+    """
+
+    def __init__(self, folder: Path, **settings: Any) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        given = {"listen": [f"unixsock-stream/{folder}/bus"], "folder": str(folder / "run"), "affinity": "off"}
+        given |= {"name": "office", **settings}
+        self.name: str = given["name"]
+        self.endpoint: str = given["listen"][0]
+        self.process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "eplus_node"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            process_group=0,
+        )
+        try:
+            self._start(given)
+        except BaseException:
+            self.close()
+            raise
+
+    def _start(self, settings: dict[str, Any]) -> None:
+        self.process.stdin.write(json.dumps(settings).encode() + b"\n")
+        self.process.stdin.flush()
+        line = self.process.stdout.readline()
+        assert line, f"the node ended with {self.process.wait()} and said nothing"
+        said = json.loads(line)
+        if "error" in said:
+            raise from_wire(said)
+        assert said == {"ready": self.name}
+
+    def __enter__(self) -> NodeProgram:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def pid(self) -> int:
+        return self.process.pid
+
+    @property
+    def engine(self) -> psutil.Process:
+        """Its engine's process."""
+        return engine_of(self.pid)
+
+    def interrupt(self) -> int:
+        """Sends what Ctrl-C sends, and returns the exit code."""
+        self.process.send_signal(signal.SIGINT)
+        return self.process.wait()
+
+    def close(self) -> None:
+        """Ends it; twice is fine."""
+        for pipe in (self.process.stdin, self.process.stdout):
+            with suppress(BrokenPipeError):
+                pipe.close()
+        try:
+            self.process.wait(timeout=PATIENCE_S)
+        finally:
+            self.process.kill()
+
+
+def engine_of(node_pid: int) -> psutil.Process:
+    """The engine that a node has started."""
+    children = psutil.Process(node_pid).children()
+    engines = [child for child in children if "eplus_node.engine" in child.cmdline()]
+    assert len(engines) == 1, f"one engine expected, found {children}"
+    return engines[0]
+
+
+class Program:
+    """A Python program of a user's: its text, its lines, its end."""
+
+    def __init__(self, text: str, *arguments: str, options: tuple[str, ...] = ("-P",), **popen: Any) -> None:
+        self.process = subprocess.Popen(
+            [sys.executable, *options, "-u", "-c", text, *arguments],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            **popen,
+        )
+
+    def __enter__(self) -> Program:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def pid(self) -> int:
+        return self.process.pid
+
+    def line(self) -> str:
+        """Its next line; fails with what it said to standard error if it has ended."""
+        line = self.process.stdout.readline()
+        if not line:
+            self.process.wait()
+            raise AssertionError(f"the program ended with {self.process.returncode}: {self.process.stderr.read()}")
+        return line.rstrip("\n")
+
+    def json(self) -> Any:
+        """Its next line, from JSON."""
+        return json.loads(self.line())
+
+    def tell(self, line: str = "") -> None:
+        """A line to its standard input."""
+        self.process.stdin.write(line + "\n")
+        self.process.stdin.flush()
+
+    def end(self) -> tuple[int, str, str]:
+        """Waits for its end: exit code, the rest of its output, what it said to standard error."""
+        out, err = self.process.communicate()
+        return self.process.returncode, out, err
+
+    def close(self) -> None:
+        """Ends it, also if it is stopped; twice is fine."""
+        self.process.kill()
+        self.process.wait()
+        for pipe in (self.process.stdin, self.process.stdout, self.process.stderr):
+            with suppress(BrokenPipeError):
+                pipe.close()
+
+
+def programs_of(folder: Path) -> list[psutil.Process]:
+    """All processes, of whatever parent, that were started with `folder` as their place of temporary files."""
+    return [p for p in psutil.process_iter() if p.pid != os.getpid() and _temporary_folder(p) == str(folder)]
+
+
+def _temporary_folder(process: psutil.Process) -> str | None:
+    try:
+        if process.status() == psutil.STATUS_ZOMBIE:
+            return None
+        return process.environ().get("TMPDIR")
+    except psutil.Error:
+        return None
+
+
+def remains(folder: Path) -> list[str]:
+    """What runs left in a place of temporary files: their folders and sockets."""
+    return sorted(str(p) for p in folder.rglob("*") if p.name.startswith("zenostat-") or p.is_socket())
+
+
+@contextmanager
+def nothing_left(folder: Path) -> Iterator[None]:
+    """Whatever happens within, in the end no process, socket or folder of ours is left."""
+    before = {child.pid for child in psutil.Process().children()}
+    yield
+    until(
+        lambda: not [child for child in psutil.Process().children() if child.pid not in before],
+        "all processes that the test started have ended",
+    )
+    until(lambda: not programs_of(folder), "all nodes and engines have ended")
+    assert remains(folder) == []

@@ -1,0 +1,129 @@
+"""The monitor against real nodes and real Rerun recordings."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections import defaultdict
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rerun as rr
+from nodes import SMALL, NodeProgram, until
+from rerun.chunk import RrdReader
+
+import agent_sdk
+from bridge.rerun_program import screenshot
+from bridge.rerun_stream import RerunStream
+from bridge.session import open_session
+
+
+def _recorded(path: Path) -> dict[str, dict[int, list[float]]]:
+    """Entity to step to vector, as the recording has it."""
+    found: dict[str, dict[int, list[float]]] = defaultdict(dict)
+    for chunk in RrdReader(str(path)).stream():
+        if chunk.is_static or "Scalars:scalars" not in (batch := chunk.to_record_batch()).schema.names:
+            continue
+        rows = batch.to_pydict()
+        for step, scalars in zip(rows["step"], rows["Scalars:scalars"], strict=True):
+            found[str(chunk.entity_path)][step] = scalars
+    return found
+
+
+def _run(endpoint: str, *, reset: bool = False) -> list[np.ndarray]:
+    """An episode under the building's own control: the values of each sample."""
+    with agent_sdk.connect(endpoint, affinity="off") as bus, bus.controller("office") as link:
+        if reset:
+            link.reset()
+        return [sample.values for sample in link]
+
+
+def test_recording_has_each_sample_of_each_episode_to_the_bit(scratch):
+    rr.set_strict_mode(True)
+    path = scratch / "run.rrd"
+    with NodeProgram(scratch / "node", **SMALL) as node:
+        with open_session(connect=[node.endpoint]) as session:
+            with RerunStream(session, "*", [rr.FileSink(str(path))]) as stream:
+                first = _run(node.endpoint)
+                stream.pump()
+                second = _run(node.endpoint, reset=True)
+            assert (stream.samples, stream.missed) == (2 * 97, 0)
+        with agent_sdk.connect(node.endpoint, affinity="off") as bus:
+            manifest = bus.manifest("office")
+    recorded = _recorded(path)
+    temperatures = [i for i, s in enumerate(manifest.sensors) if s.unit == "degC"]
+    for episode, samples in enumerate((first, second)):
+        plot = recorded[f"/office/episode_{episode:04}/degc"]
+        assert sorted(plot) == list(range(97))
+        for step, values in enumerate(samples):
+            assert plot[step] == values[temperatures].tolist()
+
+
+def test_late_monitor_learns_the_manifest_and_the_sample_the_node_stands_at(scratch):
+    path = scratch / "run.rrd"
+    with (
+        NodeProgram(scratch / "node", **SMALL) as node,
+        agent_sdk.connect(node.endpoint, affinity="off") as bus,
+        bus.controller("office") as link,
+    ):
+        sample = link.current()
+        for _ in range(10):
+            sample.send()
+            sample = link.receive()
+        with (
+            open_session(connect=[node.endpoint]) as session,
+            RerunStream(session, "office", [rr.FileSink(str(path))]) as stream,
+        ):
+            until(lambda: stream.pump() or stream.samples, "the monitor met the node")
+        outdoor = sample["outdoor_temperature"]
+    (plot,) = [plot for entity, plot in _recorded(path).items() if entity.endswith("/degc")]
+    assert list(plot) == [10]
+    assert plot[10][0] == outdoor
+
+
+@pytest.mark.parametrize("fate", [signal.SIGSTOP, signal.SIGKILL])
+def test_monitor_that_is_frozen_or_killed_changes_nothing(scratch, fate):
+    with NodeProgram(scratch / "node", **SMALL) as node:
+        quiet = _run(node.endpoint)
+        command = [sys.executable, "-P", "-m", "cli.main", "monitor", "--connect", node.endpoint]
+        command += ["--save", str(scratch / "run.rrd")]
+        monitor = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        try:
+            assert "listening" in monitor.stdout.readline()
+            with agent_sdk.connect(node.endpoint, affinity="off") as bus, bus.controller("office") as link:
+                disturbed = []
+                link.reset()
+                for sample in link:
+                    disturbed.append(sample.values)
+                    if sample.step == 20:
+                        monitor.send_signal(fate)
+        finally:
+            monitor.kill()
+            monitor.communicate()
+    assert np.array_equal(quiet, disturbed)
+
+
+def test_picture_of_a_recording(scratch):
+    path, picture = scratch / "run.rrd", scratch / "run.png"
+    with rr.RecordingStream("zenostat") as recording:
+        recording.set_sinks(rr.FileSink(str(path)))
+        recording.log("a", rr.Scalars([1.0]))
+        recording.disconnect()
+    drawn = screenshot(path, picture)
+    assert drawn == picture.exists()
+    if drawn:
+        assert picture.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+
+
+def test_no_picture_without_a_vulkan_driver(scratch, monkeypatch):
+    monkeypatch.setenv("VK_ICD_FILENAMES", os.devnull)
+    monkeypatch.setenv("VK_DRIVER_FILES", os.devnull)
+    path = scratch / "run.rrd"
+    with rr.RecordingStream("zenostat") as recording:
+        recording.set_sinks(rr.FileSink(str(path)))
+        recording.log("a", rr.Scalars([1.0]))
+        recording.disconnect()
+    assert not screenshot(path, scratch / "run.png")
