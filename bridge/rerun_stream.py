@@ -112,6 +112,7 @@ class RerunStream:
             session.liveliness().declare_subscriber(keys.NODE_TOKEN.at(node, name="*"), RingChannel(256), history=True)
         )
         self._close.callback(self.pump)
+        self.samples += self._catch_up(node)  # asked for, since a new liveliness subscriber knows nothing yet
 
     def __enter__(self) -> RerunStream:
         return self
@@ -151,9 +152,16 @@ class RerunStream:
             name = keys.node_of(str(token.key_expr))
             if name in heard or name in self._nodes:
                 continue
-            for reply in self._session.get(keys.SAMPLE.at(name)):
-                if reply.ok is not None:
-                    took += self._take_sample(name, codec.decode(Sample, reply.ok.payload.to_bytes()))
+            took += self._catch_up(name)
+        return took
+
+    def _catch_up(self, name: str) -> int:
+        """Takes the sample that a node, or each (`*`), stands at."""
+        took = 0
+        for reply in self._session.get(keys.SAMPLE.at(name), target=zenoh.QueryTarget.ALL):
+            if reply.ok is not None:
+                who = keys.node_of(str(reply.ok.key_expr))
+                took += self._take_sample(who, codec.decode(Sample, reply.ok.payload.to_bytes()))
         return took
 
     def _take(self, message: zenoh.Sample) -> int:
