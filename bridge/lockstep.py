@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from bridge.priority import PriorityArray
 from topics import codec
-from topics.errors import BadMessage, Refused, ZenostatError, near
+from topics.errors import BadMessage, Refused, near
 from topics.messages import (
     Actuator,
     Claim,
@@ -65,7 +65,7 @@ TRANSITIONS: dict[tuple[State, Input], State] = {
 }
 
 
-class IllegalInput(ZenostatError):
+class IllegalInput(RuntimeError):
     """An input that the present state has no row for: a mistake in the program, not of a peer."""
 
 
@@ -121,6 +121,7 @@ class Exchange:
     claimants: dict[str, Claimant] = field(default_factory=dict)
     touched: bool = False
     _pending: set[str] = field(default_factory=set)
+    _answered: set[str] = field(default_factory=set)
     _expiries: list[_Expiry] = field(default_factory=list)
     _limits: NDArray[np.float64] = field(init=False)
     _clipped: NDArray[np.float64] = field(init=False)
@@ -179,6 +180,7 @@ class Exchange:
     def listen(self) -> None:
         """Gets ready for the answers to the present sample; apart from `sampled` so that the sample goes first."""
         self._pending = {c.name for c in self.claimants.values() if c.required}
+        self._answered = set()
         self._head = codec.command_head(self.episode, self.step, self._size)
 
     def reset(self) -> None:
@@ -230,20 +232,30 @@ class Exchange:
                 )
         events = self._replace_absent(claim, allowed)
         old = self.claimants.get(claim.controller)
-        source = self._array.source(claim.controller)
+        if old is not None:
+            self._give_up(old, kept=allowed if old.level == claim.level else np.zeros_like(allowed))
+        self._expiries = [e for e in self._expiries if not (e.level == claim.level and allowed[e.actuator])]
         self.claimants[claim.controller] = Claimant(
             claim.controller,
             claim.level,
             allowed,
             claim.required,
-            source,
+            self._array.source(claim.controller),
             whole=bool(allowed.all()),
             accepted=old.accepted if old else 0,
         )
+        self._answered.discard(claim.controller)
+        self._pending.discard(claim.controller)
         if claim.required and self.state is State.WAITING:
             self._pending.add(claim.controller)
         kind = "again" if old else f"at level {claim.level}"
         return [*events, self.event(EventKind.JOINED, f"{claim.controller} controls {kind}", claim.controller)]
+
+    def _give_up(self, claimant: Claimant, kept: NDArray[np.bool_]) -> None:
+        """Releases what a claimant has set, but for the actuators that the next claim on its level covers."""
+        where = np.tile(claimant.allowed & ~kept, (self.slots, 1))
+        if where.any():
+            self._array.put(claimant.level, claimant.source, np.full(self.shape, np.nan), where)
 
     def _select(self, names: list[str] | None) -> NDArray[np.bool_]:
         allowed = np.ones(len(self.actuators), np.bool_) if names is None else np.zeros(len(self.actuators), np.bool_)
@@ -263,7 +275,7 @@ class Exchange:
             and (bool((c.allowed & allowed).any()) or not self.actuators)
         ]
         for name in gone:
-            del self.claimants[name]
+            self._give_up(self.claimants.pop(name), kept=allowed)
             self._pending.discard(name)
         return [self.event(EventKind.LEFT, f"{claim.controller} takes over from {name}", name) for name in gone]
 
@@ -301,6 +313,7 @@ class Exchange:
         claimant.accepted += 1
         self.counts.accepted += 1
         self._pending.discard(claimant.name)
+        self._answered.add(claimant.name)
 
     def command(self, controller: str, command: Command) -> Event | None:
         """Takes a command; an event if it was not taken."""
@@ -309,7 +322,9 @@ class Exchange:
             return self.rejected(f"{controller!r} has claimed nothing; claim first", controller)
         if command.step != self.step or command.episode != self.episode:
             return self._wrong_step(controller, command)
-        if self.state is not State.WAITING or (claimant.required and controller not in self._pending):
+        if self.state in (State.FAILED, State.STARTING):
+            return self.rejected(f"the node is {self.state}", controller)
+        if self.state is not State.WAITING or controller in self._answered:
             self.counts.duplicate += 1
             text = f"step {self.step} was answered already" if self.state is not State.ENDED else "the episode is over"
             return self.event(EventKind.DUPLICATE, text, controller)

@@ -34,7 +34,7 @@ class NodeConfig(BaseModel):
     steps_per_hour: int | None = None
     sensors: dict[str, list[str]] | None = None
     meters: dict[str, str] | None = None
-    actuators: dict[str, list[str | float]] | None = None
+    actuators: dict[str, list[str | float | None]] | None = None
     mode: Mode = Mode.LOCKSTEP
     listen: list[str] = Field(default_factory=lambda: [DEFAULT_ENDPOINT])
     connect: list[str] = Field(default_factory=list)

@@ -84,7 +84,10 @@ def find_weather(text: str) -> Entry:
 
 
 def _find(text: str, what: str, entries: tuple[Entry, ...], suffixes: tuple[str, ...]) -> Entry:
-    path = Path(text).expanduser()
+    try:
+        path = Path(text).expanduser()
+    except RuntimeError as error:  # ~name of nobody
+        raise UnknownName(f"no {what} file at {text}: {error}") from None
     if path.suffix.lower() in suffixes or "/" in text:
         if not path.is_file():
             raise UnknownName(f"no {what} file at {path.absolute()}")

@@ -17,12 +17,14 @@ def year_of(begin_month: int, begin_day: int, weekday: str | None) -> int:
     """The latest common year up to 2017 in which that day is that weekday.
 
     It is EnergyPlus's own choice for a run period that names a weekday but no year (Input Output
-    Reference, RunPeriod); 2017 where neither is named.
+    Reference, RunPeriod); 2017 where neither is named. A run period that begins on 29 February takes the
+    latest leap year instead.
     """
+    leap = (begin_month, begin_day) == (2, 29)
     if weekday not in _WEEKDAYS:
-        return 2017
-    for year in range(2017, 1989, -1):
-        if calendar.isleap(year):
+        return 2016 if leap else 2017
+    for year in range(2017, 1988, -1):
+        if calendar.isleap(year) != leap:
             continue
         if date(year, begin_month, begin_day).weekday() == _WEEKDAYS.index(weekday):
             return year

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from math import isfinite, nan
 from typing import TypeVar
 
 from models.building import Building
 from models.survey import ActuatorPoint, MeterPoint, Survey, Variable
-from topics.errors import InvalidConfig, UnknownName, near
+from topics.errors import InvalidConfig, UnknownName, UsageError, near
 from topics.keys import check_name, safe
 from topics.messages import Actuator, Meter, Reading, Sensor
 from topics.units import limits
@@ -79,11 +80,12 @@ class Points:
 
 @dataclass(slots=True)
 class _Faults:
-    said: list[str] = field(default_factory=list)
+    found: list[UsageError] = field(default_factory=list)
 
     def raise_all(self) -> None:
-        if self.said:
-            raise UnknownName("\n".join(self.said))
+        if self.found:
+            unknown = all(isinstance(fault, UnknownName) for fault in self.found)
+            raise (UnknownName if unknown else InvalidConfig)("\n".join(map(str, self.found)))
 
 
 def choose(
@@ -112,7 +114,7 @@ def choose(
     wanted_actuators = default_actuators(survey) if actuators is None else actuators
     twice = set(wanted_sensors) & set(wanted_meters)
     if twice:
-        raise InvalidConfig(f"names used for a sensor and a meter: {', '.join(sorted(twice))}")
+        faults.found.append(InvalidConfig(f"names used for a sensor and a meter: {', '.join(sorted(twice))}"))
     found_sensors = _each(wanted_sensors, lambda n, s: _sensor(survey, n, s), faults)
     found_meters = _each(wanted_meters, lambda n, s: _meter(survey, n, s), faults)
     found_actuators = _each(wanted_actuators, lambda n, s: _actuator(building, survey, n, s), faults)
@@ -127,13 +129,13 @@ def choose(
 
 
 def _each(wanted: Mapping[str, S], find: Callable[[str, S], T], faults: _Faults) -> list[T]:
-    """Finds each, keeping on after one that is not there so that all faults are said at once."""
+    """Finds each, keeping on after a fault so that all are said at once."""
     found = []
     for name, spec in wanted.items():
         try:
             found.append(find(check_name(name, "the point name"), spec))
-        except UnknownName as error:
-            faults.said.append(str(error))
+        except UsageError as fault:
+            faults.found.append(fault)
     return found
 
 
@@ -209,7 +211,7 @@ def _actuator(building: Building, survey: Survey, name: str, spec: Sequence[obje
     found = find_actuator(survey, name, *(str(part) for part in spec[:3]))
     low, high = actuator_bounds(building, found)
     if len(spec) == 5:
-        low, high = float(str(spec[3])), float(str(spec[4]))
+        low, high = _bound(name, spec[3]), _bound(name, spec[4])
     if low is not None and high is not None and not low < high:
         raise InvalidConfig(f"actuator {name!r}: its lower bound {low} is not below its upper bound {high}")
     feedback = _FEEDBACK.get((found.component_type, found.control_type))
@@ -227,6 +229,19 @@ def _actuator(building: Building, survey: Survey, name: str, spec: Sequence[obje
         high=high,
         feedback=feedback,
     )
+
+
+def _bound(name: str, said: object) -> float | None:
+    """A bound that the user gave: a finite number, or None for none."""
+    if said is None:
+        return None
+    try:
+        value = float(str(said))
+    except ValueError:
+        value = nan
+    if not isfinite(value):
+        raise InvalidConfig(f"actuator {name!r}: bound {said!r}; a finite number or None expected")
+    return value
 
 
 def _has_variable(survey: Survey, name: str, key: str) -> bool:
@@ -282,18 +297,26 @@ def _schedule_limits(
     return (None, None)
 
 
-def thermostat_zones(survey: Survey) -> list[str]:
-    """Keys of the zones whose thermostat can be set, in EnergyPlus's order."""
-    return list(dict.fromkeys(a.key for a in survey.actuators if a.component_type == THERMOSTAT))
+def thermostat_zones(survey: Survey) -> dict[str, str]:
+    """Keys of the zones whose thermostat can be set, in EnergyPlus's order, each with a safe name of its own."""
+    zones: dict[str, str] = {}
+    for actuator in survey.actuators:
+        if actuator.component_type == THERMOSTAT and actuator.key not in zones:
+            name = base = safe(actuator.key)
+            number = 2
+            while name in zones.values():
+                name, number = f"{base}_{number}", number + 1
+            zones[actuator.key] = name
+    return zones
 
 
 def default_sensors(survey: Survey) -> dict[str, tuple[str, str]]:
     """Outdoor temperature and humidity, HVAC power, and each conditioned zone's air and occupants."""
     has = {(v.name, v.key.casefold()) for v in survey.variables}
     found = {name: (variable, key) for name, (variable, key) in _SITE_SENSORS.items()}
-    for zone in thermostat_zones(survey):
+    for zone, name in thermostat_zones(survey).items():
         for suffix, variable in _ZONE_SENSORS.items():
-            found[f"{safe(zone)}_{suffix}"] = (variable, zone)
+            found[f"{name}_{suffix}"] = (variable, zone)
     return {name: spec for name, spec in found.items() if (spec[0], spec[1].casefold()) in has}
 
 
@@ -306,8 +329,9 @@ def default_meters(survey: Survey) -> dict[str, str]:
 
 def default_actuators(survey: Survey) -> dict[str, tuple[str, str, str]]:
     """The heating and cooling setpoints of each zone."""
+    zones = thermostat_zones(survey)
     return {
-        f"{safe(a.key)}_{safe(a.control_type)}": (a.component_type, a.control_type, a.key)
+        f"{zones[a.key]}_{safe(a.control_type)}": (a.component_type, a.control_type, a.key)
         for a in survey.actuators
         if a.component_type == THERMOSTAT and a.control_type in _SETPOINT_BOUNDS
     }

@@ -8,7 +8,7 @@ bytes in C order with the shape `(slots, points)`, in the manifest's order.
 from __future__ import annotations
 
 from enum import IntEnum, IntFlag, StrEnum
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -18,8 +18,12 @@ SCHEMA = 1
 SafeName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.\-]{0,127}$")]
 """A name that may stand as a chunk of a key: letters, digits, `_`, `.`, `-`; at most 128."""
 
-Count = Annotated[int, Field(ge=0)]
-Level = Annotated[int, Field(ge=1, le=16)]
+# Strict where strangers write: a text is no number, and true is no step.
+Count = Annotated[int, Field(ge=0, strict=True)]
+Level = Annotated[int, Field(ge=1, le=16, strict=True)]
+Finite = Annotated[float, Field(strict=True)]
+Raw = Annotated[bytes, Field(strict=True)]
+Scalar = Annotated[str, Field(strict=True)] | Annotated[bool, Field(strict=True)] | Annotated[int, Field(strict=True)]
 
 
 class Message(BaseModel):
@@ -183,8 +187,8 @@ class Command(Message):
 
     episode: list[Count]
     step: list[Count]
-    mask: bytes | None = None
-    values: bytes
+    mask: Raw | None = None
+    values: Raw
 
 
 class Write(Message):
@@ -194,9 +198,9 @@ class Write(Message):
     `for_s`: seconds of simulated time after which it is released by itself.
     """
 
-    value: float | None
+    value: Finite | None
     priority: Level = 8
-    for_s: Annotated[float, Field(gt=0)] | None = None
+    for_s: Annotated[float, Field(gt=0, strict=True)] | None = None
     source: str = "anonymous"
 
 
@@ -252,7 +256,7 @@ class Reset(Message):
 
     controller: str = ""
     seed: Annotated[int, Field(ge=0)] | None = None
-    options: dict[str, Any] = Field(default_factory=dict)
+    options: dict[str, Scalar | Finite | None] = Field(default_factory=dict)
 
 
 class Stop(Message):

@@ -85,9 +85,8 @@ class LinearReward(BaseModel):
         return reward
 
     def _power_index(self, manifest: Manifest) -> int:
-        names = list(manifest.names)
         if self.power is not None:
-            return _find(self.power, names)
+            return _find(self.power, manifest, "W")
         for index, sensor in enumerate(manifest.sensors):
             if sensor.variable.casefold() == HVAC_POWER:
                 return index
@@ -98,7 +97,7 @@ class LinearReward(BaseModel):
 
     def _temperature_indices(self, manifest: Manifest) -> list[int]:
         if self.temperatures is not None:
-            return [_find(name, list(manifest.names)) for name in self.temperatures]
+            return [_find(name, manifest, "degC") for name in self.temperatures]
         for variable in ZONE_TEMPERATURES:
             found = [i for i, s in enumerate(manifest.sensors) if s.variable.casefold() == variable]
             if found:
@@ -109,7 +108,12 @@ class LinearReward(BaseModel):
         )
 
 
-def _find(name: str, names: list[str]) -> int:
-    if name not in names:
-        raise InvalidConfig(f"the linear reward names {name!r}, which the node does not have; {near(name, names)}")
-    return names.index(name)
+def _find(name: str, manifest: Manifest, unit: str) -> int:
+    """The index of a sensor of that unit."""
+    units = {s.name: s.unit for s in manifest.sensors}
+    fit = [n for n, u in units.items() if u == unit]
+    if name not in manifest.names:
+        raise InvalidConfig(f"the linear reward names {name!r}, which the node does not have; {near(name, fit)}")
+    if units.get(name) != unit:
+        raise InvalidConfig(f"the linear reward needs a sensor in {unit}, which {name!r} is not; {near(name, fit)}")
+    return manifest.names.index(name)

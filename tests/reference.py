@@ -1,0 +1,157 @@
+"""EnergyPlus alone: the prepared model run by the wheel's own API in a process, and what its ESO file says.
+
+`eplusout.eso` holds a dictionary (`id,count,key,variable [unit] !frequency`) and then blocks: a line `2,…`
+with the time at which an interval ended, and the lines `id,value` of what was reported for it. Variables
+are asked for twice where both are wanted: `Timestep` is the mean or sum over the zone timestep, `Detailed`
+(`!Each Call`) has an entry for each system timestep, of which the last in a zone timestep is the state at
+its end. Numbers are written with all digits: `float(text)` is the value to the bit.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.building import prepared, read_building, write
+from models.catalog import find_building, find_weather
+from topics.messages import Meter, Reading, Sensor
+
+_RUN = """
+import sys
+from pyenergyplus.api import EnergyPlusAPI
+model, weather, folder = sys.argv[1:]
+api = EnergyPlusAPI()
+state = api.state_manager.new_state()
+api.runtime.set_console_output_status(state, False)
+sys.exit(api.runtime.run_energyplus(state, ["-w", weather, "-d", folder, model]))
+"""
+
+_CLOCK = "2"
+_STEP, _EACH = "TimeStep", "Each Call"
+_MINUTE_DIGITS = 0.02  # ends of system timesteps are written in minutes with two digits
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """A building, its weather and its run period, as the settings of a node name them."""
+
+    building: str
+    weather: str
+    begin: str
+    end: str
+    steps_per_hour: int
+
+    def settings(self) -> dict[str, object]:
+        """As settings of a node."""
+        return {name: getattr(self, name) for name in self.__slots__}
+
+
+class Alone:
+    """A run of EnergyPlus alone that reports `sensors` and `meters`; started at once, read with `values`."""
+
+    def __init__(self, case: Case, sensors: Sequence[Sensor], meters: Sequence[Meter], folder: Path) -> None:
+        self.sensors, self.meters, self.folder = sensors, meters, folder
+        model = read_building(find_building(case.building))
+        period = model.period(case.begin, case.end, case.steps_per_hour)
+        self.steps, self.steps_per_hour = period.steps, period.steps_per_hour
+        objects = prepared(model, period)
+        objects["Output:Variable"] = {
+            f"{s.name} {frequency}": {
+                "key_value": s.key or "*",
+                "variable_name": s.variable,
+                "reporting_frequency": frequency,
+            }
+            for s in sensors
+            for frequency in ("Timestep", "Detailed")
+            if frequency == ("Detailed" if s.reading is Reading.INSTANT else "Timestep")
+        }
+        objects["Output:Meter"] = {m.name: {"key_name": m.meter, "reporting_frequency": "Timestep"} for m in meters}
+        (silent,) = objects["OutputControl:Files"].values()
+        objects["OutputControl:Files"] = {"eso": silent | {"output_eso": "Yes"}}
+        folder.mkdir(parents=True, exist_ok=True)
+        weather = find_weather(case.weather).path
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", "-c", _RUN, str(write(objects, folder)), str(weather), str(folder)],
+            stdin=subprocess.DEVNULL,
+        )
+
+    def close(self) -> None:
+        """Ends the process if it still runs."""
+        self._process.kill()
+        self._process.wait()
+
+    def values(self) -> NDArray[np.float64]:
+        """Sensors, then meters, as EnergyPlus wrote them; shape (steps, points)."""
+        code = self._process.wait()
+        if code:
+            raise AssertionError(f"EnergyPlus ended with {code}: {(self.folder / 'eplusout.err').read_text()[-2000:]}")
+        with (self.folder / "eplusout.eso").open() as file:
+            table = _table(file, self._columns(_dictionary(file)), (self.steps, self.steps_per_hour), self._width)
+        assert not np.isnan(table).any(), "the ESO file has no value for some point at some timestep"
+        return table
+
+    @property
+    def _width(self) -> int:
+        return len(self.sensors) + len(self.meters)
+
+    def _columns(self, found: dict[tuple[str, str, str], str]) -> dict[str, int]:
+        """ESO id to column; each point has an id of its own."""
+        wanted = [
+            (s.key.casefold(), s.variable.casefold(), _EACH if s.reading is Reading.INSTANT else _STEP)
+            for s in self.sensors
+        ]
+        wanted += [("", m.meter.casefold(), _STEP) for m in self.meters]
+        columns = {found[name]: column for column, name in enumerate(wanted)}
+        assert len(columns) == self._width, "two points are the same report"
+        return columns
+
+
+def _dictionary(file: Iterator[str]) -> dict[tuple[str, str, str], str]:
+    """(key, name, frequency) to id; reads `file` up to the end of its dictionary. A meter's key is empty."""
+    found = {}
+    for line in file:
+        if line.startswith("End of Data Dictionary"):
+            return found
+        entry, _, frequency = line.rstrip("\n").partition(" !")
+        if not frequency:
+            continue
+        identity, _, rest = entry.split(",", 2)
+        key, _, name = rest.rpartition(",")
+        found[key.casefold(), name.rsplit(" [", 1)[0].casefold(), frequency.split(" [")[0].strip()] = identity
+    raise AssertionError("the ESO file ends within its dictionary")
+
+
+def _table(file: Iterator[str], columns: dict[str, int], period: tuple[int, int], width: int) -> NDArray[np.float64]:
+    """The rest of an ESO file; later entries of a timestep replace earlier ones of it."""
+    steps, steps_per_hour = period
+    table = np.full((steps, width), np.nan)
+    row, present, days, day = -1, {}, -1, ""
+    for line in file:
+        identity, _, text = line.partition(",")
+        column = columns.get(identity)
+        if column is not None:
+            present[column] = text
+        elif identity == _CLOCK:
+            _, month, day_of_month, _, hour, _, minute, _ = text.split(",")
+            if (month, day_of_month) != day:
+                days, day = days + 1, (month, day_of_month)
+            minutes = (int(hour) - 1) * 60 + float(minute)
+            step_of_day = int(np.ceil((minutes - _MINUTE_DIGITS) * steps_per_hour / 60))
+            now = days * 24 * steps_per_hour + step_of_day - 1
+            if now != row:
+                _put(table, row, present)
+                row = now
+    _put(table, row, present)
+    return table
+
+
+def _put(table: NDArray[np.float64], row: int, present: dict[int, str]) -> None:
+    for column, text in present.items():
+        table[row, column] = float(text)
+    present.clear()

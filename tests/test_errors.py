@@ -1,0 +1,165 @@
+"""The tree of errors: drawn as it is, across process borders, with words that help."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bridge.session import DEFAULT_ENDPOINT, check_endpoint, open_session
+from topics import errors
+from topics.errors import (
+    EndpointTaken,
+    InvalidConfig,
+    Refused,
+    UsageError,
+    ZenostatError,
+    from_wire,
+    near,
+    to_wire,
+)
+
+
+def tree(cls: type[ZenostatError] = ZenostatError, depth: int = 0) -> Iterator[tuple[int, type[ZenostatError]]]:
+    """The classes of `topics.errors` in the order in which they are written, with their depth."""
+    if cls.__module__ == errors.__name__:
+        yield depth, cls
+        for child in cls.__subclasses__():
+            yield from tree(child, depth + 1)
+
+
+ALL = [cls for _, cls in tree()]
+
+
+def test_the_tree_is_as_drawn() -> None:
+    assert errors.__doc__ is not None
+    drawn = [
+        (match.start(1) // 4 - 1, match[1])
+        for line in errors.__doc__.splitlines()
+        if (match := re.match(r"[ │├└─]{4,}([A-Z]\w+)", line))
+    ]
+    assert drawn == [(depth, cls.__name__) for depth, cls in tree()]
+
+
+@pytest.mark.parametrize("cls", ALL, ids=lambda c: c.__name__)
+def test_an_error_crosses_a_process_border_as_itself(cls: type[ZenostatError]) -> None:
+    arrived = from_wire(to_wire(cls("what, where and what would have been right")))
+    assert type(arrived) is cls
+    assert str(arrived) == "what, where and what would have been right"
+
+
+def test_a_strangers_exception_keeps_its_types_name() -> None:
+    arrived = from_wire(to_wire(KeyError("x")))
+    assert type(arrived) is ZenostatError
+    assert str(arrived) == "KeyError: 'x'"
+
+
+@pytest.mark.parametrize(
+    ("said", "text"),
+    [({}, "no reason given"), ({"error": "Later", "message": "of a later version"}, "of a later version")],
+)
+def test_what_is_not_known_arrives_as_the_root(said: dict[str, str], text: str) -> None:
+    arrived = from_wire(said)
+    assert type(arrived) is ZenostatError
+    assert str(arrived) == text
+
+
+def test_no_class_of_the_interpreter_can_be_asked_for() -> None:
+    assert type(from_wire({"error": "SystemExit", "message": "1"})) is ZenostatError
+
+
+def test_one_except_catches_all() -> None:
+    with pytest.raises(ZenostatError):
+        raise Refused("no")
+
+
+# Near names
+
+SETPOINTS = ["core_zn_cooling_setpoint", "core_zn_heating_setpoint", "attic_cooling_setpoint", "lights"]
+
+
+def test_names_that_contain_the_text_come_first() -> None:
+    said = near("cooling", [*SETPOINTS, "coolings", "coling"])
+    assert said.startswith("near names: 'core_zn_cooling_setpoint', 'attic_cooling_setpoint', 'coolings'")
+    assert said.endswith("'coling'")
+
+
+def test_names_that_are_spelled_alike_are_near() -> None:
+    assert near("ligths", SETPOINTS) == "near names: 'lights'"
+    assert near("LIGHTS", SETPOINTS) == "near names: 'lights'"
+
+
+def test_where_nothing_is_near_some_are_shown() -> None:
+    assert near("qqq", SETPOINTS, most=2) == (
+        "there are: 'core_zn_cooling_setpoint', 'core_zn_heating_setpoint' and 2 more"
+    )
+    assert near("", ["a", "b"]) == "there are: 'a', 'b'"
+
+
+def test_where_there_is_nothing_it_says_so() -> None:
+    assert near("x", []) == "there are none"
+
+
+@given(st.text(max_size=8), st.lists(st.text(max_size=8), max_size=12), st.integers(1, 5))
+def test_only_known_names_are_offered_and_never_too_many(name: str, known: list[str], most: int) -> None:
+    said = near(name, iter(known), most=most)
+    if not known:
+        assert said == "there are none"
+        return
+    kind, _, rest = said.partition(": ")
+    assert kind in ("near names", "there are")
+    offered = [n for n in dict.fromkeys(known) if repr(n) in rest]
+    assert offered
+    # Each offer is a known name in full, one after the other.
+    text = re.sub(r" and \d+ more$", "", rest)
+    shown = 0
+    while text:
+        fits = max((repr(n) for n in known if text.startswith(repr(n))), key=len)
+        text = text[len(fits) :].removeprefix(", ")
+        shown += 1
+    assert shown <= most
+
+
+@given(st.sampled_from(SETPOINTS))
+def test_a_name_is_nearest_to_itself(name: str) -> None:
+    assert near(name, SETPOINTS).startswith(f"near names: {name!r}")
+
+
+# Mistakes of this side are told before anything is started
+
+
+@pytest.mark.parametrize("endpoint", [DEFAULT_ENDPOINT, "tcp/[::1]:7447", "tcp/localhost:0", "unixsock-stream/run/z"])
+def test_an_endpoint_is_taken(endpoint: str) -> None:
+    assert check_endpoint(endpoint) == endpoint
+
+
+@pytest.mark.parametrize("endpoint", ["", "127.0.0.1:7447", "tcp/", "tcp:127.0.0.1:7447", "udp/127.0.0.1:1", "tcp/a b"])
+def test_what_is_no_endpoint_is_refused_with_the_form(endpoint: str) -> None:
+    with pytest.raises(InvalidConfig, match="write tcp/HOST:PORT") as raised:
+        check_endpoint(endpoint)
+    assert repr(endpoint) in str(raised.value)
+    with pytest.raises(InvalidConfig):
+        open_session(connect=[endpoint])
+
+
+@pytest.mark.parametrize(
+    "endpoint",
+    [
+        "tcp/0.0.0.0:7447", "tcp/[::]:7447", "tcp/192.168.1.2:7447", "tcp/127.0.0.1.example.org:7447",
+        "tcp/localhost.example.org:7447", "tcp/127.0.0.1:7447#iface=eth0",
+    ],
+)  # fmt: skip
+def test_listening_beyond_this_machine_must_be_asked_for(endpoint: str) -> None:
+    with pytest.raises(UsageError, match="can be reached from other machines"):
+        open_session(listen=[endpoint])
+
+
+def test_the_path_of_a_unix_socket_is_not_taken_over(tmp_path: Path) -> None:
+    path = tmp_path / "bus"
+    path.write_text("")
+    with pytest.raises(EndpointTaken, match="exists already"):
+        open_session(listen=[f"unixsock-stream/{path}"])

@@ -1,0 +1,44 @@
+"""A user's script works although its folder holds modules that are called like our rooms."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+SCRIPT = """
+import gymnasium as gym
+
+import agent_sdk
+
+env = gym.make(
+    "zenostat/Building-v1",
+    building="ref-small-office",
+    weather="USA_CO_Denver",
+    begin="07-03",
+    end="07-03",
+    affinity="off",
+)
+env.reset(seed=1)
+_, _, _, _, info = env.step(env.action_space.low)
+env.close()
+print("stepped to", info["step"])
+"""
+
+
+@pytest.mark.parametrize("from_its_folder", [True, False])
+def test_a_script_beside_a_models_file_of_its_own(scratch: Path, from_its_folder: bool) -> None:
+    home = scratch / "home"
+    home.mkdir()
+    (home / "models.py").write_text("raise RuntimeError('a file of the user was imported')\n")
+    (home / "script.py").write_text(SCRIPT)
+    done = subprocess.run(
+        [sys.executable, str(home / "script.py")],
+        cwd=home if from_its_folder else scratch,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "stepped to 1\n", "")

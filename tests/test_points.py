@@ -1,0 +1,375 @@
+"""The points of a run, chosen in a small model that is written out here: no EnergyPlus."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from models.building import Building
+from models.points import MeterSpec, Points, Spec, choose, default_reading, listing, sensor_bounds
+from models.survey import ActuatorPoint, MeterPoint, Survey, Variable
+from topics.errors import InvalidConfig, UnknownName
+from topics.messages import Reading
+from topics.units import limits, unit_name
+
+THERMOSTAT = "Zone Temperature Control"
+
+
+def state(name: str, key: str, unit: str, *, system: bool = False) -> Variable:
+    return Variable(name, key, unit, system=system, summed=False)
+
+
+SURVEY = Survey(
+    variables=(
+        state("Site Outdoor Air Drybulb Temperature", "Environment", "degC"),
+        state("Zone Air Temperature", "CORE ZN", "degC", system=True),
+        state("Zone Air Temperature", "ATTIC", "degC", system=True),
+        state("Zone Air Relative Humidity", "CORE ZN", "percent", system=True),
+        state("Zone People Occupant Count", "CORE ZN", "1"),
+        state("Zone Thermostat Heating Setpoint Temperature", "CORE ZN", "degC"),
+        state("Facility Total HVAC Electricity Demand Rate", "Whole Building", "W", system=True),
+        Variable("Fan Electricity Energy", "FAN 1", "J", system=True, summed=True),
+        state("Schedule Value", "LIGHTS", "1"),
+    ),
+    meters=(MeterPoint("Electricity:Facility", "J", 0), MeterPoint("Electricity:HVAC", "J", 1),
+            MeterPoint("ElectricityNet:Facility", "J", 2)),
+    actuators=(
+        ActuatorPoint(THERMOSTAT, "Heating Setpoint", "CORE ZN", "degC"),
+        ActuatorPoint(THERMOSTAT, "Cooling Setpoint", "CORE ZN", "degC"),
+        ActuatorPoint("Schedule:Compact", "Schedule Value", "LIGHTS", "1"),
+        ActuatorPoint("Schedule:Compact", "Schedule Value", "FREE", "1"),
+        ActuatorPoint("Fan", "Fan Air Mass Flow Rate", "FAN 1", "kg/s"),
+    ),
+)  # fmt: skip
+BUILDING = Building(
+    "b",
+    {
+        "Building": {"b": {}},
+        "ScheduleTypeLimits": {
+            "Fraction": {"lower_limit_value": 0, "upper_limit_value": 1},
+            "Any": {"numeric_type": "Continuous"},
+        },
+        "Schedule:Compact": {"Lights": {"schedule_type_limits_name": "FRACTION"}, "Free": {}},
+    },
+    "0",
+)
+
+
+def chosen(
+    sensors: Spec | None = None, meters: MeterSpec | None = None, actuators: Spec | None = None, survey: Survey = SURVEY
+) -> Points:
+    """The points that were asked for; None is none (not the default)."""
+    return choose(BUILDING, survey, sensors or {}, meters or {}, actuators or {})
+
+
+def refused(**asked: Any) -> str:
+    with pytest.raises((UnknownName, InvalidConfig)) as raised:
+        chosen(**asked)
+    return str(raised.value)
+
+
+# What is asked for
+
+
+def test_points_stand_in_the_order_asked_with_energyplus_own_names() -> None:
+    points = chosen(
+        sensors={"b": ("zone air temperature", "core zn"), "a": ("FAN ELECTRICITY ENERGY", "Fan 1")},
+        meters={"hvac": "electricity:hvac", "all": "Electricity:Facility"},
+        actuators={"lights": ("schedule:compact", "schedule value", "Lights")},
+    )
+    assert [(s.name, s.variable, s.key, s.unit) for s in points.sensors] == [
+        ("b", "Zone Air Temperature", "CORE ZN", "degC"),
+        ("a", "Fan Electricity Energy", "FAN 1", "J"),
+    ]
+    assert points.system == (True, True)
+    assert [(m.name, m.meter, m.unit) for m in points.meters] == [
+        ("hvac", "Electricity:HVAC", "J"),
+        ("all", "Electricity:Facility", "J"),
+    ]
+    assert points.meter_handles == (1, 0)
+    (lights,) = points.actuators
+    assert (lights.component_type, lights.control_type, lights.key) == ("Schedule:Compact", "Schedule Value", "LIGHTS")
+
+
+def test_what_follows_the_system_timestep_is_known() -> None:
+    points = chosen(sensors={"o": ("Zone People Occupant Count", "Core ZN"), "t": ("Zone Air Temperature", "Core ZN")})
+    assert points.system == (False, True)
+
+
+def test_none_asked_is_none_given() -> None:
+    points = chosen()
+    assert (points.sensors, points.meters, points.actuators) == ((), (), ())
+
+
+# Readings
+
+
+@pytest.mark.parametrize(
+    ("unit", "summed", "reading"),
+    [
+        ("W", False, Reading.MEAN),
+        ("kg/s", False, Reading.MEAN),
+        ("m3/s", False, Reading.MEAN),
+        ("W/m2", False, Reading.MEAN),
+        ("degC", False, Reading.INSTANT),
+        ("percent", False, Reading.INSTANT),
+        ("1", False, Reading.INSTANT),
+        ("J", True, Reading.SUM),
+        ("m3", True, Reading.SUM),
+        ("W", True, Reading.SUM),
+    ],
+)
+def test_rates_are_means_states_are_instants_and_sums_are_sums(unit: str, summed: bool, reading: Reading) -> None:
+    assert default_reading(Variable("v", "k", unit, system=True, summed=summed)) is reading
+
+
+TEMPERATURE, ENERGY, POWER = (
+    ("Zone Air Temperature", "CORE ZN"),
+    ("Fan Electricity Energy", "FAN 1"),
+    ("Facility Total HVAC Electricity Demand Rate", "Whole Building"),
+)
+
+
+@pytest.mark.parametrize(
+    ("spec", "reading"),
+    [
+        (TEMPERATURE, "instant"),
+        ((*TEMPERATURE, "mean"), "mean"),
+        ((*TEMPERATURE, Reading.INSTANT), "instant"),
+        (POWER, "mean"),
+        ((*POWER, "instant"), "instant"),
+        (ENERGY, "sum"),
+        ((*ENERGY, "sum"), "sum"),
+    ],
+)
+def test_a_reading_is_that_asked_or_the_usual_one(spec: tuple[str, ...], reading: str) -> None:
+    (sensor,) = chosen(sensors={"s": spec}).sensors
+    assert sensor.reading == reading
+
+
+@pytest.mark.parametrize(
+    ("spec", "right"),
+    [((*TEMPERATURE, "sum"), "as a mean, not as a sum"), ((*ENERGY, "mean"), "as a sum, not as a mean")],
+)
+def test_a_reading_that_energyplus_does_not_give_is_refused(spec: tuple[str, ...], right: str) -> None:
+    assert right in refused(sensors={"s": spec})
+
+
+def test_an_unknown_reading_is_refused_with_those_there_are() -> None:
+    said = refused(sensors={"s": (*TEMPERATURE, "average")})
+    assert "reading 'average'; there are: mean, sum, instant" in said
+
+
+# Bounds
+
+
+@pytest.mark.parametrize(
+    ("variable", "bounds"),
+    [
+        (state("Zone Air Temperature", "k", "degC"), (-100.0, 200.0)),
+        (state("Site Outdoor Air Drybulb Temperature", "k", "degC"), (-100.0, 200.0)),
+        (state("Zone Air Relative Humidity", "k", "percent"), (0.0, 100.0)),
+        (state("Zone People Occupant Count", "k", "1"), (0.0, None)),
+        (state("Facility Total HVAC Electricity Demand Rate", "k", "W"), (0.0, None)),
+        (state("Site Wind Speed", "k", "m/s"), (0.0, None)),
+        (state("Boiler Outlet Temperature", "k", "degC"), (None, None)),
+        (state("Zone Air Heat Balance Surface Convection Rate", "k", "W"), (None, None)),
+    ],
+    ids=lambda v: v.name if isinstance(v, Variable) else "",
+)
+def test_a_sensors_bounds_are_those_that_no_value_leaves(
+    variable: Variable, bounds: tuple[float | None, float | None]
+) -> None:
+    assert sensor_bounds(variable) == bounds
+
+
+def test_what_is_used_is_never_negative_and_a_net_meter_may_be() -> None:
+    points = chosen(meters={"used": "Electricity:Facility", "net": "ElectricityNet:Facility"})
+    assert [(m.low, m.high) for m in points.meters] == [(0.0, None), (None, None)]
+
+
+@pytest.mark.parametrize(
+    ("spec", "bounds"),
+    [
+        ((THERMOSTAT, "Heating Setpoint", "CORE ZN"), (15.0, 22.5)),
+        ((THERMOSTAT, "Cooling Setpoint", "CORE ZN"), (22.5, 30.0)),
+        (("Schedule:Compact", "Schedule Value", "LIGHTS"), (0.0, 1.0)),
+        (("Schedule:Compact", "Schedule Value", "FREE"), (None, None)),
+        (("Fan", "Fan Air Mass Flow Rate", "FAN 1"), (0.0, None)),
+        ((THERMOSTAT, "Heating Setpoint", "CORE ZN", 12, 21.5), (12.0, 21.5)),
+        ((THERMOSTAT, "Heating Setpoint", "CORE ZN", "12", "21.5"), (12.0, 21.5)),
+    ],
+)
+def test_an_actuators_bounds_are_those_asked_its_schedules_or_its_units(
+    spec: tuple[object, ...], bounds: tuple[float | None, float | None]
+) -> None:
+    (actuator,) = chosen(actuators={"a": spec}).actuators
+    assert (actuator.low, actuator.high) == bounds
+
+
+@pytest.mark.parametrize(
+    ("low", "high"),
+    [(22, 15), (20, 20), (float("nan"), 20), ("cold", 20), (float("-inf"), 20), (15, float("inf"))],
+)
+def test_bounds_that_cannot_be_are_an_invalid_configuration(low: object, high: object) -> None:
+    with pytest.raises(InvalidConfig, match="'a'"):
+        chosen(actuators={"a": (THERMOSTAT, "Heating Setpoint", "CORE ZN", low, high)})
+
+
+@pytest.mark.parametrize(
+    ("spec", "feedback"),
+    [
+        ((THERMOSTAT, "Heating Setpoint", "CORE ZN"), "Zone Thermostat Heating Setpoint Temperature"),
+        ((THERMOSTAT, "Cooling Setpoint", "CORE ZN"), None),  # the model does not have that variable
+        (("Schedule:Compact", "Schedule Value", "LIGHTS"), "Schedule Value"),
+        (("Schedule:Compact", "Schedule Value", "FREE"), None),
+        (("Fan", "Fan Air Mass Flow Rate", "FAN 1"), None),
+    ],
+)
+def test_feedback_is_a_variable_that_the_model_has(spec: tuple[str, ...], feedback: str | None) -> None:
+    (actuator,) = chosen(actuators={"a": spec}).actuators
+    assert actuator.feedback == feedback
+
+
+# What is not there
+
+
+@pytest.mark.parametrize(
+    ("asked", "words"),
+    [
+        ({"sensors": {"s": ("Zone Air Temprature", "CORE")}}, ["sensor 's'", "no variable", "'Zone Air Temperature'"]),
+        ({"sensors": {"s": ("Zone Air Temperature", "CORE")}}, ["sensor 's'", "no key 'CORE'", "'CORE ZN'"]),
+        ({"meters": {"m": "Electricity:Facilty"}}, ["meter 'm'", "no meter", "'Electricity:Facility'"]),
+        ({"actuators": {"a": ("Fann", "x", "y")}}, ["actuator 'a'", "no component type 'Fann'", "'Fan'"]),
+        ({"actuators": {"a": (THERMOSTAT, "Heating", "CORE ZN")}}, ["no control type 'Heating'", "'Heating Setpoint'"]),
+        ({"actuators": {"a": (THERMOSTAT, "Heating Setpoint", "ATTIC")}}, ["no key 'ATTIC'", "'CORE ZN'"]),
+    ],
+)  # fmt: skip
+def test_an_unknown_point_says_which_part_is_wrong_and_lists_near_ones(asked: dict[str, Any], words: list[str]) -> None:
+    said = refused(**asked)
+    assert all(word in said for word in words), said
+
+
+def test_all_that_is_not_there_is_said_at_once() -> None:
+    with pytest.raises(UnknownName) as raised:
+        chosen(
+            sensors={"s1": ("No Such Thing", "k"), "good": TEMPERATURE, "s2": ("Zone Air Temperature", "CELLAR")},
+            meters={"m1": "Steam:Facility"},
+            actuators={"a1": ("Fan", "Speed", "FAN 1"), "a2": ("Pump", "x", "y")},
+        )
+    lines = str(raised.value).splitlines()
+    assert [line.split(":")[0] for line in lines] == [
+        "sensor 's1'", "sensor 's2'", "meter 'm1'", "actuator 'a1'", "actuator 'a2'",
+    ]  # fmt: skip
+
+
+def test_all_that_cannot_be_is_said_at_once() -> None:
+    said = refused(
+        sensors={"s1": (*TEMPERATURE, "sum"), "s2": ("Zone Air Temperature",), "a/b": TEMPERATURE},
+        meters={"m1": "Steam:Facility"},
+        actuators={"a1": (THERMOSTAT, "Heating Setpoint", "CORE ZN", 22, 15)},
+    )
+    assert [name for name in ("'s1'", "'s2'", "'a/b'", "'m1'", "'a1'") if name not in said] == []
+
+
+def test_one_name_is_one_point() -> None:
+    said = refused(sensors={"a": TEMPERATURE, "b": POWER}, meters={"b": "Electricity:HVAC", "a": "Electricity:HVAC"})
+    assert "sensor and a meter: a, b" in said
+
+
+@pytest.mark.parametrize("kind", ["sensors", "meters", "actuators"])
+def test_a_name_that_cannot_stand_in_a_topic_is_refused(kind: str) -> None:
+    spec = {
+        "sensors": TEMPERATURE,
+        "meters": "Electricity:HVAC",
+        "actuators": (THERMOSTAT, "Heating Setpoint", "CORE ZN"),
+    }
+    said = refused(**{kind: {"core zn/t": spec[kind]}})
+    assert "'core zn/t'" in said
+    assert "'core_zn_t'" in said
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [
+        {"sensors": {"s": "Zone Air Temperature"}},
+        {"sensors": {"s": ("Zone Air Temperature",)}},
+        {"sensors": {"s": (*TEMPERATURE, "mean", "more")}},
+        {"actuators": {"s": "Fan"}},
+        {"actuators": {"s": (THERMOSTAT, "Heating Setpoint")}},
+        {"actuators": {"s": (THERMOSTAT, "Heating Setpoint", "CORE ZN", 15)}},
+    ],
+)
+def test_a_point_of_another_form_is_refused_with_the_right_one(asked: dict[str, Any]) -> None:
+    with pytest.raises(InvalidConfig, match=r"'s': expected \("):
+        chosen(**asked)
+
+
+# What is found where nothing is asked
+
+
+def test_the_default_is_the_weather_the_power_the_conditioned_zones_and_the_fuels() -> None:
+    points = choose(BUILDING, SURVEY, None, None, None)
+    assert [(s.name, s.key) for s in points.sensors] == [
+        ("outdoor_temperature", "Environment"),
+        ("hvac_electricity_power", "Whole Building"),
+        ("core_zn_air_temperature", "CORE ZN"),
+        ("core_zn_relative_humidity", "CORE ZN"),
+        ("core_zn_occupants", "CORE ZN"),
+    ]
+    assert [(m.name, m.meter) for m in points.meters] == [
+        ("electricity_facility", "Electricity:Facility"),
+        ("electricity_hvac", "Electricity:HVAC"),
+    ]
+    assert [a.name for a in points.actuators] == ["core_zn_heating_setpoint", "core_zn_cooling_setpoint"]
+
+
+def test_zones_whose_names_are_alike_have_points_of_their_own() -> None:
+    zones = ("ZONE 1", "ZONE_1")
+    survey = Survey(
+        variables=tuple(state("Zone Air Temperature", zone, "degC") for zone in zones),
+        meters=(),
+        actuators=tuple(ActuatorPoint(THERMOSTAT, "Cooling Setpoint", zone, "degC") for zone in zones),
+    )
+    points = choose(BUILDING, survey, None, None, None)
+    assert sorted(s.key for s in points.sensors) == sorted(zones)
+    assert sorted(a.key for a in points.actuators) == sorted(zones)
+
+
+def test_a_model_without_anything_has_no_points() -> None:
+    points = choose(BUILDING, Survey((), (), ()), None, None, None)
+    assert (points.sensors, points.meters, points.actuators) == ((), (), ())
+
+
+def test_the_listing_has_every_point() -> None:
+    rows = list(listing(SURVEY))
+    assert len(rows) == len(SURVEY.variables) + len(SURVEY.meters) + len(SURVEY.actuators)
+    assert ("sensor", "Zone Air Temperature", "ATTIC", "degC") in rows
+    assert ("meter", "Electricity:HVAC", "", "J") in rows
+    assert ("actuator", "Fan / Fan Air Mass Flow Rate", "FAN 1", "kg/s") in rows
+
+
+# Units
+
+
+@pytest.mark.parametrize(
+    ("energyplus", "unit"),
+    [
+        ("C", "degC"), ("[C]", "degC"), (" [C] ", "degC"), ("deltaC", "delta_degC"), ("%", "percent"), ("", "1"),
+        ("[]", "1"), ("W", "W"), ("J", "J"), ("kg/s", "kg/s"), ("W/m2-K", "W/m2-K"), ("on/off", "on_off"),
+    ],
+)  # fmt: skip
+def test_a_unit_has_one_name(energyplus: str, unit: str) -> None:
+    assert unit_name(energyplus) == unit
+
+
+@pytest.mark.parametrize(
+    ("unit", "bounds"),
+    [
+        ("percent", (0.0, 100.0)), ("fraction", (0.0, 1.0)), ("kg/s", (0.0, None)), ("W", (None, None)),
+        ("degC", (None, None)), ("furlong", (None, None)),
+    ],
+)  # fmt: skip
+def test_a_unit_has_its_limits(unit: str, bounds: tuple[float | None, float | None]) -> None:
+    assert limits(unit) == bounds

@@ -1,0 +1,129 @@
+"""The priority array against the plainest model that can be thought of: a dict of levels for each actuator."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
+
+from bridge.priority import LEVELS, THE_BUILDING, PriorityArray
+
+SLOTS, ACTUATORS = 2, 3
+NAMES = [f"controller {i}" for i in range(5)]
+
+levels = st.integers(1, LEVELS)
+finite = st.floats(allow_nan=False, allow_infinity=False)
+who = st.sampled_from(NAMES)
+cells = st.lists(finite | st.none(), min_size=SLOTS * ACTUATORS, max_size=SLOTS * ACTUATORS)
+chosen = st.lists(st.booleans(), min_size=SLOTS * ACTUATORS, max_size=SLOTS * ACTUATORS)
+
+
+def resolved(array: PriorityArray) -> list[tuple[float | None, str]]:
+    """For each actuator of each slot: the ruling value (None: the building's own) and who set it."""
+    values, sources = array.resolve()
+    rows = zip(np.frombuffer(values).tolist(), sources, strict=True)
+    return [(None if np.isnan(value) else value, array.names[source]) for value, source in rows]
+
+
+class Model(RuleBasedStateMachine):
+    """Any puts and releases: the lowest occupied level rules, an empty array is the building's own."""
+
+    @initialize()
+    def begin(self) -> None:
+        self.array = PriorityArray(SLOTS, ACTUATORS)
+        self.model: list[dict[int, tuple[float, str]]] = [{} for _ in range(SLOTS * ACTUATORS)]
+
+    def _set(self, cell: int, level: int, name: str, value: float | None) -> None:
+        if value is None:
+            self.model[cell].pop(level, None)
+        else:
+            self.model[cell][level] = (value, name)
+
+    @rule(level=levels, name=who, values=st.lists(finite, min_size=SLOTS * ACTUATORS, max_size=SLOTS * ACTUATORS))
+    def put_all(self, level: int, name: str, values: list[float]) -> None:
+        self.array.put_all(level, self.array.source(name), np.array(values).tobytes())
+        for cell, value in enumerate(values):
+            self._set(cell, level, name, value)
+
+    @rule(level=levels, name=who, values=cells, where=chosen)
+    def put(self, level: int, name: str, values: list[float | None], where: list[bool]) -> None:
+        shape = (SLOTS, ACTUATORS)
+        numbers = np.array([np.nan if v is None else v for v in values]).reshape(shape)
+        self.array.put(level, self.array.source(name), numbers, np.array(where).reshape(shape))
+        for cell, (value, meant) in enumerate(zip(values, where, strict=True)):
+            if meant:
+                self._set(cell, level, name, value)
+
+    @rule(level=levels, name=who, actuator=st.integers(0, ACTUATORS - 1), value=finite | st.none())
+    def put_one(self, level: int, name: str, actuator: int, value: float | None) -> None:
+        self.array.put_one(level, self.array.source(name), actuator, np.nan if value is None else value)
+        for slot in range(SLOTS):
+            self._set(slot * ACTUATORS + actuator, level, name, value)
+
+    @rule()
+    def clear(self) -> None:
+        self.array.clear()
+        self.model = [{} for _ in self.model]
+
+    @invariant()
+    def the_lowest_occupied_level_rules(self) -> None:
+        if hasattr(self, "array"):
+            expected = [cell[min(cell)] if cell else (None, THE_BUILDING) for cell in self.model]
+            assert resolved(self.array) == expected
+
+
+TestAgainstTheModel = Model.TestCase
+TestAgainstTheModel.settings = settings(deadline=None)
+
+
+def test_lower_rules_release_falls_to_the_next_and_empty_is_the_building() -> None:
+    # fire@1 over person@8 over controller@10
+    array = PriorityArray(1, 1)
+    for level, name, value in ((10, "controller", 24.0), (8, "person", 22.0), (1, "fire", 15.0)):
+        array.put_one(level, array.source(name), 0, value)
+    assert resolved(array) == [(15.0, "fire")]
+    for level, next_ruler in ((1, (22.0, "person")), (8, (24.0, "controller")), (10, (None, THE_BUILDING))):
+        array.put_one(level, array.source("anybody"), 0, np.nan)
+        assert resolved(array) == [next_ruler]
+
+
+@given(finite)
+def test_a_value_rules_to_the_last_bit(value: float) -> None:
+    array = PriorityArray(1, 2)
+    raw = np.array([value, -0.0]).tobytes()
+    array.put_all(10, array.source("a"), raw)
+    assert array.resolve()[0] == raw
+    array.put_one(16, array.source("b"), 0, 1.0)
+    assert array.resolve()[0] == raw
+
+
+def test_another_source_at_the_same_level_is_named() -> None:
+    array = PriorityArray(1, 2)
+    array.put_all(10, array.source("a"), np.array([1.0, 2.0]).tobytes())
+    array.put_all(10, array.source("b"), np.array([3.0, 4.0]).tobytes())
+    assert resolved(array) == [(3.0, "b"), (4.0, "b")]
+
+
+def test_a_name_has_one_index_and_the_building_has_the_first() -> None:
+    array = PriorityArray(1, 1)
+    assert array.source(THE_BUILDING) == 0
+    assert array.source("a") == array.source("a") == 1
+    assert array.source("b") == 2
+    assert array.names == [THE_BUILDING, "a", "b"]
+
+
+def test_a_flood_of_names_fits_a_byte() -> None:
+    array = PriorityArray(1, 1)
+    indices = [array.source(f"device {i}") for i in range(1000)]
+    assert indices[:254] == list(range(1, 255))
+    assert set(indices[254:]) == {254}
+    assert len(array.names) == 255
+    array.put_all(10, indices[-1], np.array([1.0]).tobytes())
+    assert len(array.resolve()[1]) == 1
+
+
+@pytest.mark.parametrize(("slots", "actuators"), [(1, 0), (3, 0), (3, 2)])
+def test_an_array_that_nobody_set_is_the_buildings(slots: int, actuators: int) -> None:
+    assert resolved(PriorityArray(slots, actuators)) == [(None, THE_BUILDING)] * (slots * actuators)
