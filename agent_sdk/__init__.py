@@ -2,7 +2,8 @@
 
 import gymnasium
 
-from agent_sdk.client import Bus, ControlLink, connect
+from agent_sdk.client import Bus, connect
+from agent_sdk.link import ControlLink
 
 __all__ = ["Bus", "ControlLink", "connect"]
 

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from agent_sdk import spaces
-from agent_sdk.client import ControlLink, connect
+from agent_sdk.client import connect
 from agent_sdk.launch import OwnNode
+from agent_sdk.link import ControlLink
 from agent_sdk.rewards import LinearReward, Reward
 from agent_sdk.sample import SampleView
 from bridge.affinity import Affinity

@@ -23,9 +23,10 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from bridge.claims import Claimant, Claims
 from bridge.priority import PriorityArray
 from topics import codec
-from topics.errors import BadMessage, Refused, near
+from topics.errors import BadMessage, near
 from topics.messages import (
     Actuator,
     Claim,
@@ -70,20 +71,6 @@ class IllegalInput(RuntimeError):
 
 
 @dataclass(slots=True)
-class Claimant:
-    """A controller's claim: its level, which actuators, and how it is doing."""
-
-    name: str
-    level: int
-    allowed: NDArray[np.bool_]
-    required: bool
-    source: int
-    whole: bool
-    present: bool = True
-    accepted: int = 0
-
-
-@dataclass(slots=True)
 class Counts:
     """Messages of the node's life."""
 
@@ -118,7 +105,7 @@ class Exchange:
     episode: list[int] = field(default_factory=list)
     step: list[int] = field(default_factory=list)
     counts: Counts = field(default_factory=Counts)
-    claimants: dict[str, Claimant] = field(default_factory=dict)
+    claims: Claims = field(init=False)
     touched: bool = False
     _pending: set[str] = field(default_factory=set)
     _answered: set[str] = field(default_factory=set)
@@ -141,6 +128,7 @@ class Exchange:
         self._size = self._clipped.nbytes
         self._array = PriorityArray(self.slots, len(self.actuators))
         self._index = {a.name: i for i, a in enumerate(self.actuators)}
+        self.claims = Claims(self.actuators, self._array)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -179,7 +167,7 @@ class Exchange:
 
     def listen(self) -> None:
         """Gets ready for the answers to the present sample; apart from `sampled` so that the sample goes first."""
-        self._pending = {c.name for c in self.claimants.values() if c.required}
+        self._pending = {c.name for c in self.claims.by_name.values() if c.required}
         self._answered = set()
         self._head = codec.command_head(self.episode, self.step, self._size)
 
@@ -189,9 +177,7 @@ class Exchange:
         self.episode = [episode + 1 for episode in self.episode]
         self._array.clear()
         self._expiries.clear()
-        self.claimants = {name: c for name, c in self.claimants.items() if c.present}
-        for claimant in self.claimants.values():
-            claimant.source = self._array.source(claimant.name)
+        self.claims.begin_episode()
 
     def due(self) -> bool:
         """Whether the next timestep may be simulated now."""
@@ -199,7 +185,7 @@ class Exchange:
             return False
         if self.mode is Mode.FREE:
             return True
-        return not self._pending and any(c.required for c in self.claimants.values())
+        return not self._pending and any(c.required for c in self.claims.by_name.values())
 
     def missing(self) -> list[str]:
         """Required controllers that have not answered the present sample."""
@@ -214,74 +200,26 @@ class Exchange:
     # The controllers' side
 
     def claim(self, claim: Claim) -> list[Event]:
-        """Takes or renews a claim.
+        """Takes or renews a claim; a renewed one answers the present sample again.
 
         Raises:
             Refused: unknown actuators, or another present controller holds the level on one of them.
         """
-        allowed = self._select(claim.actuators)
-        for other in self.claimants.values():
-            clash = other.allowed & allowed
-            if other.name == claim.controller or other.level != claim.level or not clash.any():
-                continue
-            if other.present:
-                which = self.actuators[int(np.flatnonzero(clash)[0])].name
-                raise Refused(
-                    f"level {claim.level} of {which!r} is claimed by {other.name!r}; "
-                    "claim another level, or wait until it has left"
-                )
-        events = self._replace_absent(claim, allowed)
-        old = self.claimants.get(claim.controller)
-        if old is not None:
-            self._give_up(old, kept=allowed if old.level == claim.level else np.zeros_like(allowed))
-        self._expiries = [e for e in self._expiries if not (e.level == claim.level and allowed[e.actuator])]
-        self.claimants[claim.controller] = Claimant(
-            claim.controller,
-            claim.level,
-            allowed,
-            claim.required,
-            self._array.source(claim.controller),
-            whole=bool(allowed.all()),
-            accepted=old.accepted if old else 0,
-        )
-        self._answered.discard(claim.controller)
-        self._pending.discard(claim.controller)
+        renewed = claim.controller in self.claims.by_name
+        claimant, gone = self.claims.take(claim)
+        self._expiries = [e for e in self._expiries if not (e.level == claim.level and claimant.allowed[e.actuator])]
+        for name in (*gone, claim.controller):
+            self._pending.discard(name)
+            self._answered.discard(name)
         if claim.required and self.state is State.WAITING:
             self._pending.add(claim.controller)
-        kind = "again" if old else f"at level {claim.level}"
-        return [*events, self.event(EventKind.JOINED, f"{claim.controller} controls {kind}", claim.controller)]
-
-    def _give_up(self, claimant: Claimant, kept: NDArray[np.bool_]) -> None:
-        """Releases what a claimant has set, but for the actuators that the next claim on its level covers."""
-        where = np.tile(claimant.allowed & ~kept, (self.slots, 1))
-        if where.any():
-            self._array.put(claimant.level, claimant.source, np.full(self.shape, np.nan), where)
-
-    def _select(self, names: list[str] | None) -> NDArray[np.bool_]:
-        allowed = np.ones(len(self.actuators), np.bool_) if names is None else np.zeros(len(self.actuators), np.bool_)
-        for name in names or ():
-            if name not in self._index:
-                raise Refused(f"no actuator {name!r}; {near(name, self._index)}")
-            allowed[self._index[name]] = True
-        return allowed
-
-    def _replace_absent(self, claim: Claim, allowed: NDArray[np.bool_]) -> list[Event]:
-        gone = [
-            c.name
-            for c in self.claimants.values()
-            if not c.present
-            and c.name != claim.controller
-            and c.level == claim.level
-            and (bool((c.allowed & allowed).any()) or not self.actuators)
-        ]
-        for name in gone:
-            self._give_up(self.claimants.pop(name), kept=allowed)
-            self._pending.discard(name)
-        return [self.event(EventKind.LEFT, f"{claim.controller} takes over from {name}", name) for name in gone]
+        how = "again" if renewed else f"at level {claim.level}"
+        left = [self.event(EventKind.LEFT, f"{claim.controller} takes over from {name}", name) for name in gone]
+        return [*left, self.event(EventKind.JOINED, f"{claim.controller} controls {how}", claim.controller)]
 
     def left(self, name: str) -> list[Event]:
         """A controller has gone; its claim waits for it."""
-        claimant = self.claimants.get(name)
+        claimant = self.claims.by_name.get(name)
         if claimant is None or not claimant.present:
             return []
         claimant.present = False
@@ -295,7 +233,7 @@ class Exchange:
         """
         head = self._head
         if controller in self._pending and len(payload) == len(head) + self._size and payload.startswith(head):
-            claimant, raw = self.claimants[controller], payload[len(head) :]
+            claimant, raw = self.claims.by_name[controller], payload[len(head) :]
             if claimant.whole and self.state is State.WAITING and self._within(raw):
                 self._array.put_all(claimant.level, claimant.source, raw)
                 self._took(claimant)
@@ -317,7 +255,7 @@ class Exchange:
 
     def command(self, controller: str, command: Command) -> Event | None:
         """Takes a command; an event if it was not taken."""
-        claimant = self.claimants.get(controller)
+        claimant = self.claims.by_name.get(controller)
         if claimant is None:
             return self.rejected(f"{controller!r} has claimed nothing; claim first", controller)
         if command.step != self.step or command.episode != self.episode:
@@ -398,7 +336,7 @@ class Exchange:
             text = f"{name} = {write.value:g} {actuator.unit} at priority {write.priority}"
         else:
             text = f"{name} released at priority {write.priority}"
-        holder = next((c for c in self.claimants.values() if c.level == write.priority and c.allowed[index]), None)
+        holder = self.claims.holder(write.priority, index)
         if holder is not None:
             return self.rejected(f"level {write.priority} of {name!r} is claimed by {holder.name!r}", write.source)
         self._set(write.priority, write.source, index, write.value)
@@ -453,5 +391,5 @@ class Exchange:
                 present=c.present,
                 accepted=c.accepted,
             )
-            for c in self.claimants.values()
+            for c in self.claims.by_name.values()
         ]

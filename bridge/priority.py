@@ -31,10 +31,10 @@ class _Row:
 
 
 class PriorityArray:
-    """Values and sources of all actuators of all slots, shaped (slots, actuators)."""
+    """Values and sources of all actuators of all slots, shaped `shape`: (slots, actuators)."""
 
     def __init__(self, slots: int, actuators: int) -> None:
-        self._shape = (slots, actuators)
+        self.shape = (slots, actuators)
         self._size = slots * actuators
         self.clear()
 
@@ -64,8 +64,8 @@ class PriorityArray:
         """Sets those of a level that `where` says; NaN releases."""
         row = self._rows.get(level)
         old, sources = (row.values, row.sources) if row else self._released
-        new_values = np.frombuffer(old).reshape(self._shape).copy()
-        new_sources = np.frombuffer(sources, np.uint8).reshape(self._shape).copy()
+        new_values = np.frombuffer(old).reshape(self.shape).copy()
+        new_sources = np.frombuffer(sources, np.uint8).reshape(self.shape).copy()
         new_values[where] = values[where]
         new_sources[where] = source
         self._rows[level] = _Row(new_values.tobytes(), new_sources.tobytes(), full=False)
@@ -74,9 +74,9 @@ class PriorityArray:
 
     def put_one(self, level: int, source: int, actuator: int, value: float) -> None:
         """Sets one actuator of all slots at a level; NaN releases."""
-        where = np.zeros(self._shape, np.bool_)
+        where = np.zeros(self.shape, np.bool_)
         where[:, actuator] = True
-        self.put(level, source, np.full(self._shape, value), where)
+        self.put(level, source, np.full(self.shape, value), where)
 
     def resolve(self) -> tuple[bytes, bytes]:
         """The ruling values (float64, NaN where nobody rules) and the index of who rules (uint8)."""

@@ -1,0 +1,223 @@
+"""One controller's hold on one node: its samples in, its commands out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
+from types import TracebackType
+from typing import TYPE_CHECKING
+
+import numpy as np
+import zenoh
+from numpy.typing import NDArray
+from zenoh import CongestionControl, Locality
+from zenoh.handlers import Callback, FifoChannel
+
+from agent_sdk.sample import SampleView
+from bridge import affinity
+from bridge.affinity import Affinity
+from bridge.polling import Polling
+from topics import codec, keys
+from topics.errors import EpisodeChanged, InvalidAction, NodeLost, PeerError, Refused, from_wire, near
+from topics.messages import Claim, Command, Event, EventKind, Mask, Reset, Sample, State
+
+if TYPE_CHECKING:
+    from agent_sdk.client import Bus
+
+_INBOX = 1024
+
+
+class ControlLink:
+    """One controller's hold on one node. Iterate over it, or call `receive` and `send` in turn.
+
+    Attributes:
+        manifest: what the node is.
+        name: this controller's name on the bus.
+        accepted, rejected: its commands of this link so far.
+    """
+
+    def __init__(self, bus: Bus, node: str, claim: Claim, placement: Affinity) -> None:
+        self.bus = bus
+        self.name = claim.controller
+        self._close = ExitStack()
+        self._lost = False
+        self._latest: SampleView | None = None
+        self._answered = True
+        with ExitStack() as undo:
+            undo.callback(self.close)
+            self.manifest = bus.manifest(node)
+            self._open(bus.session, claim)
+            undo.pop_all()
+        near_node = self.manifest.host == affinity.host()
+        self._polling = Polling(enabled=near_node and placement is Affinity.NODE)
+
+    def _open(self, session: zenoh.Session, claim: Claim) -> None:
+        """Listens first, claims last: nothing that the node says afterwards is missed."""
+        manifest, root = self.manifest, keys.root(self.manifest.node)
+        self._names = {name: i for i, name in enumerate(manifest.names)}
+        self._actuators = {a.name: i for i, a in enumerate(manifest.actuators)}
+        self._shape = (manifest.slots, len(manifest.actuators))
+        self._sample_key = keys.SAMPLE.at(manifest.node)
+        self._wake_key = f"{root}/{keys.WAKE}"
+        declare = self._close.enter_context
+        self._inbox = declare(session.declare_subscriber(f"{root}/{keys.OWN_STREAM}", FifoChannel(_INBOX)))
+        self._close.callback(self._drain)
+        self._recv, self._try_recv = self._inbox.recv, self._inbox.try_recv
+        token = keys.NODE_TOKEN.at(manifest.node, name=manifest.instance)
+        watch = session.liveliness().declare_subscriber(token, Callback(self._on_node, indirect=False), history=True)
+        self._close.callback(watch.undeclare)
+        declare(session.liveliness().declare_token(keys.CONTROLLER_TOKEN.at(manifest.node, name=claim.controller)))
+        commands = session.declare_publisher(
+            keys.COMMAND.at(manifest.node, name=claim.controller),
+            encoding=zenoh.Encoding(codec.encoding(Command)),
+            congestion_control=CongestionControl.BLOCK,
+        )
+        self._put_command = declare(commands).put
+        self.bus.claim(manifest.node, claim)
+
+    def _on_node(self, token: zenoh.Sample) -> None:
+        if token.kind == zenoh.SampleKind.DELETE:
+            self._lost = True
+            self.bus.session.put(self._wake_key, b"", allowed_destination=Locality.SESSION_LOCAL)
+
+    def _drain(self) -> None:
+        # A full inbox would hold up the session's close.
+        while self._inbox.try_recv() is not None:
+            pass
+
+    def __enter__(self) -> ControlLink:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Lets go of the node; twice is fine."""
+        self._close.close()
+
+    # Samples
+
+    def reset(self, *, seed: int | None = None) -> SampleView:
+        """Starts a new episode and waits for its sample 0."""
+        accepted = self.bus.reset(self.manifest.node, Reset(controller=self.name, seed=seed))
+        self._answered = True
+        self._latest = None
+        while True:
+            sample = self._next(changes=True)
+            if sample.episode == accepted.episode[0]:
+                return self._keep(sample)
+
+    def current(self) -> SampleView:
+        """The sample that the node stands at, for a controller that has just come."""
+        status = self.bus.status(self.manifest.node)
+        if status.state is State.FAILED:
+            raise from_wire({"error": "SimulatorError", "message": status.failure})
+        if status.state is State.ENDED:
+            return self.reset()
+        sample = self._view(self.bus.latest(self.manifest.node))
+        return self._keep(sample)
+
+    def receive(self) -> SampleView:
+        """Waits for the next sample.
+
+        Raises:
+            NodeLost: the node is gone.
+            SimulatorError: EnergyPlus failed, with its words.
+            Refused: the node did not take this controller's last command.
+            EpisodeChanged: somebody else reset the episode.
+        """
+        previous = self._latest
+        while True:
+            sample = self._next(changes=False)
+            if previous is None or sample.episode != previous.episode or sample.step > previous.step:
+                return self._keep(sample)
+
+    def _keep(self, sample: SampleView) -> SampleView:
+        self._latest = sample
+        self._answered = sample.truncated
+        return sample
+
+    def _next(self, *, changes: bool) -> SampleView:
+        """The next sample in the inbox."""
+        while True:
+            message = self._polling.wait(self._try_recv, self._recv)
+            key = str(message.key_expr)
+            if key == self._sample_key:
+                return self._view(codec.decode(Sample, message.payload.to_bytes(), str(message.encoding)))
+            self._hear(key, message, changes=changes)
+
+    def _view(self, sample: Sample) -> SampleView:
+        return SampleView(sample, self.manifest, self._names, self)
+
+    def _hear(self, key: str, message: zenoh.Sample, *, changes: bool) -> None:
+        """What is not a sample: raises what ends the wait."""
+        node = self.manifest.node
+        if self._lost:
+            raise NodeLost(f"node {node!r} is gone{self._where()}; nothing more can be known of it")
+        if key != keys.EVENT.at(node):
+            return
+        event = codec.decode(Event, message.payload.to_bytes(), str(message.encoding))
+        if event.kind is EventKind.FAILED:
+            raise from_wire({"error": event.error, "message": event.text})
+        if event.kind is EventKind.STOPPED:
+            raise NodeLost(f"node {node!r} was stopped{self._where()}")
+        if event.kind is EventKind.REJECTED and event.source == self.name:
+            raise Refused(f"node {node!r} did not take the command{self._where()}: {event.text}")
+        if event.kind is EventKind.STARTED and not changes and self._latest and event.episode != self._latest.episode:
+            who = event.source or "somebody else"
+            raise EpisodeChanged(f"node {node!r} was reset by {who}{self._where()}; episode {event.episode} runs now")
+
+    def _where(self) -> str:
+        return f" (last sample: episode {self._latest.episode}, step {self._latest.step})" if self._latest else ""
+
+    # Commands
+
+    def send(self, values: Mapping[str, float | None] | NDArray[np.float64] | None = None) -> None:
+        """Answers the present sample. An episode's last sample takes no answer: nothing is sent.
+
+        Args:
+            values: by actuator name, None releasing it to the building's own control and the others kept
+                as they are; or an array of all actuators in manifest order; or None to keep all.
+
+        Raises:
+            InvalidAction: an unknown actuator, a wrong shape, or a value that is not finite.
+        """
+        if self._latest is None:
+            raise PeerError("there is no sample to answer yet; receive one first")
+        if self._latest.truncated:
+            return
+        wire = self._latest.wire
+        raw, mask = self._coded(values)
+        self._answered = True
+        self._put_command(codec.pack(episode=wire.episode, step=wire.step, mask=mask, values=raw))
+
+    def _coded(self, values: Mapping[str, float | None] | NDArray[np.float64] | None) -> tuple[bytes, bytes | None]:
+        count = self._shape[1]
+        if isinstance(values, np.ndarray):
+            if values.shape != (count,):
+                raise InvalidAction(f"values of shape {values.shape}; ({count},) expected: one for each actuator")
+            return values.astype("<f8", copy=False).tobytes(), None
+        row, mask = np.zeros(count), np.full(count, Mask.KEEP, np.uint8)
+        for name, value in (values or {}).items():
+            if name not in self._actuators:
+                raise InvalidAction(
+                    f"node {self.manifest.node!r} has no actuator {name!r}; {near(name, self._actuators)}"
+                )
+            index = self._actuators[name]
+            if value is not None and not np.isfinite(value):
+                raise InvalidAction(f"{name} = {value}; a finite number or None (release) expected")
+            row[index], mask[index] = (0.0, Mask.RELEASE) if value is None else (value, Mask.SET)
+        return row.tobytes(), mask.tobytes()
+
+    def __iter__(self) -> Iterator[SampleView]:
+        """Samples from the present one to the episode's last; one that was not answered keeps all as it is."""
+        sample = self.current()
+        while True:
+            yield sample
+            if sample.truncated:
+                return
+            if not self._answered:
+                self.send()
+            sample = self.receive()

@@ -1,0 +1,113 @@
+"""Who may command what: controllers' claims on actuators at priority levels. Rules without I/O.
+
+A claim is on a level of some or all actuators. A level of an actuator has one holder; a second claim on it is
+refused by name while the holder is present, and takes over once it has gone. What a claimant has set does not
+outlive its claim.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bridge.priority import PriorityArray
+from topics.errors import Refused, near
+from topics.messages import Actuator, Claim
+
+
+@dataclass(slots=True)
+class Claimant:
+    """A controller's claim: its level, which actuators, and how it is doing."""
+
+    name: str
+    level: int
+    allowed: NDArray[np.bool_]
+    required: bool
+    source: int
+    whole: bool
+    present: bool = True
+    accepted: int = 0
+
+
+class Claims:
+    """The claims on one node's actuators.
+
+    Args:
+        actuators: in manifest order.
+        array: where claimants' values stand, and are released.
+
+    Attributes:
+        by_name: controller to its claim.
+    """
+
+    def __init__(self, actuators: tuple[Actuator, ...], array: PriorityArray) -> None:
+        self.by_name: dict[str, Claimant] = {}
+        self._actuators = actuators
+        self._array = array
+        self._index = {a.name: i for i, a in enumerate(actuators)}
+
+    def take(self, claim: Claim) -> tuple[Claimant, list[str]]:
+        """Takes or renews a claim; also returns the absent controllers that it replaces.
+
+        Raises:
+            Refused: unknown actuators, or another present controller holds the level on one of them.
+        """
+        allowed = self._select(claim.actuators)
+        self._refuse_held(claim, allowed)
+        replaced = [c.name for c in self.by_name.values() if self._replaces(claim, allowed, c)]
+        for name in replaced:
+            self._give_up(self.by_name.pop(name), kept=allowed)
+        old = self.by_name.get(claim.controller)
+        if old is not None:
+            self._give_up(old, kept=allowed if old.level == claim.level else np.zeros_like(allowed))
+        taken = self.by_name[claim.controller] = Claimant(
+            claim.controller,
+            claim.level,
+            allowed,
+            claim.required,
+            self._array.source(claim.controller),
+            whole=bool(allowed.all()),
+            accepted=old.accepted if old else 0,
+        )
+        return taken, replaced
+
+    def holder(self, level: int, actuator: int) -> Claimant | None:
+        """Who has claimed a level of an actuator."""
+        return next((c for c in self.by_name.values() if c.level == level and c.allowed[actuator]), None)
+
+    def begin_episode(self) -> None:
+        """Forgets controllers that have gone; call it after the array was cleared."""
+        self.by_name = {name: c for name, c in self.by_name.items() if c.present}
+        for claimant in self.by_name.values():
+            claimant.source = self._array.source(claimant.name)
+
+    def _select(self, names: list[str] | None) -> NDArray[np.bool_]:
+        allowed = np.full(len(self._actuators), names is None)
+        for name in names or ():
+            if name not in self._index:
+                raise Refused(f"no actuator {name!r}; {near(name, self._index)}")
+            allowed[self._index[name]] = True
+        return allowed
+
+    def _refuse_held(self, claim: Claim, allowed: NDArray[np.bool_]) -> None:
+        for other in self.by_name.values():
+            clash = other.allowed & allowed
+            if other.name != claim.controller and other.level == claim.level and other.present and clash.any():
+                which = self._actuators[int(np.flatnonzero(clash)[0])].name
+                raise Refused(
+                    f"level {claim.level} of {which!r} is claimed by {other.name!r}; "
+                    "claim another level, or wait until it has left"
+                )
+
+    def _replaces(self, claim: Claim, allowed: NDArray[np.bool_], other: Claimant) -> bool:
+        # A building without actuators has controllers all the same: they set the pace.
+        meets = bool((other.allowed & allowed).any()) or not self._actuators
+        return not other.present and other.name != claim.controller and other.level == claim.level and meets
+
+    def _give_up(self, claimant: Claimant, kept: NDArray[np.bool_]) -> None:
+        """Releases what a claimant has set, but for the actuators that the next claim on its level covers."""
+        where = np.tile(claimant.allowed & ~kept, (self._array.shape[0], 1))
+        if where.any():
+            self._array.put(claimant.level, claimant.source, np.full(self._array.shape, np.nan), where)
