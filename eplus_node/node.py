@@ -22,7 +22,7 @@ from typing import Any
 
 import psutil
 import zenoh
-from zenoh import CongestionControl, Locality
+from zenoh import Locality
 from zenoh.handlers import Callback, FifoChannel
 
 from bridge import affinity
@@ -30,6 +30,7 @@ from bridge.lockstep import Exchange, Input
 from bridge.session import open_session
 from eplus_node.config import NodeConfig, Plan, plan
 from eplus_node.link import EngineLink, Run
+from eplus_node.outlets import Outlets
 from models import energyplus
 from models.building import prepared, write
 from topics import VERSION, codec, errors, keys
@@ -44,7 +45,6 @@ from topics.messages import (
     Manifest,
     Message,
     Mode,
-    PointValue,
     Policy,
     Reset,
     State,
@@ -56,7 +56,6 @@ from topics.messages import (
 
 _INBOX = 4096
 _WAKE = "-"  # no controller can have this name
-_EVENTS_A_STEP = 20
 _NO_FLAG, _FIRST, _TRUNCATED = int(Flag.NONE), int(Flag.FIRST), int(Flag.TRUNCATED)
 
 Observer = Callable[["Node"], None]
@@ -80,8 +79,6 @@ class Node:
         self._close = ExitStack()
         self._stopping = False
         self._failure = ""
-        self._events_left = _EVENTS_A_STEP
-        self._watched: dict[int, zenoh.Publisher] = {}
         self._latest = b""
 
     # Life
@@ -159,44 +156,13 @@ class Node:
         self._request(keys.CLAIM, Claim, self._claim)
         self._request(keys.RESET, Reset, self._reset)
         self._request(keys.STOP, Stop, self._stop)
-        self._put_sample = declare(self._publisher(keys.SAMPLE)).put
-        self._events = declare(self._publisher(keys.EVENT))
-        self._manifests = declare(self._publisher(keys.MANIFEST))
-        self._declare_points()
+        self._outlets = declare(Outlets(self.session, self.manifest))
         signal.signal(signal.SIGCHLD, lambda *_: self._wake())
-        self._manifests.put(codec.encode(self.manifest))
         self.event(self.exchange.event(EventKind.STARTED, f"{self.manifest.building} waits at its first step"))
         self._publish()
         declare(self.session.liveliness().declare_token(keys.NODE_TOKEN.at(name, name=self.instance)))
         if any(token < self.instance for token in self._tokens()):
             self._refuse_second(name)  # two that started at once: the one with the lower id stays
-
-    def _publisher(self, topic: keys.Topic, name: str = "") -> zenoh.Publisher:
-        drop = topic.delivery is keys.Delivery.DROP
-        return self.session.declare_publisher(
-            topic.at(self.config.name, name=name),
-            encoding=zenoh.Encoding(codec.encoding(topic.message)) if topic.message else None,
-            congestion_control=CongestionControl.DROP if drop else CongestionControl.BLOCK,
-        )
-
-    def _declare_points(self) -> None:
-        """A publisher a point, with a listener that says whether anybody wants it."""
-        points = self.plan.points
-        topics = [(keys.SENSOR, s.name, s.unit) for s in points.sensors]
-        topics += [(keys.METER, m.name, m.unit) for m in points.meters]
-        self._units = [unit for _, _, unit in topics]
-        for index, (topic, name, _) in enumerate(topics):
-            publisher = self._close.enter_context(self._publisher(topic, name))
-
-            def wanted(status: zenoh.MatchingStatus, i: int = index, p: zenoh.Publisher = publisher) -> None:
-                watched = dict(self._watched)
-                if status.matching:
-                    watched[i] = p
-                else:
-                    watched.pop(i, None)
-                self._watched = watched
-
-            publisher.declare_matching_listener(Callback(wanted, indirect=False))
 
     def _manifest(self) -> Manifest:
         plan, config = self.plan, self.config
@@ -361,29 +327,15 @@ class Node:
             late=counts.late,
             rejected=counts.rejected,
         )
-        self._put_sample(self._latest)
+        self._outlets.sample(self._latest)
         exchange.listen()
-        self._events_left = _EVENTS_A_STEP
-        if self._watched:
-            self._publish_points()
+        self._outlets.points(self._engine.values, exchange.episode[0], step, self._begin + elapsed)
         if self._observer is not None:
             self._observer(self)
 
-    def _publish_points(self) -> None:
-        episode, step = self.exchange.episode[0], self.exchange.step[0]
-        time = self.plan.period.time(step).isoformat()
-        for index, publisher in self._watched.items():
-            value = float(self._engine.values[index])
-            unit = self._units[index]
-            publisher.put(codec.encode(PointValue(value=value, unit=unit, episode=episode, step=step, time=time)))
-
     def event(self, event: Event) -> None:
-        """Publishes an event; a flood of them within a step is cut, not its counts."""
-        if event.kind in (EventKind.REJECTED, EventKind.LATE, EventKind.DUPLICATE):
-            self._events_left -= 1
-            if self._events_left < 0:
-                return
-        self._events.put(codec.encode(event))
+        """Publishes an event."""
+        self._outlets.event(event)
         if self._observer is not None:
             self._observer(self)
 

@@ -1,0 +1,90 @@
+"""What a node says: its manifest, samples, single points and events."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from datetime import datetime
+
+import zenoh
+from numpy import float64
+from numpy.typing import NDArray
+from zenoh import CongestionControl
+from zenoh.handlers import Callback
+
+from topics import codec, keys
+from topics.messages import Event, EventKind, Manifest, Message, PointValue
+
+EVENTS_A_STEP = 20
+"""More refusals than this in one step are counted, but not told one by one."""
+
+_REFUSALS = (EventKind.REJECTED, EventKind.LATE, EventKind.DUPLICATE)
+
+
+class Outlets:
+    """The publishers of a node; `with Outlets(session, manifest) as outlets`. It publishes the manifest."""
+
+    def __init__(self, session: zenoh.Session, manifest: Manifest) -> None:
+        self._session = session
+        self._node = manifest.node
+        self._close = ExitStack()
+        self._watched: dict[int, zenoh.Publisher] = {}
+        self._events_left = EVENTS_A_STEP
+        self._put_sample = self._publisher(keys.SAMPLE).put
+        self._put_event = self._publisher(keys.EVENT).put
+        topics = [(keys.SENSOR, s.name, s.unit) for s in manifest.sensors]
+        topics += [(keys.METER, m.name, m.unit) for m in manifest.meters]
+        self._units = [unit for _, _, unit in topics]
+        for index, (topic, name, _) in enumerate(topics):
+            self._watch(index, self._publisher(topic, name))
+        self._put(keys.MANIFEST, manifest)
+
+    def __enter__(self) -> Outlets:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._close.close()
+
+    def _publisher(self, topic: keys.Topic, name: str = "") -> zenoh.Publisher:
+        drop = topic.delivery is keys.Delivery.DROP
+        publisher = self._session.declare_publisher(
+            topic.at(self._node, name=name),
+            encoding=zenoh.Encoding(codec.encoding(topic.message)) if topic.message else None,
+            congestion_control=CongestionControl.DROP if drop else CongestionControl.BLOCK,
+        )
+        return self._close.enter_context(publisher)
+
+    def _put(self, topic: keys.Topic, message: Message) -> None:
+        self._publisher(topic).put(codec.encode(message))
+
+    def _watch(self, index: int, publisher: zenoh.Publisher) -> None:
+        """Has a point published as long as somebody listens to it."""
+
+        def wanted(status: zenoh.MatchingStatus) -> None:
+            watched = dict(self._watched)  # another thread may be walking over the old one
+            if status.matching:
+                watched[index] = publisher
+            else:
+                watched.pop(index, None)
+            self._watched = watched
+
+        publisher.declare_matching_listener(Callback(wanted, indirect=False))
+
+    def sample(self, payload: bytes) -> None:
+        """One step's frame."""
+        self._put_sample(payload)
+        self._events_left = EVENTS_A_STEP
+
+    def points(self, values: NDArray[float64], episode: int, step: int, time: datetime) -> None:
+        """One step's single points, those that somebody listens to; `values` in manifest order."""
+        for index, publisher in self._watched.items():
+            unit, value = self._units[index], float(values[index])
+            point = PointValue(value=value, unit=unit, episode=episode, step=step, time=time.isoformat())
+            publisher.put(codec.encode(point))
+
+    def event(self, event: Event) -> None:
+        """An event; a flood of refusals within a step is cut."""
+        if event.kind in _REFUSALS:
+            self._events_left -= 1
+            if self._events_left < 0:
+                return
+        self._put_event(codec.encode(event))
