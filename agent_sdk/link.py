@@ -64,7 +64,9 @@ class ControlLink:
         self._close.callback(self._drain)
         self._recv, self._try_recv = self._inbox.recv, self._inbox.try_recv
         token = keys.NODE_TOKEN.at(manifest.node, name=manifest.instance)
-        watch = session.liveliness().declare_subscriber(token, Callback(self._on_node, indirect=False), history=True)
+        # Without history: Zenoh 1.10 answers a liveliness query emptily while a history is on its way, and the
+        # claim below finds out whether the node is there.
+        watch = session.liveliness().declare_subscriber(token, Callback(self._on_node, indirect=False))
         self._close.callback(watch.undeclare)
         declare(session.liveliness().declare_token(keys.CONTROLLER_TOKEN.at(manifest.node, name=claim.controller)))
         commands = session.declare_publisher(
