@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -12,6 +12,11 @@ from bridge.affinity import Affinity
 from bridge.session import DEFAULT_ENDPOINT
 from cli.console import out, progress
 from topics.messages import Mode, State
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+    from eplus_node.node import Node
 
 
 def node(
@@ -54,31 +59,36 @@ def node(
         }
     )
     with progress() as bars:
-        bar = bars.add_task(f"{name}: starting", total=None, rate="")
-        shown = 0.0
-
-        def watch(node: Node) -> None:
-            nonlocal shown
-            now = time.monotonic()
-            state = node.exchange.state
-            if now - shown < 0.1 and state is State.WAITING and not node.exchange.missing():
-                return
-            shown = now
-            episode, step = node.exchange.episode[0], node.exchange.step[0]
-            bars.update(
-                bar,
-                description=f"{name}: episode {episode}, {state}",
-                completed=step,
-                total=node.manifest.steps,
-            )
-
+        watch = _Watch(bars, name)
         with Node(config, observer=watch) as running:
-            manifest = running.manifest
-            bars.console.print(
-                f"[bold]{name}[/bold] on {listen}: {manifest.building} in {manifest.location}, "
-                f"{running.plan.period.begin} to {running.plan.period.end}, {manifest.steps} timesteps of "
-                f"{60 // manifest.steps_per_hour} min; {len(manifest.sensors)} sensors, {len(manifest.meters)} meters, "
-                f"{len(manifest.actuators)} actuators. Ctrl-C ends it."
-            )
+            bars.console.print(_greeting(running, listen))
             running.serve()
     out.print(f"{name}: ended")
+
+
+class _Watch:
+    """Shows a node's progress, ten times a second at most while it runs."""
+
+    def __init__(self, bars: Progress, name: str) -> None:
+        self._bars = bars
+        self._name = name
+        self._bar = bars.add_task(f"{name}: starting", total=None, rate="")
+        self._shown = 0.0
+
+    def __call__(self, node: Node) -> None:
+        now, state = time.monotonic(), node.exchange.state
+        if now - self._shown < 0.1 and state is State.WAITING and not node.exchange.missing():
+            return
+        self._shown = now
+        said = f"{self._name}: episode {node.exchange.episode[0]}, {state}"
+        self._bars.update(self._bar, description=said, completed=node.exchange.step[0], total=node.manifest.steps)
+
+
+def _greeting(node: Node, listen: str) -> str:
+    manifest, period = node.manifest, node.plan.period
+    return (
+        f"[bold]{manifest.node}[/bold] on {listen}: {manifest.building} in {manifest.location}, "
+        f"{period.begin} to {period.end}, {manifest.steps} timesteps of {60 // manifest.steps_per_hour} min; "
+        f"{len(manifest.sensors)} sensors, {len(manifest.meters)} meters, {len(manifest.actuators)} actuators. "
+        "Ctrl-C ends it."
+    )

@@ -12,33 +12,28 @@ import gc
 import shutil
 import signal
 import tempfile
-from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack
 from datetime import timedelta
 from pathlib import Path
 from types import FrameType
-from typing import Any
 
 import psutil
-import zenoh
-from zenoh import Locality
-from zenoh.handlers import Callback, FifoChannel
 
 from bridge import affinity
 from bridge.lockstep import Exchange, Input
 from bridge.session import open_session
 from eplus_node.config import NodeConfig, Plan, plan
+from eplus_node.inlets import Inlets
 from eplus_node.link import EngineLink, Run
 from eplus_node.outlets import Outlets
 from models import energyplus
 from models.building import prepared, write
 from topics import VERSION, codec, errors, keys
-from topics.errors import NameTaken, SimulatorError, ZenostatError
+from topics.errors import NameTaken, SimulatorError
 from topics.messages import (
     Accepted,
     Claim,
-    Denied,
     Event,
     EventKind,
     Flag,
@@ -54,8 +49,6 @@ from topics.messages import (
     Write,
 )
 
-_INBOX = 4096
-_WAKE = "-"  # no controller can have this name
 _NO_FLAG, _FIRST, _TRUNCATED = int(Flag.NONE), int(Flag.FIRST), int(Flag.TRUNCATED)
 
 Observer = Callable[["Node"], None]
@@ -75,7 +68,6 @@ class Node:
     def __init__(self, config: NodeConfig, observer: Observer | None = None) -> None:
         self.config = config
         self._observer = observer
-        self._shelf: deque[Callable[[], None]] = deque()
         self._close = ExitStack()
         self._stopping = False
         self._failure = ""
@@ -140,24 +132,18 @@ class Node:
         name = self.config.name
         self.manifest = self._manifest()
         declare = self._close.enter_context
-        self._inbox = declare(self.session.declare_subscriber(keys.COMMAND.at(name, name="*"), FifoChannel(_INBOX)))
-        self._prefix = len(keys.COMMAND.at(name))
-        self._recv = self._inbox.recv
-        self.session.declare_subscriber(keys.ACTUATOR.at(name, name="*"), Callback(self._on_write, indirect=False))
-        self.session.liveliness().declare_subscriber(
-            keys.CONTROLLER_TOKEN.at(name, name="*"), Callback(self._on_presence, indirect=False)
-        )
-        for topic, answer in (
-            (keys.MANIFEST, lambda: codec.encode(self.manifest)),
-            (keys.SAMPLE, lambda: self._latest),
-            (keys.STATUS, lambda: codec.encode(self.status())),
-        ):
-            self._answer(topic, answer)
-        self._request(keys.CLAIM, Claim, self._claim)
-        self._request(keys.RESET, Reset, self._reset)
-        self._request(keys.STOP, Stop, self._stop)
+        inlets = self._inlets = declare(Inlets(self.session, name))
+        inlets.listen(keys.ACTUATOR, self._write)
+        inlets.watch(keys.CONTROLLER_TOKEN, lambda who: self._tell(self.exchange.left(who)))
+        inlets.answer(keys.MANIFEST, lambda: codec.encode(self.manifest))
+        inlets.answer(keys.SAMPLE, lambda: self._latest)
+        inlets.answer(keys.STATUS, lambda: codec.encode(self.status()))
+        inlets.request(keys.CLAIM, Claim, self._claim)
+        inlets.request(keys.RESET, Reset, self._reset)
+        inlets.request(keys.STOP, Stop, self._stop, at_once=self._hurry)
         self._outlets = declare(Outlets(self.session, self.manifest))
-        signal.signal(signal.SIGCHLD, lambda *_: self._wake())
+        self._close.callback(signal.signal, signal.SIGCHLD, signal.getsignal(signal.SIGCHLD))
+        signal.signal(signal.SIGCHLD, lambda *_: inlets.wake())  # the engine's end is seen while nothing else comes
         self.event(self.exchange.event(EventKind.STARTED, f"{self.manifest.building} waits at its first step"))
         self._publish()
         declare(self.session.liveliness().declare_token(keys.NODE_TOKEN.at(name, name=self.instance)))
@@ -186,58 +172,6 @@ class Node:
             cpu=self.cpu,
         )
 
-    # What other threads hear; they only put it on the shelf
-
-    def _wake(self) -> None:
-        key = keys.COMMAND.at(self.config.name, name=_WAKE)
-        self.session.put(key, b"", allowed_destination=Locality.SESSION_LOCAL)
-
-    def _shelve(self, work: Callable[[], None]) -> None:
-        self._shelf.append(work)
-        self._wake()
-
-    def _on_write(self, message: zenoh.Sample) -> None:
-        name, payload, said = keys.last_of(str(message.key_expr)), message.payload.to_bytes(), str(message.encoding)
-        self._shelve(lambda: self._write(name, payload, said))
-
-    def _on_presence(self, token: zenoh.Sample) -> None:
-        if token.kind == zenoh.SampleKind.DELETE:
-            name = keys.last_of(str(token.key_expr))
-            self._shelve(lambda: self._tell(self.exchange.left(name)))
-
-    def _answer(self, topic: keys.Topic, answer: Callable[[], bytes]) -> None:
-        """A question that any thread may answer: it only reads."""
-        key = topic.at(self.config.name)
-        said = zenoh.Encoding(codec.encoding(topic.reply)) if topic.reply else None
-
-        def on_query(query: zenoh.Query) -> None:
-            with query:
-                query.reply(key, answer(), encoding=said)
-
-        self.session.declare_queryable(key, Callback(on_query, indirect=False), complete=True)
-
-    def _request(self, topic: keys.Topic, kind: type[Any], take: Callable[[Any], Message]) -> None:
-        """A request that the node's own thread takes."""
-        key = topic.at(self.config.name)
-
-        def work(query: zenoh.Query) -> None:
-            with query:
-                reply: Message
-                try:
-                    payload = query.payload.to_bytes() if query.payload else b""
-                    reply = take(codec.decode(kind, payload, str(query.encoding)))
-                except ZenostatError as error:
-                    reply = Denied(**errors.to_wire(error))
-                query.reply(key, codec.encode(reply), encoding=zenoh.Encoding(codec.encoding(type(reply))))
-
-        def on_query(query: zenoh.Query) -> None:
-            if kind is Stop:
-                self._stopping = True
-                self._engine.interrupt(busy=self.exchange.state in (State.RUNNING, State.STARTING))
-            self._shelve(lambda: work(query))
-
-        self.session.declare_queryable(key, Callback(on_query, indirect=False), complete=True)
-
     # The loop
 
     def serve(self) -> None:
@@ -249,9 +183,9 @@ class Node:
                 if self.exchange.due():
                     self._advance()
                     if self.exchange.mode is Mode.FREE:
-                        self._glance()
+                        self._listen(wait=False)
                 else:
-                    self._receive(self._recv())
+                    self._listen(wait=True)
         except _Stopped:
             self.exchange.take(Input.STOP)
             self.event(self.exchange.event(EventKind.STOPPED, "the node was told to stop"))
@@ -262,16 +196,12 @@ class Node:
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
         raise _Stopped
 
-    def _glance(self) -> None:
-        message = self._inbox.try_recv()
-        if message is not None:
-            self._receive(message)
-
-    def _receive(self, message: zenoh.Sample) -> None:
-        controller = str(message.key_expr)[self._prefix :]
-        if controller == _WAKE:
+    def _listen(self, *, wait: bool) -> None:
+        came = self._inlets.receive(wait=wait)
+        if came is None:
             self._clear_shelf()
             return
+        controller, message = came
         payload = message.payload.to_bytes()
         if not self.exchange.take_usual(controller, payload):
             event = self.exchange.hear(controller, payload, str(message.encoding))
@@ -279,8 +209,7 @@ class Node:
                 self.event(event)
 
     def _clear_shelf(self) -> None:
-        while self._shelf:
-            self._shelf.popleft()()
+        self._inlets.clear_shelf()
         if self.exchange.state is State.WAITING and not self._engine.alive:
             try:
                 self._engine.receive()
@@ -400,7 +329,7 @@ class Node:
         untouched = self.exchange.state is State.WAITING and not self.exchange.touched
         self.exchange.reset()
         # The answer goes out first: a start takes seconds in large buildings.
-        self._shelf.append(lambda: self._restart(untouched=untouched, source=reset.controller))
+        self._inlets.shelve(lambda: self._restart(untouched=untouched, source=reset.controller))
         return Accepted(episode=self.exchange.episode, fresh=untouched)
 
     def _restart(self, *, untouched: bool, source: str) -> None:
@@ -417,8 +346,13 @@ class Node:
         self.event(self.exchange.event(EventKind.STARTED, text, source))
         self._publish()
 
+    def _hurry(self) -> None:
+        """Does not wait for an engine that is computing."""
+        self._stopping = True
+        self._engine.interrupt(busy=self.exchange.state in (State.RUNNING, State.STARTING))
+
     def _stop(self, _: Stop) -> Message:
-        self._shelf.append(self._leave)
+        self._inlets.shelve(self._leave)
         return Accepted(episode=self.exchange.episode)
 
     def _leave(self) -> None:
