@@ -173,7 +173,6 @@ class BuildingEnv(gym.Env[Observation, NDArray[np.float32]]):
     def _info(self, sample: SampleView) -> dict[str, Any]:
         return {
             "time": sample.wire.time[0],
-            "episode": sample.episode,
             "step": sample.step,
             "applied": sample.applied,
             "late": sample.wire.late,

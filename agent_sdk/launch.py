@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import weakref
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from bridge import affinity
 from bridge.affinity import Affinity
 from topics.errors import NodeLost, from_wire
 
+_END_S = 40.0  # EnergyPlus may be finishing files that are kept
 _SOCKET_PATH_MAX = 100  # sun_path has 108 bytes
 
 
@@ -35,34 +37,37 @@ class OwnNode:
         if len(str(self.folder)) > _SOCKET_PATH_MAX - 10:
             self.folder.rmdir()
             self.folder = Path(tempfile.mkdtemp(prefix="zenostat-", dir="/tmp"))
+        # Also at the interpreter's exit, and if the start is interrupted before there is a process.
+        self._clear = weakref.finalize(self, shutil.rmtree, self.folder, ignore_errors=True)
         self.endpoint = f"unixsock-stream/{self.folder}/bus"
         engine_core, self.core = affinity.pick_cores(placement)
-        config = {**settings, "listen": [self.endpoint], "folder": str(self.folder / "run")}
+        config = {**settings, "listen": [self.endpoint], "folder": str(self.folder)}
         config |= {"affinity": placement, "cpu": self.core, "engine_cpu": engine_core}
-        # -P: a models.py in the caller's folder must not stand in for the room of that name.
-        # A process group of its own: Ctrl-C in the terminal is for the owner, who then ends the node. Not a
-        # session of its own: Linux schedules sessions against each other, which costs some 20 us a step.
-        self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "eplus_node"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            process_group=0,
-        )
+        self._process: subprocess.Popen[bytes] | None = None
         try:
-            self._wait_ready(config)
+            # -P: a models.py in the caller's folder must not stand in for the room of that name.
+            # A process group of its own: Ctrl-C in the terminal is for the owner, who then ends the node. Not a
+            # session of its own: Linux schedules sessions against each other, which costs some 20 us a step.
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-m", "eplus_node"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                process_group=0,
+            )
+            self._wait_ready(self._process, config)
         except BaseException:
             self.close()
             raise
 
-    def _wait_ready(self, config: dict[str, Any]) -> None:
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
+    def _wait_ready(self, process: subprocess.Popen[bytes], config: dict[str, Any]) -> None:
+        assert process.stdin is not None
+        assert process.stdout is not None
         with contextlib.suppress(BrokenPipeError):  # what it said before it ended, if anything, is read next
-            self._process.stdin.write(json.dumps(config).encode() + b"\n")
-            self._process.stdin.flush()
-        line = self._process.stdout.readline()
+            process.stdin.write(json.dumps(config).encode() + b"\n")
+            process.stdin.flush()
+        line = process.stdout.readline()
         if not line:
-            raise NodeLost(f"the node ended with code {self._process.wait()} before it was ready")
+            raise NodeLost(f"the node ended with code {process.wait()} before it was ready")
         said = json.loads(line)
         if "error" in said:
             raise from_wire(said)
@@ -70,17 +75,23 @@ class OwnNode:
     @property
     def pid(self) -> int:
         """The node's process id."""
+        assert self._process is not None
         return self._process.pid
 
     def close(self) -> None:
         """Ends the node and clears its folder; twice is fine."""
-        for pipe in (self._process.stdin, self._process.stdout):
+        if self._process is not None:
+            self._end(self._process)
+        self._clear()
+
+    @staticmethod
+    def _end(process: subprocess.Popen[bytes]) -> None:
+        for pipe in (process.stdin, process.stdout):
             if pipe is not None and not pipe.closed:
                 with contextlib.suppress(BrokenPipeError):
                     pipe.close()
         try:
-            self._process.wait(timeout=10)
+            process.wait(timeout=_END_S)
         except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
-        shutil.rmtree(self.folder, ignore_errors=True)
+            process.kill()
+            process.wait()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from types import TracebackType
@@ -18,13 +19,24 @@ from bridge import affinity
 from bridge.affinity import Affinity
 from bridge.polling import Polling
 from topics import codec, keys
-from topics.errors import EpisodeChanged, InvalidAction, NodeLost, PeerError, Refused, from_wire, near
+from topics.errors import (
+    EpisodeChanged,
+    InvalidAction,
+    NodeLost,
+    NothingThere,
+    PeerError,
+    Refused,
+    ZenostatError,
+    from_wire,
+    near,
+)
 from topics.messages import Claim, Command, Event, EventKind, Mask, Reset, Sample, State
 
 if TYPE_CHECKING:
     from agent_sdk.client import Bus
 
 _INBOX = 1024
+_MEET_S = 10.0
 
 
 class ControlLink:
@@ -40,7 +52,11 @@ class ControlLink:
         self.bus = bus
         self.name = claim.controller
         self._close = ExitStack()
+        self._met = threading.Event()
+        self._closing = threading.Lock()
+        self._closed = False
         self._lost = False
+        self._ended: ZenostatError | None = None
         self._latest: SampleView | None = None
         self._answered = True
         with ExitStack() as undo:
@@ -64,9 +80,7 @@ class ControlLink:
         self._close.callback(self._drain)
         self._recv, self._try_recv = self._inbox.recv, self._inbox.try_recv
         token = keys.NODE_TOKEN.at(manifest.node, name=manifest.instance)
-        # Without history: Zenoh 1.10 answers a liveliness query emptily while a history is on its way, and the
-        # claim below finds out whether the node is there.
-        watch = session.liveliness().declare_subscriber(token, Callback(self._on_node, indirect=False))
+        watch = session.liveliness().declare_subscriber(token, Callback(self._on_node, indirect=False), history=True)
         self._close.callback(watch.undeclare)
         declare(session.liveliness().declare_token(keys.CONTROLLER_TOKEN.at(manifest.node, name=claim.controller)))
         commands = session.declare_publisher(
@@ -75,12 +89,19 @@ class ControlLink:
             congestion_control=CongestionControl.BLOCK,
         )
         self._put_command = declare(commands).put
+        # The node's death is only told to who has heard of its life; and Zenoh 1.10 answers liveliness queries
+        # emptily while a history is on its way.
+        if not self._met.wait(_MEET_S) or self._lost:
+            raise NothingThere(f"node {manifest.node!r} has gone")
         self.bus.claim(manifest.node, claim)
 
     def _on_node(self, token: zenoh.Sample) -> None:
         if token.kind == zenoh.SampleKind.DELETE:
-            self._lost = True
-            self.bus.session.put(self._wake_key, b"", allowed_destination=Locality.SESSION_LOCAL)
+            with self._closing:
+                self._lost = True
+                if not self._closed:
+                    self.bus.session.put(self._wake_key, b"", allowed_destination=Locality.SESSION_LOCAL)
+        self._met.set()
 
     def _drain(self) -> None:
         # A full inbox would hold up the session's close.
@@ -97,6 +118,8 @@ class ControlLink:
 
     def close(self) -> None:
         """Lets go of the node; twice is fine."""
+        with self._closing:  # a session must not be closed while another thread puts
+            self._closed = True
         self._close.close()
 
     # Samples
@@ -104,6 +127,7 @@ class ControlLink:
     def reset(self, *, seed: int | None = None) -> SampleView:
         """Starts a new episode and waits for its sample 0."""
         accepted = self.bus.reset(self.manifest.node, Reset(controller=self.name, seed=seed))
+        self._ended = None
         self._answered = True
         self._latest = None
         while True:
@@ -142,7 +166,9 @@ class ControlLink:
         return sample
 
     def _next(self, *, changes: bool) -> SampleView:
-        """The next sample in the inbox."""
+        """The next sample in the inbox; what ended the samples once is raised again."""
+        if self._ended is not None:
+            raise self._ended
         while True:
             message = self._polling.wait(self._try_recv, self._recv)
             key = str(message.key_expr)
@@ -156,16 +182,19 @@ class ControlLink:
     def _hear(self, key: str, message: zenoh.Sample, *, changes: bool) -> None:
         """What is not a sample: raises what ends the wait."""
         node = self.manifest.node
-        if self._lost:
-            raise NodeLost(f"node {node!r} is gone{self._where()}; nothing more can be known of it")
+        if key == self._wake_key and self._lost:
+            self._ended = NodeLost(f"node {node!r} is gone{self._where()}; nothing more can be known of it")
+            raise self._ended
         if key != keys.EVENT.at(node):
             return
         event = codec.decode(Event, message.payload.to_bytes(), str(message.encoding))
         if event.kind is EventKind.FAILED:
-            raise from_wire({"error": event.error, "message": event.text})
+            self._ended = from_wire({"error": event.error, "message": event.text})
+            raise self._ended
         if event.kind is EventKind.STOPPED:
-            raise NodeLost(f"node {node!r} was stopped{self._where()}")
-        if event.kind is EventKind.REJECTED and event.source == self.name:
+            self._ended = NodeLost(f"node {node!r} was stopped{self._where()}")
+            raise self._ended
+        if event.kind is EventKind.REJECTED and event.source == self.name and not changes:
             raise Refused(f"node {node!r} did not take the command{self._where()}: {event.text}")
         if event.kind is EventKind.STARTED and not changes and self._latest and event.episode != self._latest.episode:
             who = event.source or "somebody else"
@@ -188,6 +217,8 @@ class ControlLink:
         """
         if self._latest is None:
             raise PeerError("there is no sample to answer yet; receive one first")
+        if self._ended is not None:
+            raise self._ended
         if self._latest.truncated:
             return
         wire = self._latest.wire

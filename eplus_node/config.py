@@ -12,11 +12,12 @@ from bridge.affinity import Affinity
 from bridge.session import DEFAULT_ENDPOINT
 from models import building, catalog, points, survey, weather
 from models.building import Building
+from models.catalog import Entry
 from models.period import Period
 from models.points import Points
 from models.weather import Header
 from topics.codec import explain
-from topics.errors import InvalidConfig
+from topics.errors import InvalidConfig, UnknownName
 from topics.keys import check_name
 from topics.messages import Mode
 
@@ -67,6 +68,19 @@ def read_config(settings: dict[str, Any]) -> NodeConfig:
         raise InvalidConfig(explain(error)) from None
 
 
+def _find(config: NodeConfig) -> tuple[Entry, Entry]:
+    """The building's and the weather's file; `UnknownName` names both if both are unknown."""
+    found, missing = [], []
+    for find, text in ((catalog.find_building, config.building), (catalog.find_weather, config.weather)):
+        try:
+            found.append(find(text))
+        except UnknownName as error:
+            missing.append(str(error))
+    if missing:
+        raise UnknownName("\n".join(missing))
+    return found[0], found[1]
+
+
 def plan(config: NodeConfig) -> Plan:
     """Finds and checks the building, the weather, the run period and the points.
 
@@ -76,8 +90,7 @@ def plan(config: NodeConfig) -> Plan:
         ModelRefused: a model that EnergyPlus cannot read.
     """
     check_name(config.name, "the node's name")
-    model_entry = catalog.find_building(config.building)
-    weather_entry = catalog.find_weather(config.weather)
+    model_entry, weather_entry = _find(config)
     header = weather.read_header(weather_entry.path)
     model = building.read_building(model_entry)
     period = model.period(config.begin, config.end, config.steps_per_hour)

@@ -70,6 +70,9 @@ class Engine:
         self._bind_library()
         self.step = 0
         self.steps = int(spec["steps"])
+        self.steps_per_hour = int(spec["steps_per_hour"])
+        self.zone_steps = 0
+        self.minute = 0.0
         self.near = False  # in the run period, warm-up included
         self.live = False  # after the warm-up
         self.finishing = False
@@ -172,7 +175,11 @@ class Engine:
         """Gathers means and sums as EnergyPlus's reports do: value times its share of the zone timestep."""
         if not self.near or not self.averaged:
             return
-        share = self.system_step_h(state) / self.zone_step_h(state)
+        # EnergyPlus weighs by differences of the minute within the hour, whose rounding goes on from step to
+        # step until the hour ends: only so the sum is the same to the last bit.
+        end = self.minute + self.system_step_h(state) * 60.0
+        share = (end - self.minute) / (self.zone_step_h(state) * 60.0)
+        self.minute = end
         if share == 1.0 and not self.totals:
             return  # one system timestep fills the zone timestep: its value is read at the end
         values = map(self.get_variable, repeat(state), self.averaged_handles)
@@ -211,6 +218,10 @@ class Engine:
             self._exchange(state)
 
     def _on_zone_step(self, state: int) -> None:
+        if self.near:
+            self.zone_steps += 1
+            if self.zone_steps % self.steps_per_hour == 0:
+                self.minute = 0.0
         if not self.live:
             self.warm_totals, self.totals = self.totals, []
             return

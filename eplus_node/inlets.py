@@ -7,6 +7,7 @@ message that never leaves the process.
 
 from __future__ import annotations
 
+import threading
 from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -35,6 +36,9 @@ class Inlets:
         self._node = node
         self._shelf: deque[Callable[[], None]] = deque()
         self._close = ExitStack()
+        # A session must not be closed while another thread puts. Reentrant: a signal's handler wakes as well.
+        self._closing = threading.RLock()
+        self._closed = False
         commands = session.declare_subscriber(keys.COMMAND.at(node, name="*"), FifoChannel(INBOX))
         self._commands = self._close.enter_context(commands)
         self._recv, self._try_recv = commands.recv, commands.try_recv
@@ -44,6 +48,8 @@ class Inlets:
         return self
 
     def __exit__(self, *_: object) -> None:
+        with self._closing:
+            self._closed = True
         self._close.close()
 
     # The node's own thread
@@ -65,7 +71,11 @@ class Inlets:
 
     def wake(self) -> None:
         """Wakes the node's own thread."""
-        self._session.put(keys.COMMAND.at(self._node, name=_WAKE), b"", allowed_destination=Locality.SESSION_LOCAL)
+        with self._closing:
+            if not self._closed:
+                self._session.put(
+                    keys.COMMAND.at(self._node, name=_WAKE), b"", allowed_destination=Locality.SESSION_LOCAL
+                )
 
     def shelve(self, work: Callable[[], None]) -> None:
         """Has the node's own thread do something."""

@@ -25,6 +25,7 @@ from models.points import Points
 from topics.errors import EngineDied, ModelRefused
 
 _SOCKET_BYTES = 1 << 20
+_FINISH_S = 30.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +36,7 @@ class Run:
     weather: Path
     folder: Path
     steps: int
+    steps_per_hour: int
     points: Points
     keep: bool = False
     cpu: int | None = None
@@ -48,6 +50,7 @@ class Run:
             "weather": str(self.weather),
             "folder": str(self.folder),
             "steps": self.steps,
+            "steps_per_hour": self.steps_per_hour,
             "keep": self.keep,
             "parent": os.getpid(),
             "cpu": self.cpu,
@@ -184,9 +187,9 @@ class EngineLink:
         """Lets EnergyPlus end the run early and write its files, then closes."""
         try:
             self._socket.sendall(self._finish)
-            self._process.wait()
-        except OSError:
-            pass  # it has ended already
+            self._process.wait(_FINISH_S)
+        except (OSError, subprocess.TimeoutExpired):
+            pass  # it has ended already, or is ended now
         self.close()
 
     def close(self) -> None:

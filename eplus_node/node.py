@@ -286,6 +286,7 @@ class Node:
             plan.weather,
             folder,
             plan.period.steps,
+            plan.period.steps_per_hour,
             plan.points,
             keep=config.keep is not None,
             cpu=self.engine_cpu,
@@ -302,6 +303,13 @@ class Node:
 
     def _close_engine(self) -> None:
         if hasattr(self, "_engine"):
+            self._end_engine()
+
+    def _end_engine(self) -> None:
+        """Ends the present engine; where its files are kept, EnergyPlus may finish them."""
+        if self.config.keep and self.exchange.state is not State.FAILED:
+            self._engine.finish()
+        else:
             self._engine.close()
 
     def _ready(self) -> None:
@@ -336,7 +344,7 @@ class Node:
         if untouched and self._engine.alive:
             self._ready()
         else:
-            self._engine.finish() if self.config.keep else self._engine.close()
+            self._end_engine()
             try:
                 self._start_engine()
             except SimulatorError as error:
