@@ -9,7 +9,12 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 from nodes import nothing_left
+
+# No deadlines: beside running simulations an example may take any time.
+settings.register_profile("zenostat", deadline=None)
+settings.load_profile("zenostat")
 
 
 @contextmanager
