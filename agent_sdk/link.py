@@ -142,8 +142,9 @@ class ControlLink:
             raise from_wire({"error": "SimulatorError", "message": status.failure})
         if status.state is State.ENDED:
             return self.reset()
-        sample = self._view(self.bus.latest(self.manifest.node))
-        return self._keep(sample)
+        if status.state is not State.WAITING:
+            return self.receive()  # the present sample is answered already; the next one is on its way
+        return self._keep(self._view(self.bus.latest(self.manifest.node)))
 
     def receive(self) -> SampleView:
         """Waits for the next sample.

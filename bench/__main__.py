@@ -36,13 +36,31 @@ KINDS = {
 REFERENCE = "thread and two queues"
 
 
-def measure(kind: str, building: str, days: int, monitors: int) -> float:
-    """Mean microseconds a step of one run."""
+IMPORT = """
+import sys, time
+start = time.perf_counter()
+import agent_sdk
+print(time.perf_counter() - start, [m for m in ("rerun", "pyenergyplus") if m in sys.modules])
+"""
+
+
+def import_time() -> tuple[float, str]:
+    """Median seconds of `import agent_sdk`, and which of Rerun and EnergyPlus it loads."""
+    said = [
+        subprocess.run([sys.executable, "-c", IMPORT], capture_output=True, text=True, check=True).stdout.split(" ", 1)
+        for _ in range(5)
+    ]
+    return statistics.median(float(seconds) for seconds, _ in said), said[0][1].strip()
+
+
+def measure(kind: str, building: str, days: int, monitors: int) -> tuple[float, float | None]:
+    """Mean microseconds a step of one run, and the memory of node and engine where there are such."""
     command = [sys.executable, "-m", "bench.worker", kind, building, str(days), str(monitors)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         sys.exit(f"{' '.join(command)} failed:\n{done.stderr[-2000:]}")
-    return float(json.loads(done.stdout.splitlines()[-1])["mean_us"])
+    figures = json.loads(done.stdout.splitlines()[-1])
+    return figures["mean_us"], figures["memory_mb"]
 
 
 def main() -> None:
@@ -55,21 +73,31 @@ def main() -> None:
     buildings = asked.building or list(BUILDINGS)
     console = Console()
     results: dict[str, dict[str, list[float]]] = {b: {k: [] for k in KINDS} for b in buildings}
+    memory = dict.fromkeys(buildings, 0.0)
     with Progress(console=console) as progress:
         bar = progress.add_task("measuring", total=asked.rounds * len(buildings) * len(KINDS))
         for _ in range(asked.rounds):
             for building in buildings:
                 for title, (kind, monitors) in KINDS.items():
-                    results[building][title].append(measure(kind, building, asked.days, monitors))
+                    spent_us, memory_mb = measure(kind, building, asked.days, monitors)
+                    results[building][title].append(spent_us)
+                    memory[building] = max(memory[building], memory_mb or 0.0)
                     progress.advance(bar)
     for building, kinds in results.items():
         console.print(_table(building, kinds))
+        console.print(f"node and engine of {building}: {memory[building]:.0f} MB")
+    seconds, loads = import_time()
+    console.print(f"import agent_sdk: {seconds:.2f} s; of Rerun and EnergyPlus it loads {loads}")
     target = Path(__file__).parent / "results"
     target.mkdir(exist_ok=True)
     now = datetime.now(UTC)
     written = target / f"{now:%Y%m%dT%H%M%S}.json"
     about = {"version": VERSION, "python": platform.python_version(), "machine": platform.machine()}
-    written.write_text(json.dumps({**about, "days": asked.days, "us_per_step": results}, indent=1))
+    written.write_text(
+        json.dumps(
+            {**about, "days": asked.days, "us_per_step": results, "memory_mb": memory, "import_s": seconds}, indent=1
+        )
+    )
     console.print(f"written to {written.relative_to(Path.cwd())}" if written.is_relative_to(Path.cwd()) else written)
 
 

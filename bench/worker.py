@@ -133,8 +133,8 @@ def queues(run: InProcess) -> list[float]:
     return run.times
 
 
-def environment(building: str, days: int, monitors: int, affinity: str) -> list[float]:
-    """`env.step` across processes over Zenoh."""
+def environment(building: str, days: int, monitors: int, affinity: str) -> tuple[list[float], float]:
+    """`env.step` across processes over Zenoh; also the resident megabytes of node and engine."""
     import gymnasium as gym
 
     import agent_sdk
@@ -160,21 +160,25 @@ def environment(building: str, days: int, monitors: int, affinity: str) -> list[
         while not truncated:
             truncated = env.step(action)[3]
             times.append(time.perf_counter())
+            if len(times) == SKIP:
+                status = env.unwrapped.link.bus.status(env.unwrapped.manifest.node)
     assert agent_sdk
-    return times
+    return times, (status.node_rss_bytes + status.engine_rss_bytes) / 1e6
 
 
 def main() -> None:
     """Measures what the command line says."""
     kind, building, days, monitors = sys.argv[1], sys.argv[2], int(sys.argv[3]), int(sys.argv[4])
+    memory_mb = None
     in_process = {"bare": bare, "callback": callback, "queues": queues}
     if kind in in_process:
         with tempfile.TemporaryDirectory(prefix="zenostat-bench-") as folder:
             times = in_process[kind](InProcess(building, days, Path(folder)))
     else:
-        times = environment(building, days, monitors, kind)
-    spans = np.diff(times[SKIP:])
-    print(json.dumps({"mean_us": float(spans.mean() * 1e6), "median_us": float(np.median(spans) * 1e6)}))
+        times, memory_mb = environment(building, days, monitors, kind)
+    spans = np.diff(times[SKIP + 1 :])
+    figures = {"mean_us": float(spans.mean() * 1e6), "median_us": float(np.median(spans) * 1e6)}
+    print(json.dumps({**figures, "memory_mb": memory_mb}))
 
 
 if __name__ == "__main__":
