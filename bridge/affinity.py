@@ -12,10 +12,13 @@ from __future__ import annotations
 import itertools
 import os
 import socket
+import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from enum import StrEnum
 
+_STAND_BACK = 10
 _turn = itertools.count(os.getpid())
 
 
@@ -62,6 +65,16 @@ def pin(core: int | None) -> None:
     """Places the calling thread, and all threads and processes that it starts from now on."""
     if core is not None and supported():
         os.sched_setaffinity(0, {core})
+
+
+def give_way() -> None:
+    """Has the calling thread, and those that it starts from now on, stand back where others want the core.
+
+    For monitors, once their Zenoh session is open: the session's own threads go on to receive in time. Ten is as
+    far as it goes without a loss: at nineteen, a year flat out on two cores lost 65 of 35,040 samples.
+    """
+    if sys.platform.startswith("linux"):
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _STAND_BACK)
 
 
 @contextmanager

@@ -27,6 +27,7 @@ def monitor(
 
     Example: `zenostat monitor --save run.rrd --screenshot run.png`
     """
+    from bridge import affinity
     from bridge.rerun_program import NO_VULKAN
     from bridge.rerun_program import screenshot as draw
     from bridge.rerun_stream import RerunStream
@@ -38,7 +39,9 @@ def monitor(
             recording = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="zenostat-"))) / "run.rrd"
         sinks = _sinks(stack, recording, web)
         stop = stack.enter_context(until_signal())
-        with open_session(connect=[connect], wait=True) as session, RerunStream(session, node, sinks) as stream:
+        session = stack.enter_context(open_session(connect=[connect], wait=True))
+        affinity.give_way()
+        with RerunStream(session, node, sinks) as stream:
             out.print(f"listening on {connect}; Ctrl-C ends it")
             stream.run(until=lambda: stop.is_set() or (once and stream.left))
         out.print(f"{stream.samples} samples logged, {stream.missed} missed" + (f", in {save}" if save else ""))
