@@ -52,7 +52,7 @@ def monitor(
 def _sinks(stack: ExitStack, recording: Path | None, web: bool) -> list[Any]:
     import rerun as rr
 
-    from bridge.rerun_program import web_viewer
+    from bridge.rerun_program import program, web_viewer
 
     sinks: list[Any] = []
     if recording is not None:
@@ -68,6 +68,6 @@ def _sinks(stack: ExitStack, recording: Path | None, web: bool) -> list[Any]:
             raise InvalidConfig(
                 "there is no display for the viewer; use --web, --save FILE.rrd or --screenshot FILE.png"
             )
-        rr.spawn(connect=False)
+        rr.spawn(connect=False, executable_path=program())
         sinks.append(rr.GrpcSink())
     return sinks
