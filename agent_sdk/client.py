@@ -14,7 +14,6 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager
 from typing import TypeVar
 
 import zenoh
-from zenoh import Locality
 from zenoh.handlers import Callback, RingChannel
 
 from agent_sdk.link import ControlLink
@@ -22,6 +21,7 @@ from agent_sdk.sample import SampleView
 from bridge import affinity
 from bridge.affinity import Affinity
 from bridge.session import DEFAULT_ENDPOINT, open_session
+from bridge.wake import Wake
 from topics import codec, keys
 from topics.errors import (
     NodeLost,
@@ -156,23 +156,24 @@ class Bus:
         """
         manifest = self.manifest(node)
         names = {name: i for i, name in enumerate(manifest.names)}
-        token, wake = keys.NODE_TOKEN.at(node, name=manifest.instance), f"{keys.root(node)}/{keys.WAKE}"
+        token, wake_key = keys.NODE_TOKEN.at(node, name=manifest.instance), keys.wake(node)
+        wake = Wake(self.session, wake_key)
 
         def on_token(sample: zenoh.Sample) -> None:
             if sample.kind == zenoh.SampleKind.DELETE:
-                self.session.put(wake, b"", allowed_destination=Locality.SESSION_LOCAL)
+                wake()
 
         with ExitStack() as stack:
-            own = f"{keys.root(node)}/{keys.OWN_STREAM}"
-            inbox = stack.enter_context(self.session.declare_subscriber(own, RingChannel(_LISTEN)))
+            inbox = stack.enter_context(self.session.declare_subscriber(keys.stream(node), RingChannel(_LISTEN)))
             watch = self.session.liveliness().declare_subscriber(token, Callback(on_token, indirect=False))
             stack.callback(watch.undeclare)
+            stack.callback(wake.close)
 
             def samples() -> Iterator[SampleView]:
                 while True:
                     message = inbox.recv()
                     key = str(message.key_expr)
-                    if key == wake:
+                    if key == wake_key:
                         raise NodeLost(f"node {node!r} is gone")
                     if key == keys.SAMPLE.at(node):
                         wire = codec.decode(Sample, message.payload.to_bytes(), str(message.encoding))

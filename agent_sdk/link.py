@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import zenoh
 from numpy.typing import NDArray
-from zenoh import CongestionControl, Locality
+from zenoh import CongestionControl
 from zenoh.handlers import Callback, FifoChannel
 
 from agent_sdk.sample import SampleView
 from bridge import affinity
 from bridge.affinity import Affinity
 from bridge.polling import Polling
+from bridge.wake import Wake
 from topics import codec, keys
 from topics.errors import (
     EpisodeChanged,
@@ -45,16 +46,14 @@ class ControlLink:
     Attributes:
         manifest: what the node is.
         name: this controller's name on the bus.
-        accepted, rejected: its commands of this link so far.
     """
 
     def __init__(self, bus: Bus, node: str, claim: Claim, placement: Affinity) -> None:
         self.bus = bus
         self.name = claim.controller
         self._close = ExitStack()
+        self._wake = Wake(bus.session, keys.wake(node))
         self._met = threading.Event()
-        self._closing = threading.Lock()
-        self._closed = False
         self._lost = False
         self._ended: ZenostatError | None = None
         self._latest: SampleView | None = None
@@ -69,14 +68,14 @@ class ControlLink:
 
     def _open(self, session: zenoh.Session, claim: Claim) -> None:
         """Listens first, claims last: nothing that the node says afterwards is missed."""
-        manifest, root = self.manifest, keys.root(self.manifest.node)
+        manifest = self.manifest
         self._names = {name: i for i, name in enumerate(manifest.names)}
         self._actuators = {a.name: i for i, a in enumerate(manifest.actuators)}
         self._shape = (manifest.slots, len(manifest.actuators))
         self._sample_key = keys.SAMPLE.at(manifest.node)
-        self._wake_key = f"{root}/{keys.WAKE}"
+        self._wake_key = keys.wake(manifest.node)
         declare = self._close.enter_context
-        self._inbox = declare(session.declare_subscriber(f"{root}/{keys.OWN_STREAM}", FifoChannel(_INBOX)))
+        self._inbox = declare(session.declare_subscriber(keys.stream(manifest.node), FifoChannel(_INBOX)))
         self._close.callback(self._drain)
         self._recv, self._try_recv = self._inbox.recv, self._inbox.try_recv
         token = keys.NODE_TOKEN.at(manifest.node, name=manifest.instance)
@@ -97,10 +96,8 @@ class ControlLink:
 
     def _on_node(self, token: zenoh.Sample) -> None:
         if token.kind == zenoh.SampleKind.DELETE:
-            with self._closing:
-                self._lost = True
-                if not self._closed:
-                    self.bus.session.put(self._wake_key, b"", allowed_destination=Locality.SESSION_LOCAL)
+            self._lost = True
+            self._wake()
         self._met.set()
 
     def _drain(self) -> None:
@@ -118,8 +115,7 @@ class ControlLink:
 
     def close(self) -> None:
         """Lets go of the node; twice is fine."""
-        with self._closing:  # a session must not be closed while another thread puts
-            self._closed = True
+        self._wake.close()
         self._close.close()
 
     # Samples

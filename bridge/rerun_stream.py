@@ -107,7 +107,7 @@ class RerunStream:
         self._close.callback(self.recording.disconnect)
         self._close.callback(self.recording.flush)
         declare = self._close.enter_context
-        self._inbox = declare(session.declare_subscriber(f"{keys.root(node)}/{keys.OWN_STREAM}", RingChannel(RING)))
+        self._inbox = declare(session.declare_subscriber(keys.stream(node), RingChannel(RING)))
         self._tokens = declare(
             session.liveliness().declare_subscriber(keys.NODE_TOKEN.at(node, name="*"), RingChannel(256), history=True)
         )

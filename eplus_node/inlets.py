@@ -7,16 +7,15 @@ message that never leaves the process.
 
 from __future__ import annotations
 
-import threading
 from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack
 from typing import Any
 
 import zenoh
-from zenoh import Locality
 from zenoh.handlers import Callback, FifoChannel
 
+from bridge.wake import Wake
 from topics import codec, errors, keys
 from topics.errors import ZenostatError
 from topics.messages import Denied, Message
@@ -29,16 +28,18 @@ Take = Callable[[str, bytes, str], None]
 
 
 class Inlets:
-    """The subscribers and queryables of a node; `with Inlets(session, node) as inlets`."""
+    """The subscribers and queryables of a node; `with Inlets(session, node) as inlets`.
+
+    Attributes:
+        wake: wakes the node's own thread; any thread may call it.
+    """
 
     def __init__(self, session: zenoh.Session, node: str) -> None:
         self._session = session
         self._node = node
         self._shelf: deque[Callable[[], None]] = deque()
         self._close = ExitStack()
-        # A session must not be closed while another thread puts. Reentrant: a signal's handler wakes as well.
-        self._closing = threading.RLock()
-        self._closed = False
+        self.wake = Wake(session, keys.COMMAND.at(node, name=_WAKE))
         commands = session.declare_subscriber(keys.COMMAND.at(node, name="*"), FifoChannel(INBOX))
         self._commands = self._close.enter_context(commands)
         self._recv, self._try_recv = commands.recv, commands.try_recv
@@ -48,8 +49,7 @@ class Inlets:
         return self
 
     def __exit__(self, *_: object) -> None:
-        with self._closing:
-            self._closed = True
+        self.wake.close()
         self._close.close()
 
     # The node's own thread
@@ -68,14 +68,6 @@ class Inlets:
             self._shelf.popleft()()
 
     # Any thread
-
-    def wake(self) -> None:
-        """Wakes the node's own thread."""
-        with self._closing:
-            if not self._closed:
-                self._session.put(
-                    keys.COMMAND.at(self._node, name=_WAKE), b"", allowed_destination=Locality.SESSION_LOCAL
-                )
 
     def shelve(self, work: Callable[[], None]) -> None:
         """Has the node's own thread do something."""

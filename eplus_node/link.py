@@ -89,13 +89,14 @@ class EngineLink:
         self._frame_buffers = [self._frame_bytes]
         self._polling = Polling(enabled=run.poll)
         try:
-            self._process = subprocess.Popen(
-                [*ISOLATED, "eplus_node.engine", str(theirs.fileno())],
-                pass_fds=[theirs.fileno()],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=(run.folder / "engine.log").open("wb"),
-            )
+            with (run.folder / "engine.log").open("wb") as log:
+                self._process = subprocess.Popen(
+                    [*ISOLATED, "eplus_node.engine", str(theirs.fileno())],
+                    pass_fds=[theirs.fileno()],
+                    stdin=subprocess.DEVNULL,
+                    stdout=subprocess.DEVNULL,
+                    stderr=log,
+                )
         finally:
             theirs.close()
         spec = json.dumps(run.spec()).encode()
@@ -119,10 +120,9 @@ class EngineLink:
         except psutil.Error:
             return 0
 
-    def interrupt(self, *, busy: bool) -> None:
+    def interrupt(self) -> None:
         """Ends a process that is computing, so that whoever waits for its frame is told; any thread may."""
-        if busy:
-            self._process.kill()
+        self._process.kill()
 
     @property
     def step(self) -> int:

@@ -357,7 +357,8 @@ class Node:
     def _hurry(self) -> None:
         """Does not wait for an engine that is computing."""
         self._stopping = True
-        self._engine.interrupt(busy=self.exchange.state in (State.RUNNING, State.STARTING))
+        if self.exchange.state in (State.RUNNING, State.STARTING):
+            self._engine.interrupt()
 
     def _stop(self, _: Stop) -> Message:
         self._inlets.shelve(self._leave)

@@ -101,6 +101,16 @@ WAKE = "wake"
 """Below a node's root: never on the wire; a process wakes its own receiving thread with it."""
 
 
+def stream(node: str) -> str:
+    """A node's topics of one chunk; `*` is every node's."""
+    return f"{root(node)}/{OWN_STREAM}"
+
+
+def wake(node: str) -> str:
+    """The key by which a listener to a node's stream wakes itself."""
+    return f"{root(node)}/{WAKE}"
+
+
 def root(node: str) -> str:
     """`zenostat/v1/{node}`."""
     return f"{PREFIX}/{node}"
