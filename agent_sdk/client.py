@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from typing import TypeVar
 
@@ -41,6 +41,8 @@ from topics.messages import (
     Sample,
     Status,
     Stop,
+    WeatherQuery,
+    WeatherSeries,
 )
 
 R = TypeVar("R", bound=Message)
@@ -126,6 +128,10 @@ class Bus:
     def reset(self, node: str, reset: Reset) -> Accepted:
         """Starts a new episode of a node."""
         return self._ask(keys.RESET, node, reset, Accepted)
+
+    def weather(self, node: str, columns: Sequence[str]) -> WeatherSeries:
+        """The weather that a node's present episode reads, noise included; `UnknownName` lists the columns."""
+        return self._ask(keys.WEATHER, node, WeatherQuery(columns=list(columns)), WeatherSeries)
 
     def _ask(self, topic: keys.Topic, node: str, question: Message | None, answer: type[R]) -> R:
         replies = self.session.get(

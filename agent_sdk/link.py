@@ -31,7 +31,7 @@ from topics.errors import (
     from_wire,
     near,
 )
-from topics.messages import Claim, Command, Event, EventKind, Mask, Reset, Sample, State
+from topics.messages import Accepted, Claim, Command, Event, EventKind, Mask, Reset, Sample, State
 
 if TYPE_CHECKING:
     from agent_sdk.client import Bus
@@ -46,7 +46,10 @@ class ControlLink:
     Attributes:
         manifest: what the node is.
         name: this controller's name on the bus.
+        accepted: the node's answer to the latest reset.
     """
+
+    accepted: Accepted
 
     def __init__(self, bus: Bus, node: str, claim: Claim, placement: Affinity) -> None:
         self.bus = bus
@@ -122,7 +125,7 @@ class ControlLink:
 
     def reset(self, *, seed: int | None = None) -> SampleView:
         """Starts a new episode and waits for its sample 0."""
-        accepted = self.bus.reset(self.manifest.node, Reset(controller=self.name, seed=seed))
+        accepted = self.accepted = self.bus.reset(self.manifest.node, Reset(controller=self.name, seed=seed))
         self._ended = None
         self._answered = True
         self._latest = None
@@ -202,12 +205,15 @@ class ControlLink:
 
     # Commands
 
-    def send(self, values: Mapping[str, float | None] | NDArray[np.float64] | None = None) -> None:
+    def send(
+        self, values: Mapping[str, float | None] | NDArray[np.float64] | None = None, mask: bytes | None = None
+    ) -> None:
         """Answers the present sample. An episode's last sample takes no answer: nothing is sent.
 
         Args:
             values: by actuator name, None releasing it to the building's own control and the others kept
                 as they are; or an array of all actuators in manifest order; or None to keep all.
+            mask: with an array, a `Mask` byte for each actuator; None sets all.
 
         Raises:
             InvalidAction: an unknown actuator, a wrong shape, or a value that is not finite.
@@ -219,16 +225,18 @@ class ControlLink:
         if self._latest.truncated:
             return
         wire = self._latest.wire
-        raw, mask = self._coded(values)
+        raw, mask = self._coded(values, mask)
         self._answered = True
         self._put_command(codec.pack(episode=wire.episode, step=wire.step, mask=mask, values=raw))
 
-    def _coded(self, values: Mapping[str, float | None] | NDArray[np.float64] | None) -> tuple[bytes, bytes | None]:
+    def _coded(
+        self, values: Mapping[str, float | None] | NDArray[np.float64] | None, given: bytes | None
+    ) -> tuple[bytes, bytes | None]:
         count = self._shape[1]
         if isinstance(values, np.ndarray):
             if values.shape != (count,):
                 raise InvalidAction(f"values of shape {values.shape}; ({count},) expected: one for each actuator")
-            return values.astype("<f8", copy=False).tobytes(), None
+            return values.astype("<f8", copy=False).tobytes(), given
         row, mask = np.zeros(count), np.full(count, Mask.KEEP, np.uint8)
         for name, value in (values or {}).items():
             if name not in self._actuators:

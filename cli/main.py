@@ -6,8 +6,9 @@ import sys
 
 import typer
 
-from cli import demo, monitor, node, points, run, status
+from cli import buildings, demo, monitor, node, packs, points, run, status, weathers
 from cli.console import say_error
+from cli.scenarios import scenarios
 from topics import VERSION
 from topics.errors import UsageError, ZenostatError
 
@@ -19,8 +20,20 @@ app = typer.Typer(
     rich_markup_mode="markdown",
     help="Put a real EnergyPlus building on a Zenoh bus, control it from other processes, watch it live.",
 )
-for command in (node.node, monitor.monitor, run.run, status.status, points.points, demo.demo):
+_COMMANDS = (
+    node.node,
+    run.run,
+    monitor.monitor,
+    status.status,
+    buildings.buildings,
+    weathers.weathers,
+    points.points,
+    demo.demo,
+)
+for command in _COMMANDS:
     app.command()(command)
+app.add_typer(scenarios, name="scenarios")
+app.add_typer(packs.app, name="packs")
 
 
 def _version(wanted: bool) -> None:

@@ -20,8 +20,15 @@ if TYPE_CHECKING:
 
 
 def node(
-    building: Annotated[str, typer.Option(help="Short name, path to an IDF or epJSON, or part of a name.")],
-    weather: Annotated[str, typer.Option(help="Short name, path to an EPW, or part of a name.")],
+    scenario: Annotated[
+        str | None, typer.Option(help="Id, or a file (YAML); what else is given goes before it.")
+    ] = None,
+    building: Annotated[
+        str | None, typer.Option(help="Short name, path to an IDF or epJSON, or part of a name.")
+    ] = None,
+    weather: Annotated[
+        list[str] | None, typer.Option(help="Short name, path to an EPW, or part of a name; or several.")
+    ] = None,
     name: Annotated[str, typer.Option(help="The node's name on the bus.")] = "building",
     begin: Annotated[str | None, typer.Option(help="First day, MM-DD or YYYY-MM-DD.")] = None,
     end: Annotated[str | None, typer.Option(help="Last day, MM-DD or YYYY-MM-DD.")] = None,
@@ -44,8 +51,9 @@ def node(
 
     config = read_config(
         {
+            "scenario": scenario,
             "building": building,
-            "weather": weather,
+            "weather": weather or None,
             "name": name,
             "begin": begin,
             "end": end,
@@ -62,6 +70,8 @@ def node(
         watch = _Watch(bars, name)
         with Node(config, observer=watch) as running:
             bars.console.print(_greeting(running, listen))
+            for warning in running.manifest.warnings:
+                bars.console.print(f"warning: {warning}", style="yellow", markup=False)
             running.serve()
     out.print(f"{name}: ended")
 

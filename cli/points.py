@@ -4,13 +4,24 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Sequence
+from dataclasses import asdict
 from enum import StrEnum
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich.markup import escape
 from rich.table import Table
 
 from cli.console import err, out
+
+if TYPE_CHECKING:
+    from models.points import Listed
+    from models.survey import Survey
+
+
+_LONG = 2000
+"""Rows from which on a drawn table takes seconds."""
 
 
 class Kind(StrEnum):
@@ -19,42 +30,98 @@ class Kind(StrEnum):
     SENSOR = "sensor"
     METER = "meter"
     ACTUATOR = "actuator"
+    INTERNAL = "internal"
 
 
 def points(
     building: Annotated[str, typer.Argument(help="Short name, path to an IDF or epJSON, or part of a name.")],
     kind: Annotated[Kind | None, typer.Option(help="Only this kind.")] = None,
-    match: Annotated[str, typer.Option(help="Only names or keys that contain this text.")] = "",
+    match: Annotated[str, typer.Option(help="Only names, keys or places that contain this text.")] = "",
     default: Annotated[bool, typer.Option("--default", help="Only those that a node has if none are named.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """Lists a building's sensors, meters and actuators with their units. The first time takes seconds.
+    """Lists a building's points with their units, bounds and places. The first time takes seconds.
 
     Example: `zenostat points office-medium --kind actuator --match setpoint`
     """
     from models import catalog
     from models.building import read_building
-    from models.points import default_actuators, default_meters, default_sensors, listing
+    from models.points import listing
     from models.survey import survey
 
     with err.status(f"asking EnergyPlus about {building}"):
         model = read_building(catalog.find_building(building))
         found = survey(model, catalog.weathers()[0].path)
-    rows = [row for row in listing(found) if kind is None or row[0] == kind]
-    if default:
-        wanted = {("sensor", *spec) for spec in default_sensors(found).values()}
-        wanted |= {("meter", name, "") for name in default_meters(found).values()}
-        wanted |= {("actuator", f"{a} / {b}", key) for a, b, key in default_actuators(found).values()}
-        folded = {(k, n.casefold(), key.casefold()) for k, n, key in wanted}
-        rows = [row for row in rows if (row[0], row[1].casefold(), row[2].casefold()) in folded]
+    wanted = _default(found) if default else None
     text = match.casefold()
-    rows = [row for row in rows if text in row[1].casefold() or text in row[2].casefold()]
+    rows = [
+        row
+        for row in listing(found, model)
+        if (kind is None or row.kind == kind)
+        and (wanted is None or (row.kind, row.name.casefold(), row.key.casefold()) in wanted)
+        and any(text in part.casefold() for part in (row.name, row.key, row.where))
+    ]
     if as_json:
-        fields = ("kind", "name", "key", "unit")
-        json.dump([dict(zip(fields, row, strict=True)) for row in rows], sys.stdout, indent=1)
-        sys.stdout.write("\n")
+        show_json([asdict(row) for row in rows])
         return
-    table = Table("kind", "name", "key", "unit", title=f"{model.name}: {len(rows)} points")
+    columns = ("kind", "name", "key", "where", "unit", "low", "high")
+    show(
+        f"{model.name}: {len(rows):,} points",
+        columns,
+        [_cells(row) for row in rows],
+        right=("low", "high"),
+        wrap=("name", "key", "where"),
+    )
+
+
+def _default(found: Survey) -> set[tuple[str, str, str]]:
+    """(kind, name, key), folded, of the points that a node has if none are named."""
+    from models.points import default_actuators, default_meters, default_sensors
+
+    wanted = {("sensor", *spec) for spec in default_sensors(found).values()}
+    wanted |= {("meter", name, "") for name in default_meters(found).values()}
+    wanted |= {("actuator", f"{a} / {b}", key) for a, b, key in default_actuators(found).values()}
+    return {(kind, name.casefold(), key.casefold()) for kind, name, key in wanted}
+
+
+def _cells(row: Listed) -> tuple[str, ...]:
+    low, high = ("" if bound is None else f"{bound:g}" for bound in (row.low, row.high))
+    return row.kind, row.name, row.key, row.where, row.unit, low, high
+
+
+def show_json(rows: Sequence[dict[str, Any]]) -> None:
+    """Prints rows as JSON."""
+    json.dump(rows, sys.stdout, indent=1)
+    sys.stdout.write("\n")
+
+
+def show(
+    title: str,
+    columns: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    *,
+    right: Sequence[str] = (),
+    wrap: Sequence[str] = (),
+) -> None:
+    """A table in a terminal; in a pipe, or where it is very long, a line a row, as wide as it needs.
+
+    `right`: columns of numbers. `wrap`: columns whose cells may take several lines of a table.
+    """
+    if not out.is_terminal or len(rows) > _LONG:
+        _show_lines([column.replace("\n", " ") for column in columns], rows, [name in right for name in columns])
+        return
+    table = Table(title=title)
+    for name in columns:
+        least = {"min_width": 10} if name in wrap else {"no_wrap": True}
+        table.add_column(name, justify="right" if name in right else "left", **least)
     for row in rows:
-        table.add_row(*row)
+        table.add_row(*map(escape, row))
     out.print(table)
+
+
+def _show_lines(columns: Sequence[str], rows: Sequence[Sequence[str]], right: Sequence[bool]) -> None:
+    widths = [max(map(len, cells)) for cells in zip(columns, *rows, strict=True)]
+    for row in (columns, *rows):
+        cells = zip(row, widths, right, strict=True)
+        line = "  ".join(cell.rjust(width) if number else cell.ljust(width) for cell, width, number in cells)
+        sys.stdout.write(line.rstrip() + "\n")

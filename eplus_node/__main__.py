@@ -12,7 +12,7 @@ import signal
 import sys
 import threading
 
-from eplus_node.config import read_config
+from eplus_node.config import plan, read_config
 from eplus_node.node import Node
 from topics.errors import ZenostatError, to_wire
 
@@ -41,8 +41,13 @@ def main() -> int:
         line += more
     threading.Thread(target=_end_with_owner, daemon=True, name="lifeline").start()
     try:
-        with Node(read_config(json.loads(line))) as node:
-            _say(ready=node.config.name)
+        config = read_config(json.loads(line))
+        if config.check:
+            plan(config)
+            _say(ready=config.name)
+            return 0
+        with Node(config) as node:
+            _say(ready=config.name)
             node.serve()
     except ZenostatError as error:
         _say(**to_wire(error))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,32 +11,39 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from bridge.affinity import Affinity
 from bridge.session import DEFAULT_ENDPOINT
-from models import building, catalog, points, survey, weather
+from models import building, catalog, design_days, points, rivals, sinergym, survey, variability, weather
 from models.building import Building
-from models.catalog import Entry
+from models.episode import Source
 from models.period import Period
 from models.points import Points
-from models.weather import Header
+from models.scenario import ActuatorSpec, Scenario, load_scenario, read_scenario
+from models.scenarios import find_scenario
+from models.survey import Survey
+from models.tasks import task_of
 from topics.codec import explain
-from topics.errors import InvalidConfig, UnknownName
+from topics.errors import Faults, InvalidConfig, UnknownName, near
 from topics.keys import check_name
-from topics.messages import Mode
+from topics.messages import Mode, Reading, Task
 
 
 class NodeConfig(BaseModel):
-    """The settings of a node. Points left out (None) are found in the model."""
+    """The settings of a node.
+
+    Attributes:
+        scenario: an id or a file; or None.
+        config: a Sinergym configuration instead, and which `variant` of it (`hot-continuous`; None: its first).
+        what: fields of a scenario, which go before those of `scenario`.
+        check: only check everything, and start nothing.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    building: str
-    weather: str
+    scenario: str | None = None
+    config: Path | None = None
+    variant: str | None = None
+    what: dict[str, Any] = Field(default_factory=dict)
+    check: bool = False
     name: str = "building"
-    begin: str | None = None
-    end: str | None = None
-    steps_per_hour: int | None = None
-    sensors: dict[str, list[str]] | None = None
-    meters: dict[str, str] | None = None
-    actuators: dict[str, list[str | float | None]] | None = None
     mode: Mode = Mode.LOCKSTEP
     listen: list[str] = Field(default_factory=lambda: [DEFAULT_ENDPOINT])
     connect: list[str] = Field(default_factory=list)
@@ -49,55 +57,149 @@ class NodeConfig(BaseModel):
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """A checked configuration: everything that can be known before EnergyPlus runs."""
+    """A checked configuration: everything that can be known before EnergyPlus runs.
+
+    `warnings`: what in the model works against the scenario's actuators; `notes`: what was done to the model.
+    """
 
     config: NodeConfig
+    scenario: Scenario
     building: Building
-    weather: Path
-    weather_name: str
-    header: Header
+    sources: tuple[Source, ...]
     period: Period
     points: Points
+    task: Task
+    warnings: tuple[str, ...]
 
 
-def read_config(settings: dict[str, Any]) -> NodeConfig:
-    """The settings as a `NodeConfig`; `InvalidConfig` names all faults at once."""
+def read_config(settings: Mapping[str, Any]) -> NodeConfig:
+    """The settings as a `NodeConfig`; those of a scenario stand beside those of the node.
+
+    Raises:
+        InvalidConfig: names all faults at once.
+    """
+    own = {name: value for name, value in settings.items() if name in NodeConfig.model_fields}
+    what = {name: value for name, value in settings.items() if name in Scenario.model_fields}
+    known = [*NodeConfig.model_fields, *Scenario.model_fields]
+    unknown = [f"no setting {name!r}; {near(name, known)}" for name in settings if name not in known]
+    if unknown:
+        raise InvalidConfig("\n".join(unknown))
     try:
-        return NodeConfig.model_validate(settings)
+        return NodeConfig.model_validate({"what": what, **own})
     except ValidationError as error:
         raise InvalidConfig(explain(error)) from None
 
 
-def _find(config: NodeConfig) -> tuple[Entry, Entry]:
-    """The building's and the weather's file; `UnknownName` names both if both are unknown."""
-    found, missing = [], []
-    for find, text in ((catalog.find_building, config.building), (catalog.find_weather, config.weather)):
-        try:
-            found.append(find(text))
-        except UnknownName as error:
-            missing.append(str(error))
-    if missing:
-        raise UnknownName("\n".join(missing))
-    return found[0], found[1]
+def read_base(config: NodeConfig) -> Scenario | None:
+    """The scenario that the settings name, if they do."""
+    if config.config is not None:
+        return sinergym.scenario_of(config.config, config.variant)
+    if config.scenario is None:
+        return None
+    path = Path(config.scenario).expanduser()
+    return load_scenario(path) if path.suffix in (".yaml", ".yml") else find_scenario(config.scenario)
+
+
+def scenario_of(config: NodeConfig) -> Scenario:
+    """The scenario with all that the settings say over it.
+
+    Raises:
+        UnknownName, InvalidConfig: no such scenario, or a field of it that cannot be.
+    """
+    base, given = read_base(config), {name: value for name, value in config.what.items() if value is not None}
+    if base is None:
+        missing = [name for name in ("building", "weather") if name not in given]
+        if missing:
+            raise InvalidConfig(f"name a scenario, or a building and a weather ({' and '.join(missing)} missing)")
+        return read_scenario(given, "the settings")
+    if not given:
+        return base
+    changed = {"actuators", "actions", "control", "building"} & set(given)
+    fields = base.model_dump(exclude_unset=True)
+    if changed:  # what was said of the former actuators does not hold for others
+        stale = {"actions", "discrete"} | ({"sensors", "meters", "actuators"} if "building" in changed else set())
+        fields = {name: value for name, value in fields.items() if name not in stale or isinstance(value, int)}
+    return read_scenario(fields | given, "the settings")
 
 
 def plan(config: NodeConfig) -> Plan:
-    """Finds and checks the building, the weather, the run period and the points.
+    """Finds and checks the scenario: building, changes, weather, run period, points, task.
 
     Raises:
-        UnknownName: a building, weather or point that is not there.
+        UnknownName: a scenario, building, weather or point that is not there.
         InvalidConfig: settings that cannot be.
         ModelRefused: a model that EnergyPlus cannot read.
     """
     check_name(config.name, "the node's name")
-    model_entry, weather_entry = _find(config)
-    header = weather.read_header(weather_entry.path)
-    model = building.read_building(model_entry)
-    period = model.period(config.begin, config.end, config.steps_per_hour)
-    weather.check_covers(header, period, weather_entry.name)
+    scenario = scenario_of(config)
+    faults = Faults()
+    model = faults.catch(lambda: _model(scenario))
+    sources = tuple(faults.catch(lambda name=name: _source(name, scenario)) for name in scenario.weather)  # type: ignore[misc]
+    faults.catch(lambda: variability.checked(scenario.variability))
     if config.keep is not None and config.keep.exists() and not config.keep.is_dir():
-        raise InvalidConfig(f"keep={config.keep} is a file; name a folder")
-    chosen = points.choose(
-        model, survey.survey(model, weather_entry.path), config.sensors, config.meters, config.actuators
-    )
-    return Plan(config, model, weather_entry.path, weather_entry.name, header, period, chosen)
+        faults.found.append(InvalidConfig(f"keep={config.keep} is a file; name a folder"))
+    period = chosen = task = None
+    if model is not None:
+        period = faults.catch(lambda: model.period(scenario.begin, scenario.end, scenario.steps_per_hour))
+    found = [source for source in sources if source is not None]
+    if period is not None:
+        for source in found:
+            faults.catch(lambda source=source: weather.check_covers(source.header, period, source.name))  # type: ignore[misc]
+    if model is not None and found:
+        chosen = faults.catch(lambda: _points(model, scenario, found[0].path))
+    if chosen is not None:
+        task = faults.catch(lambda: task_of(scenario, chosen))
+    faults.raise_all()
+    assert model is not None
+    assert period is not None
+    assert chosen is not None
+    assert task is not None
+    warnings = tuple(rivals.rivals(model.objects, chosen.actuators))
+    return Plan(config, scenario, model, tuple(found), period, chosen, task, warnings)
+
+
+def _model(scenario: Scenario) -> Building:
+    return building.varied(building.read_building(catalog.find_building(scenario.building)), scenario.changes)
+
+
+def _source(name: str, scenario: Scenario) -> Source:
+    entry = catalog.find_weather(name)
+    header = weather.read_header(entry.path)
+    if scenario.variability:
+        weather.read(entry.path)
+    site = design_days.site(entry.path, header) if scenario.sizing == "weather" else None
+    return Source(entry.name, entry.path, header, site)
+
+
+def _points(model: Building, scenario: Scenario, any_weather: Path) -> Points:
+    offered = survey.survey(model, any_weather)
+    actuators = None
+    if scenario.actuators is not None:
+        actuators = {name: _actuator(model, offered, name, spec) for name, spec in scenario.actuators.items()}
+    sensors = points.default_sensors(offered) if scenario.sensors is None else {}
+    specs: dict[str, list[str]] = {name: list(spec) for name, spec in sensors.items()}
+    for name, sensor in (scenario.sensors or {}).items():
+        specs[name] = [sensor.variable, sensor.key, *([sensor.reading] if sensor.reading else [])]
+    if scenario.reading is not None:
+        summed = {v.name.casefold(): v.summed for v in offered.variables}
+        for spec in specs.values():
+            if len(spec) == 2:
+                reported = Reading.SUM if summed.get(spec[0].casefold()) else Reading.MEAN
+                spec.append(Reading.INSTANT if scenario.reading is Reading.INSTANT else reported)
+    chosen = points.choose(model, offered, specs, scenario.meters, actuators)
+    if actuators is not None:
+        return chosen
+    idle = rivals.fought(model.objects, chosen.actuators)  # nobody named them: what has no effect is left out
+    return replace(chosen, actuators=tuple(a for a in chosen.actuators if a.name not in idle))
+
+
+def _actuator(model: Building, offered: Survey, name: str, spec: ActuatorSpec) -> list[object]:
+    """A bound that the scenario leaves out is the model's own."""
+    names = [spec.component_type, spec.control_type, spec.key]
+    if spec.low is None and spec.high is None:
+        return [*names]
+    try:
+        low, high = points.actuator_bounds(model, points.find_actuator(offered, name, *names))
+    except UnknownName:
+        return [*names]  # said, with all else that is unknown, by the choice of the points
+    return [*names, low if spec.low is None else spec.low, high if spec.high is None else spec.high]

@@ -18,6 +18,7 @@ from datetime import timedelta
 from pathlib import Path
 from types import FrameType
 
+import numpy as np
 import psutil
 
 from bridge import affinity
@@ -28,7 +29,8 @@ from eplus_node.inlets import Inlets
 from eplus_node.link import EngineLink, Run
 from eplus_node.outlets import Outlets
 from models import energyplus
-from models.building import prepared, write
+from models.episode import Draw, Draws, Episodes, Source, series
+from models.weather import find_column
 from topics import VERSION, codec, errors, keys
 from topics.errors import NameTaken, SimulatorError
 from topics.messages import (
@@ -46,6 +48,8 @@ from topics.messages import (
     Status,
     Stop,
     Versions,
+    WeatherQuery,
+    WeatherSeries,
     Write,
 )
 
@@ -85,6 +89,7 @@ class Node:
             self._open_bus()
             self.exchange = Exchange(self.plan.points.actuators, mode=self.config.mode)
             self._make_folder()
+            self._plan_episodes()
             self._close.callback(self._close_engine)
             self._start_engine()
             self._announce()
@@ -127,6 +132,19 @@ class Node:
         self._folder.mkdir(parents=True, exist_ok=True)
         self._close.callback(shutil.rmtree, self._folder, ignore_errors=True)
 
+    def _plan_episodes(self) -> None:
+        plan, keep = self.plan, self.config.keep is not None
+        scenario = plan.scenario
+        self._draws = Draws(len(plan.sources), scenario.weather_order, noisy=bool(scenario.variability))
+        self._episodes = Episodes(plan.building, plan.period, plan.sources, scenario.variability, outputs=keep)
+        self._draw, self._begun = self._draws.next(), False
+        self._prepare()
+
+    @property
+    def _source(self) -> Source:
+        """The weather of the present episode."""
+        return self.plan.sources[self._draw.source]
+
     def _announce(self) -> None:
         """Says that the node is there: what it answers first, its presence last."""
         name = self.config.name
@@ -140,11 +158,14 @@ class Node:
         inlets.answer(keys.STATUS, lambda: codec.encode(self.status()))
         inlets.request(keys.CLAIM, Claim, self._claim)
         inlets.request(keys.RESET, Reset, self._reset)
+        inlets.request(keys.WEATHER, WeatherQuery, self._weather)
         inlets.request(keys.STOP, Stop, self._stop, at_once=self._hurry)
         self._outlets = declare(Outlets(self.session, self.manifest))
         self._close.callback(signal.signal, signal.SIGCHLD, signal.getsignal(signal.SIGCHLD))
         signal.signal(signal.SIGCHLD, lambda *_: inlets.wake())  # the engine's end is seen while nothing else comes
-        self.event(self.exchange.event(EventKind.STARTED, f"{self.manifest.building} waits at its first step"))
+        self.event(self.exchange.event(EventKind.STARTED, self._begins()))
+        for warning in self.plan.warnings:
+            self.event(self.exchange.event(EventKind.WARNING, warning))
         self._publish()
         declare(self.session.liveliness().declare_token(keys.NODE_TOKEN.at(name, name=self.instance)))
         if any(token < self.instance for token in self._tokens()):
@@ -156,8 +177,10 @@ class Node:
             node=config.name,
             instance=self.instance,
             building=plan.building.name,
-            weather=plan.weather_name,
-            location=plan.header.place,
+            weather=self._source.name,
+            location=self._source.header.place,
+            latitude_deg=self._source.header.latitude_deg,
+            longitude_deg=self._source.header.longitude_deg,
             begin=plan.period.time(0).isoformat(),
             end=plan.period.time(plan.period.steps).isoformat(),
             steps_per_hour=plan.period.steps_per_hour,
@@ -167,6 +190,8 @@ class Node:
             sensors=plan.points.sensors,
             meters=plan.points.meters,
             actuators=plan.points.actuators,
+            task=plan.task,
+            warnings=plan.warnings,
             versions=Versions(zenostat=VERSION, energyplus=energyplus.version()),
             host=affinity.host(),
             cpu=self.cpu,
@@ -274,17 +299,22 @@ class Node:
 
     # The engine
 
+    def _prepare(self) -> None:
+        """Writes the files of the episode that begins."""
+        folder = (self.config.keep.absolute() if self.config.keep else self._folder) / self._episode_name()
+        folder.mkdir(parents=True, exist_ok=True)
+        self._files = self._episodes.prepare(self._draw, folder)
+
+    def _episode_name(self) -> str:
+        return f"episode-{self.exchange.episode[0]:04}"
+
     def _start_engine(self) -> None:
         """A fresh engine, warmed up, at sample 0."""
-        plan, config, episode = self.plan, self.config, self.exchange.episode[0]
-        name = f"episode-{episode:04}"
-        folder = (config.keep.absolute() if config.keep else self._folder) / name
-        folder.mkdir(parents=True, exist_ok=True)
-        model = write(prepared(plan.building, plan.period, outputs=config.keep is not None), folder)
+        plan, config, files = self.plan, self.config, self._files
         run = Run(
-            model,
-            plan.weather,
-            folder,
+            files.model,
+            files.weather,
+            files.model.parent,
             plan.period.steps,
             plan.period.steps_per_hour,
             plan.points,
@@ -335,13 +365,25 @@ class Node:
         if reset.options:
             raise errors.Refused(f"unknown reset options {sorted(reset.options)}; there are none yet")
         untouched = self.exchange.state is State.WAITING and not self.exchange.touched
+        former, self._draw = self._draw, self._next_draw(reset.seed)
+        ready = untouched and self._draw == former
         self.exchange.reset()
-        # The answer goes out first: a start takes seconds in large buildings.
-        self._inlets.shelve(lambda: self._restart(untouched=untouched, source=reset.controller))
-        return Accepted(episode=self.exchange.episode, fresh=untouched)
+        if not ready:
+            self._prepare()
+        # The answer goes out before the start, which takes seconds in large buildings.
+        self._inlets.shelve(lambda: self._restart(ready=ready, source=reset.controller))
+        return Accepted(episode=self.exchange.episode, fresh=ready, weather=self._source.name, drawn=self._files.drawn)
 
-    def _restart(self, *, untouched: bool, source: str) -> None:
-        if untouched and self._engine.alive:
+    def _next_draw(self, seed: int | None) -> Draw:
+        """The weather of the next episode; that of the first one is drawn already, unless a seed begins anew."""
+        first, self._begun = not self._begun, True
+        if seed is None:
+            return self._draw if first else self._draws.next()
+        self._draws.seed(seed)
+        return self._draws.next()
+
+    def _restart(self, *, ready: bool, source: str) -> None:
+        if ready and self._engine.alive:
             self._ready()
         else:
             self._end_engine()
@@ -350,9 +392,31 @@ class Node:
             except SimulatorError as error:
                 self._fail(error)
                 return
-        text = f"episode {self.exchange.episode[0]} begins"
-        self.event(self.exchange.event(EventKind.STARTED, text, source))
+        if self.manifest.weather != self._source.name:
+            self.manifest = self._manifest()
+            self._outlets.manifest(self.manifest)
+        self.event(self.exchange.event(EventKind.STARTED, self._begins(), source))
         self._publish()
+
+    def _begins(self) -> str:
+        """What the episode simulates, in a line."""
+        source, drawn = self._source, self._files.drawn
+        parts = [f"episode {self.exchange.episode[0]} of {self.manifest.building} begins", source.name]
+        parts += [source.site.source] if source.site is not None else []
+        parts += self.plan.building.notes
+        parts += [f"{name} {value:.4g}" for name, value in drawn.items()]
+        return "; ".join(parts)
+
+    def _weather(self, query: WeatherQuery) -> Message:
+        values, step_s = series(self._files.weather, self.plan.period, query.columns)
+        found = [find_column(name) for name in query.columns]
+        return WeatherSeries(
+            episode=self.exchange.episode[0],
+            columns=[column.name for column in found],
+            units=[column.unit for column in found],
+            step_s=step_s,
+            values=np.ascontiguousarray(values, "<f8").tobytes(),
+        )
 
     def _hurry(self) -> None:
         """Does not wait for an engine that is computing."""
@@ -382,7 +446,7 @@ class Node:
             node=self.config.name,
             state=exchange.state,
             building=self.plan.building.name,
-            weather=self.plan.weather_name,
+            weather=self._source.name,
             mode=exchange.mode,
             episode=exchange.episode,
             step=exchange.step,

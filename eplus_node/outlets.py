@@ -12,7 +12,7 @@ from zenoh import CongestionControl
 from zenoh.handlers import Callback
 
 from topics import codec, keys
-from topics.messages import Event, EventKind, Manifest, Message, PointValue
+from topics.messages import Event, EventKind, Manifest, PointValue
 
 EVENTS_A_STEP = 20
 """More refusals than this in one step are counted, but not told one by one."""
@@ -31,12 +31,13 @@ class Outlets:
         self._events_left = EVENTS_A_STEP
         self._put_sample = self._publisher(keys.SAMPLE).put
         self._put_event = self._publisher(keys.EVENT).put
+        self._put_manifest = self._publisher(keys.MANIFEST).put
         topics = [(keys.SENSOR, s.name, s.unit) for s in manifest.sensors]
         topics += [(keys.METER, m.name, m.unit) for m in manifest.meters]
         self._units = [unit for _, _, unit in topics]
         for index, (topic, name, _) in enumerate(topics):
             self._watch(index, self._publisher(topic, name))
-        self._put(keys.MANIFEST, manifest)
+        self.manifest(manifest)
 
     def __enter__(self) -> Outlets:
         return self
@@ -53,9 +54,6 @@ class Outlets:
         )
         return self._close.enter_context(publisher)
 
-    def _put(self, topic: keys.Topic, message: Message) -> None:
-        self._publisher(topic).put(codec.encode(message))
-
     def _watch(self, index: int, publisher: zenoh.Publisher) -> None:
         """Has a point published as long as somebody listens to it."""
 
@@ -68,6 +66,10 @@ class Outlets:
             self._watched = watched
 
         publisher.declare_matching_listener(Callback(wanted, indirect=False))
+
+    def manifest(self, manifest: Manifest) -> None:
+        """What the node is; again when its weather has changed."""
+        self._put_manifest(codec.encode(manifest))
 
     def sample(self, payload: bytes) -> None:
         """One step's frame."""

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from models import energyplus
+from models import energyplus, versions
 from models.catalog import Entry
+from models.changes import Changes, changed
 from models.period import Period, parse_day, year_of
 from models.store import digest, made
 from topics.errors import InvalidConfig
@@ -62,11 +63,12 @@ _SILENT = {
 
 @dataclass(frozen=True, slots=True)
 class Building:
-    """A model's name, its objects, and a key of its content."""
+    """A model's name, its objects, a key of its content, and what was done to bring it to the engine's version."""
 
     name: str
     objects: dict[str, Objects]
     content: str
+    notes: tuple[str, ...] = ()
 
     @property
     def run_period(self) -> dict[str, Any]:
@@ -83,31 +85,54 @@ class Building:
         """The run period that was asked for, in the model's own calendar where no year is named."""
         own = self.run_period
         month, day = int(own.get("begin_month", 1)), int(own.get("begin_day_of_month", 1))
+        last_month, last_day = int(own.get("end_month", 12)), int(own.get("end_day_of_month", 31))
         year = int(own.get("begin_year") or year_of(month, day, own.get("day_of_week_for_start_day")))
-        last = f"{own.get('end_month', 12)}-{own.get('end_day_of_month', 31)}"
         first = parse_day(begin or f"{month}-{day}", "begin", year)
-        return Period(first, parse_day(end or last, "end", first.year), steps_per_hour or self.steps_per_hour)
+        if end is None and begin is None:
+            over_new_year = (last_month, last_day) < (month, day)
+            end = f"{int(own.get('end_year') or year + over_new_year):04}-{last_month}-{last_day}"
+        last = parse_day(end or f"{last_month}-{last_day}", "end", first.year)
+        return Period(first, last, self.steps_per_hour if steps_per_hour is None else steps_per_hour)
 
 
 def read_building(entry: Entry) -> Building:
-    """The model of a catalogue entry; an IDF is converted once per content and engine version.
+    """The model of a catalogue entry, for the installed engine.
+
+    An IDF is converted once per content and engine version; an epJSON of an earlier version is converted where the
+    changes are known.
 
     Raises:
-        InvalidConfig: an epJSON that is no JSON object of objects.
+        InvalidConfig: an epJSON that is no JSON object of objects, or a model of a version that cannot be converted.
         ModelRefused: an IDF that EnergyPlus cannot read.
     """
     raw = entry.path.read_bytes()
     content = digest(raw, energyplus.version())
-    path = entry.path
-    if path.suffix.lower() == ".idf":
-        path = made(f"models/{content}.epJSON", lambda target: energyplus.call("convert", entry.path, target))
+    name = entry.path.name
+    if entry.path.suffix.lower() == ".idf":
+        versions.check_idf(raw.decode("latin-1"), name=name)
+        raw = made(
+            f"models/{content}.epJSON", lambda target: energyplus.call("convert", entry.path, target)
+        ).read_bytes()
     try:
-        objects = json.loads(path.read_bytes())
+        objects = json.loads(raw)
     except ValueError as error:
         raise InvalidConfig(f"{entry.path} is no epJSON: {error}") from None
     if not isinstance(objects, dict) or "Building" not in objects:
         raise InvalidConfig(f"{entry.path} is no epJSON building model: it has no 'Building' object")
-    return Building(entry.name, objects, content)
+    converted = versions.check_epjson(objects, name=name)
+    return Building(entry.name, converted.objects, content, converted.notes)
+
+
+def varied(building: Building, changes: Changes) -> Building:
+    """The building with a scenario's changes; `InvalidConfig` names all that the model or the schema lacks."""
+    if not changes:
+        return building
+    return Building(
+        building.name,
+        changed(building.objects, changes),
+        digest(building.content, json.dumps(changes, sort_keys=True)),
+        building.notes,
+    )
 
 
 def prepared(building: Building, period: Period, *, outputs: bool = False) -> dict[str, Objects]:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import isfinite, nan
 from typing import TypeVar
 
 from models.building import Building
-from models.survey import ActuatorPoint, MeterPoint, Survey, Variable
+from models.survey import ActuatorPoint, MeterPoint, Survey, Variable, places
 from topics.errors import InvalidConfig, UnknownName, UsageError, near
 from topics.keys import check_name, safe
 from topics.messages import Actuator, Meter, Reading, Sensor
@@ -76,6 +76,28 @@ class Points:
     actuators: tuple[Actuator, ...]
     system: tuple[bool, ...]
     meter_handles: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Listed:
+    """A point of a model as lists show it.
+
+    Attributes:
+        kind: `sensor`, `meter`, `actuator`, or `internal` (a fixed number of the model).
+        name: the variable, the meter, the component type and control type, or the internal variable.
+        key: what EnergyPlus calls the thing that has it; empty for a meter.
+        low, high: limits that no value leaves, for an actuator those that it can be set to; None for none.
+        where: the zone, air loop or plant loop that it belongs to, `Environment`, `facility` for the whole
+            building, or nothing where the model does not tell.
+    """
+
+    kind: str
+    name: str
+    key: str
+    unit: str
+    low: float | None
+    high: float | None
+    where: str
 
 
 @dataclass(slots=True)
@@ -196,11 +218,15 @@ def sensor_bounds(variable: Variable) -> tuple[float | None, float | None]:
 def _meter(survey: Survey, name: str, spec: object) -> tuple[Meter, MeterPoint]:
     for candidate in survey.meters:
         if candidate.name.casefold() == str(spec).casefold():
-            low = 0.0 if candidate.name.split(":")[0] in _FUELS else None  # consumption is never negative
-            return Meter(name=name, meter=candidate.name, unit=candidate.unit, low=low), candidate
+            return Meter(name=name, meter=candidate.name, unit=candidate.unit, low=_meter_low(candidate)), candidate
     raise UnknownName(
         f"meter {name!r}: the model has no meter {spec!r}; {near(str(spec), (m.name for m in survey.meters))}"
     )
+
+
+def _meter_low(meter: MeterPoint) -> float | None:
+    """0 for a meter of a fuel: consumption is never negative."""
+    return 0.0 if meter.name.split(":")[0] in _FUELS else None
 
 
 def _actuator(building: Building, survey: Survey, name: str, spec: Sequence[object]) -> Actuator:
@@ -337,11 +363,39 @@ def default_actuators(survey: Survey) -> dict[str, tuple[str, str, str]]:
     }
 
 
-def listing(survey: Survey) -> Iterable[tuple[str, str, str, str]]:
-    """Rows (kind, name, key, unit) of all points of a model."""
+def listing(survey: Survey, building: Building) -> Iterator[Listed]:
+    """All points of a model, each with its bounds and its place; a tenth of a second for 20,000."""
+    where = places(building.objects)
+
+    def place(key: str) -> str:
+        return where.get(key.upper()) or _WHOLE.get(key.upper(), "")
+
     for v in survey.variables:
-        yield "sensor", v.name, v.key, v.unit
+        yield Listed("sensor", v.name, v.key, v.unit, *sensor_bounds(v), place(v.key))
+    own_meters = {
+        n for kind, items in building.objects.items() if kind.startswith("Meter:") for n in map(str.upper, items)
+    }
     for m in survey.meters:
-        yield "meter", m.name, "", m.unit
+        yield Listed("meter", m.name, "", m.unit, _meter_low(m), None, _meter_place(m.name.upper(), where, own_meters))
     for a in survey.actuators:
-        yield "actuator", f"{a.component_type} / {a.control_type}", a.key, a.unit
+        name = f"{a.component_type} / {a.control_type}"
+        yield Listed("actuator", name, a.key, a.unit, *actuator_bounds(building, a), place(a.key))
+    for i in survey.internal:
+        yield Listed("internal", i.name, i.key, i.unit, None, None, place(i.key))
+
+
+# Keys by which EnergyPlus calls what belongs to no zone and no loop.
+_WHOLE = {
+    "ENVIRONMENT": "Environment",
+    "WHOLE BUILDING": "facility",
+    "FACILITY": "facility",
+    "SITE": "facility",
+    "SIMHVAC": "facility",
+}
+
+
+def _meter_place(name: str, where: Mapping[str, str], own: Collection[str]) -> str:
+    """A zone for `…:Zone:NAME`, nothing for a kind of spaces or a meter that the model defines, else the facility."""
+    if ":ZONE:" in name:
+        return where.get(name.rpartition(":ZONE:")[2], "")
+    return "" if ":SPACETYPE:" in name or name in own else "facility"

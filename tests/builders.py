@@ -9,6 +9,7 @@ import numpy as np
 from bridge.lockstep import Exchange
 from topics import codec
 from topics.messages import (
+    Action,
     Actuator,
     Claim,
     Command,
@@ -20,6 +21,7 @@ from topics.messages import (
     Policy,
     Reading,
     Sensor,
+    Task,
     Versions,
 )
 
@@ -44,10 +46,20 @@ def meter(name: str, energyplus: str = "Electricity:Facility") -> Meter:
     return Meter(name=name, meter=energyplus, unit="J", low=0.0)
 
 
+def own_action(of: Actuator) -> Action:
+    """The action that sets this actuator alone, within its bounds."""
+    return Action(name=of.name, unit=of.unit, low=of.low, high=of.high, actuators=(of.name,))
+
+
 def manifest(
-    *, sensors: Sequence[Sensor] = (), meters: Sequence[Meter] = (), actuators: Sequence[Actuator] = (), slots: int = 1
+    *,
+    sensors: Sequence[Sensor] = (),
+    meters: Sequence[Meter] = (),
+    actuators: Sequence[Actuator] = (),
+    slots: int = 1,
+    task: Task | None = None,
 ) -> Manifest:
-    """One day in steps of a quarter of an hour."""
+    """One day in steps of a quarter of an hour; without a `task` each actuator has an action of its own."""
     return Manifest(
         node="office",
         instance="1f",
@@ -64,6 +76,7 @@ def manifest(
         sensors=tuple(sensors),
         meters=tuple(meters),
         actuators=tuple(actuators),
+        task=Task(actions=tuple(own_action(a) for a in actuators)) if task is None else task,
         versions=Versions(zenostat="0", energyplus="0"),
     )
 

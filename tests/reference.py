@@ -18,8 +18,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from models import design_days
 from models.building import prepared, read_building, write
 from models.catalog import find_building, find_weather
+from models.weather import read_header
 from topics.messages import Meter, Reading, Sensor
 
 _RUN = """
@@ -60,7 +62,8 @@ class Alone:
         model = read_building(find_building(case.building))
         period = model.period(case.begin, case.end, case.steps_per_hour)
         self.steps, self.steps_per_hour = period.steps, period.steps_per_hour
-        objects = prepared(model, period)
+        weather = find_weather(case.weather).path
+        objects = design_days.apply(prepared(model, period), design_days.site(weather, read_header(weather)))
         objects["Output:Variable"] = {
             f"{s.name} {frequency}": {
                 "key_value": s.key or "*",

@@ -15,7 +15,7 @@ from nodes import SMALL, NodeProgram, free_port, until
 import agent_sdk
 
 ZENOSTAT = [sys.executable, "-P", "-m", "cli.main"]
-COMMANDS = ("node", "run", "monitor", "status", "points", "demo")
+COMMANDS = ("node", "run", "monitor", "status", "points", "buildings", "weathers", "demo")
 DAY = ["--building", "ref-small-office", "--weather", "USA_CO_Denver", "--begin", "07-03", "--end", "07-03"]
 
 
@@ -167,9 +167,53 @@ def test_points_tell_units():
     assert points["sensor", "Zone Air Temperature", "CORE_ZN"] == "degC"
     assert points["actuator", "Zone Temperature Control / Cooling Setpoint", "CORE_ZN"] == "degC"
     meters = json.loads(_zenostat("points", "ref-small-office", "--kind", "meter", "--json").stdout)
-    assert {"kind": "meter", "name": "Electricity:Facility", "key": "", "unit": "J"} in meters
+    facility = next(meter for meter in meters if meter["name"] == "Electricity:Facility")
+    assert (facility["unit"], facility["low"], facility["high"], facility["where"]) == ("J", 0.0, None, "facility")
     default = json.loads(_zenostat("points", "ref-small-office", "--default", "--json").stdout)
     assert len({p["key"] for p in default if p["name"] == "Zone Air Temperature"}) >= 5
+
+
+def test_points_tell_bounds_and_places():
+    rows = json.loads(_zenostat("points", "ref-small-office", "--match", "perimeter_zn_1", "--json").stdout)
+    heating = next(row for row in rows if row["name"] == "Zone Temperature Control / Heating Setpoint")
+    assert (heating["low"], heating["high"], heating["where"]) == (15.0, 22.5, "Perimeter_ZN_1")
+    internal = _zenostat("points", "ref-small-office", "--kind", "internal").stdout.splitlines()
+    assert internal[0].split() == ["kind", "name", "key", "where", "unit", "low", "high"]
+    assert all(line.startswith("internal") for line in internal[1:])
+    assert len({line.index("m2") for line in internal if "Zone Floor Area" in line}) == 1  # columns stand straight
+
+
+def test_the_table_of_buildings():
+    lines = _zenostat("buildings").stdout.splitlines()
+    assert lines[0].split()[0] == "building"
+    rows = {line.split()[0]: line for line in lines[1:]}
+    assert {"office-medium", "ref-warehouse"} <= rows.keys()
+    assert len(rows) >= 32
+    assert "chiller" in rows["hospital"]
+    assert "natural gas" in rows["hospital"]
+    (one,) = json.loads(_zenostat("buildings", "office-medium", "--json").stdout)
+    assert one["name"] == "office-medium"
+    assert one["ems_programs"] > 0
+    assert one["steps_per_hour"] == 4
+
+
+def test_a_building_of_the_users_own_is_listed(scratch):
+    (scratch / "house.epJSON").write_text('{"Building": {"b": {}}, "Zone": {"a": {"floor_area": 12.5}}}')
+    (house,) = json.loads(_zenostat("buildings", "house.epJSON", "--json", cwd=scratch).stdout)
+    assert (house["name"], house["floor_area_m2"], house["zones"], house["hvac"]) == ("house", 12.5, 1, "none")
+    (scratch / "house.epJSON").write_text("{}")
+    done = _zenostat("buildings", "house.epJSON", cwd=scratch)
+    assert done.returncode == 2
+    assert "it has no 'Building' object" in _plain(done.stderr)
+
+
+def test_the_table_of_weathers():
+    rows = {line.split()[0]: line for line in _zenostat("weathers").stdout.splitlines()[1:]}
+    assert len(rows) >= 16
+    assert re.search(r"39\.72\s+-104\.75\s+1726\s+5\s", rows["USA_CO_Denver"])
+    (miami,) = json.loads(_zenostat("weathers", "miami", "--json").stdout)
+    assert (miami["climate_zone"], miami["first"], miami["last"]) == ("1", [1, 1], [12, 31])
+    assert 24 < miami["mean_temperature_degC"] < 25
 
 
 def test_demo(scratch):

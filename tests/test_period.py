@@ -191,9 +191,3 @@ def test_a_period_within_the_weather_is_taken(begin: str, end: str) -> None:
 def test_a_period_outside_the_weather_is_refused_with_what_there_is(begin: str, end: str, words: str) -> None:
     with pytest.raises(InvalidConfig, match=f"{words}, outside the weather file denver.*05-01 to 09-30"):
         check_covers(SUMMER, building().period(begin, end, None), "denver")
-
-
-def test_a_period_over_new_year_is_refused() -> None:
-    year = Header("Denver", 39.8, -104.7, -7.0, 1650.0, first=(1, 1), last=(12, 31))
-    with pytest.raises(InvalidConfig, match="crosses a year"):
-        check_covers(year, Period(date(2017, 12, 30), date(2018, 1, 2), 4), "denver")

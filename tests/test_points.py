@@ -1,14 +1,22 @@
-"""The points of a run, chosen in a small model that is written out here: no EnergyPlus."""
+"""The points of a run, chosen in a small model that is written out here; and the list of a whole one by EnergyPlus."""
 
 from __future__ import annotations
 
+import json
+import subprocess
+import sys
+from collections import Counter
+from datetime import date
 from typing import Any
 
 import pytest
 
-from models.building import Building
-from models.points import MeterSpec, Points, Spec, choose, default_reading, listing, sensor_bounds
-from models.survey import ActuatorPoint, MeterPoint, Survey, Variable
+from models import catalog
+from models.building import Building, prepared, read_building, write
+from models.facts import zone_areas
+from models.period import Period
+from models.points import Listed, MeterSpec, Points, Spec, choose, default_reading, listing, sensor_bounds
+from models.survey import ActuatorPoint, InternalVariable, MeterPoint, Survey, Variable, survey
 from topics.errors import InvalidConfig, UnknownName
 from topics.messages import Reading
 from topics.units import limits, unit_name
@@ -41,6 +49,7 @@ SURVEY = Survey(
         ActuatorPoint("Schedule:Compact", "Schedule Value", "FREE", "1"),
         ActuatorPoint("Fan", "Fan Air Mass Flow Rate", "FAN 1", "kg/s"),
     ),
+    internal=(InternalVariable("Zone Floor Area", "CORE ZN", "m2"),),
 )  # fmt: skip
 BUILDING = Building(
     "b",
@@ -342,12 +351,141 @@ def test_a_model_without_anything_has_no_points() -> None:
     assert (points.sensors, points.meters, points.actuators) == ((), (), ())
 
 
-def test_the_listing_has_every_point() -> None:
-    rows = list(listing(SURVEY))
-    assert len(rows) == len(SURVEY.variables) + len(SURVEY.meters) + len(SURVEY.actuators)
-    assert ("sensor", "Zone Air Temperature", "ATTIC", "degC") in rows
-    assert ("meter", "Electricity:HVAC", "", "J") in rows
-    assert ("actuator", "Fan / Fan Air Mass Flow Rate", "FAN 1", "kg/s") in rows
+def test_the_listing_has_every_point_with_unit_bounds_and_place() -> None:
+    zone = Building("b", BUILDING.objects | {"Zone": {"Core Zn": {}}, "Meter:Custom": {"electricity:hvac": {}}}, "0")
+    rows = list(listing(SURVEY, zone))
+    assert Counter(row.kind for row in rows) == {"sensor": 9, "meter": 3, "actuator": 5, "internal": 1}
+    for row in (
+        Listed("sensor", "Zone Air Temperature", "CORE ZN", "degC", -100.0, 200.0, "Core Zn"),
+        Listed("sensor", "Zone Air Temperature", "ATTIC", "degC", -100.0, 200.0, ""),
+        Listed("sensor", "Site Outdoor Air Drybulb Temperature", "Environment", "degC", -100.0, 200.0, "Environment"),
+        Listed("sensor", "Facility Total HVAC Electricity Demand Rate", "Whole Building", "W", 0.0, None, "facility"),
+        Listed("meter", "Electricity:Facility", "", "J", 0.0, None, "facility"),
+        Listed("meter", "Electricity:HVAC", "", "J", 0.0, None, ""),  # the model's own: it may be of anything
+        Listed("meter", "ElectricityNet:Facility", "", "J", None, None, "facility"),
+        Listed("actuator", f"{THERMOSTAT} / Heating Setpoint", "CORE ZN", "degC", 15.0, 22.5, "Core Zn"),
+        Listed("actuator", "Schedule:Compact / Schedule Value", "LIGHTS", "1", 0.0, 1.0, ""),
+        Listed("actuator", "Fan / Fan Air Mass Flow Rate", "FAN 1", "kg/s", 0.0, None, ""),
+        Listed("internal", "Zone Floor Area", "CORE ZN", "m2", None, None, "Core Zn"),
+    ):
+        assert row in rows
+
+
+@pytest.mark.parametrize(
+    ("meter", "where"),
+    [
+        ("Electricity:Zone:CORE ZN", "Core Zn"),
+        ("General:InteriorLights:Electricity:Zone:CORE ZN", "Core Zn"),
+        ("InteriorLights:Electricity:SpaceType:GENERAL", ""),
+        ("InteriorLights:Electricity", "facility"),
+        ("Electricity:Plant", "facility"),
+    ],
+)
+def test_a_meter_is_of_a_zone_or_of_the_facility(meter: str, where: str) -> None:
+    metered = Survey((), (MeterPoint(meter, "J", 0),), ())
+    (row,) = listing(metered, Building("b", {"Building": {"b": {}}, "Zone": {"Core Zn": {}}}, "0"))
+    assert row.where == where
+
+
+# The list of a whole model, by EnergyPlus's own
+
+_ASK = """
+import json, sys
+from pyenergyplus.api import EnergyPlusAPI
+model, weather, folder = sys.argv[1:]
+wanted = json.load(open(folder + "/wanted.json"))
+api = EnergyPlusAPI()
+state = api.state_manager.new_state()
+api.runtime.set_console_output_status(state, False)
+for name, key in wanted["sensor"]:
+    api.exchange.request_variable(state, name, key)
+
+def ready(at):
+    x = api.exchange
+    if not x.api_data_fully_ready(at):
+        return
+    said = {"list": [[p.what, p.name, p.key, p.type] for p in x.get_api_data(at)]}
+    said["sensor"] = [x.get_variable_handle(at, name, key) for name, key in wanted["sensor"]]
+    said["actuator"] = [x.get_actuator_handle(at, *names) for names in wanted["actuator"]]
+    handles = [x.get_internal_variable_handle(at, name, key) for name, key in wanted["internal"]]
+    said["internal"] = [[h, x.get_internal_variable_value(at, h) if h >= 0 else None] for h in handles]
+    json.dump(said, open(folder + "/said.json", "w"))
+    api.runtime.stop_simulation(at)
+
+api.runtime.callback_begin_new_environment(state, ready)
+api.runtime.run_energyplus(state, ["-w", weather, "-d", folder, model])
+"""
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Building, list[Listed], dict[str, Any], dict[str, Any]]:
+    """A model, its listing, the points that EnergyPlus was asked for, and what it said."""
+    folder = tmp_path_factory.mktemp("whole")
+    weather = catalog.find_weather("USA_CO_Denver").path
+    building = read_building(catalog.find_building("office-small"))
+    rows = list(listing(survey(building, weather), building))
+    wanted = {
+        "sensor": [(r.name, r.key) for r in rows if r.kind == "sensor"][::20],
+        "actuator": [(*r.name.split(" / "), r.key) for r in rows if r.kind == "actuator"],
+        "internal": [(r.name, r.key) for r in rows if r.kind == "internal"],
+    }
+    (folder / "wanted.json").write_text(json.dumps(wanted))
+    day = date(2017, 1, 1)
+    model = write(prepared(building, Period(day, day, building.steps_per_hour)), folder)
+    subprocess.run([sys.executable, "-P", "-c", _ASK, str(model), str(weather), str(folder)], stdin=subprocess.DEVNULL)
+    return building, rows, wanted, json.loads((folder / "said.json").read_text())
+
+
+Whole = tuple[Building, list[Listed], dict[str, Any], dict[str, Any]]
+
+
+def test_meters_actuators_and_internal_variables_are_energyplus_own_list(whole: Whole) -> None:
+    _, rows, _, said = whole
+    listed = Counter((r.kind, r.name, r.key) for r in rows if r.kind != "sensor")
+    own: Counter[tuple[str, str, str]] = Counter()
+    for what, name, key, control in said["list"]:
+        if what == "Actuator":
+            own["actuator", f"{name} / {control}", key] += 1
+        elif what == "OutputMeter":
+            own["meter", key, ""] += 1
+        elif what == "InternalVariable":
+            own["internal", name, key] += 1
+    assert listed == own
+
+
+def test_every_listed_point_can_be_had(whole: Whole) -> None:
+    _, _, wanted, said = whole
+    assert len(wanted["sensor"]) > 300
+    assert [point for point, handle in zip(wanted["sensor"], said["sensor"], strict=True) if handle < 0] == []
+    assert [point for point, handle in zip(wanted["actuator"], said["actuator"], strict=True) if handle < 0] == []
+    assert [point for point, (h, _) in zip(wanted["internal"], said["internal"], strict=True) if h < 0] == []
+
+
+def test_internal_variables_have_the_models_numbers(whole: Whole) -> None:
+    building, _, wanted, said = whole
+    values = dict(zip(map(tuple, wanted["internal"]), (value for _, value in said["internal"]), strict=True))
+    areas = {key: value for (name, key), value in values.items() if name == "Zone Floor Area"}
+    assert areas == pytest.approx({zone.upper(): area for zone, area in zone_areas(building.objects).items()})
+
+
+def test_points_of_zones_surfaces_and_loads_are_in_their_zone(whole: Whole) -> None:
+    building, rows, _, _ = whole
+    kinds = ("BuildingSurface:Detailed", "People", "Lights", "ElectricEquipment", "ZoneInfiltration:DesignFlowRate")
+    fields = ("zone_name", "zone_or_zonelist_or_space_or_spacelist_name")
+    zone_of = {zone.upper(): zone.upper() for zone in building.objects["Zone"]}
+    for kind in kinds:
+        for name, object_ in building.objects[kind].items():
+            zone_of.setdefault(name.upper(), next(str(object_[f]).upper() for f in fields if f in object_))
+    keyed = [row for row in rows if row.key.upper() in zone_of]
+    assert len(keyed) > 1000
+    assert {row.key for row in keyed if row.where.upper() != zone_of[row.key.upper()]} == set()
+
+
+def test_loops_and_their_equipment_are_found_by_the_loops_name(whole: Whole) -> None:
+    building, rows, _, _ = whole
+    loops = {*building.objects["AirLoopHVAC"], *building.objects["PlantLoop"]}
+    assert loops <= {row.where for row in rows}
+    assert {row.where for row in rows} <= loops | set(building.objects["Zone"]) | {"", "Environment", "facility"}
 
 
 # Units

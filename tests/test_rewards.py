@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from pydantic import ValidationError
 
-from agent_sdk.rewards import LinearReward
+from agent_sdk.rewards import LinearReward, read_reward
 from topics.errors import InvalidConfig
 from topics.messages import Manifest
 
@@ -174,6 +174,15 @@ def test_points_may_be_named() -> None:
     assert bound(values(-30.0, 22.0, 1000.0), WINTER)[0] == pytest.approx(-0.05)
 
 
+def test_several_powers_are_added_up() -> None:
+    node = manifest(sensors=[sensor("fans", "Fan Electricity Rate", unit="W"), *NODE.sensors])
+    sample = np.array([700.0, *values(21.0, 22.0, 1000.0)[:-1]])
+    for named, watts in (("fans", 700.0), (["fans"], 700.0), (("power", "fans"), 1700.0)):
+        reward, terms = LinearReward(power=named).bind(node)(sample, WINTER)
+        assert terms["power_w"] == pytest.approx(watts)
+        assert reward == pytest.approx(-0.5 * 1e-4 * watts)
+
+
 def test_the_variables_are_found_in_any_case_and_mean_temperatures_serve_where_there_are_no_others() -> None:
     node = manifest(sensors=[sensor("p", POWER.upper(), unit="W"), sensor("t", "ZONE MEAN AIR TEMPERATURE")])
     assert LinearReward().bind(node)(np.array([0.0, 19.0]), WINTER)[0] == pytest.approx(-0.5)
@@ -185,6 +194,7 @@ MISSING: dict[str, tuple[LinearReward, Manifest, str]] = {
     "no power": (LinearReward(), manifest(sensors=[sensor("t")]), "'Facility Total HVAC Electricity Demand Rate'"),
     "no zone": (LinearReward(), manifest(sensors=[sensor("p", POWER)]), "'Zone Air Temperature'"),
     "unknown power": (LinearReward(power="powr"), NODE, "'powr'.*near names: 'power'"),
+    "unknown one of two": (LinearReward(power=("power", "fan")), NODE, "'fan'"),
     "unknown zone": (LinearReward(temperatures=("north", "sout")), NODE, "'sout'.*near names: 'south'"),
 }
 
@@ -198,6 +208,41 @@ def test_a_point_that_is_missing_is_named(reward: LinearReward, node: Manifest, 
 def test_joules_are_not_taken_for_watts() -> None:
     with pytest.raises(InvalidConfig, match="'electricity'"):
         LinearReward(power="electricity").bind(NODE)
+    with pytest.raises(InvalidConfig, match="'electricity'"):
+        LinearReward(power=("power", "electricity")).bind(NODE)
+
+
+# As a scenario names it
+
+
+def test_a_kind_alone_is_the_reward_with_its_defaults() -> None:
+    assert read_reward("linear") == read_reward({"kind": "linear"}) == LinearReward()
+
+
+def test_a_scenario_names_the_parameters() -> None:
+    given = {"kind": "linear", "weight": 0.3, "winter": [19, 22], "summer_begin": [5, 1], "power": "p"}
+    named = LinearReward(weight=0.3, winter=(19.0, 22.0), summer_begin=(5, 1), power=("p",))
+    assert read_reward(given) == named
+
+
+@pytest.mark.parametrize(
+    ("said", "words"),
+    [
+        ("liner", "no kind 'liner'; near names: 'linear'"),
+        ({"weight": 0.3}, "no kind None"),
+        ({"kind": ["linear"]}, "no kind"),
+    ],
+    ids=str,
+)
+def test_a_kind_that_is_not_there_is_refused(said: Any, words: str) -> None:
+    with pytest.raises(InvalidConfig, match=words):
+        read_reward(said)
+
+
+def test_all_that_is_wrong_with_a_reward_is_said_at_once() -> None:
+    with pytest.raises(InvalidConfig) as raised:
+        read_reward({"kind": "linear", "weight": 2, "lambda_enrgy": 1, "winter": [20]})
+    assert [word for word in ("weight", "lambda_enrgy", "winter") if word not in str(raised.value)] == []
 
 
 # What cannot be

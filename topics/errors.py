@@ -25,7 +25,10 @@ again as the same class.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from typing import TypeVar
+
+T = TypeVar("T")
 
 
 class ZenostatError(Exception):
@@ -115,6 +118,27 @@ def to_wire(error: BaseException) -> dict[str, str]:
 def from_wire(said: dict[str, str]) -> ZenostatError:
     """The exception that another process described with `to_wire`."""
     return _BY_NAME.get(said.get("error", ""), ZenostatError)(said.get("message", "no reason given"))
+
+
+class Faults:
+    """Gathers mistakes, so that all of them are said at once."""
+
+    def __init__(self) -> None:
+        self.found: list[ZenostatError] = []
+
+    def catch(self, do: Callable[[], T]) -> T | None:
+        """What `do` gives, or None and its mistake gathered."""
+        try:
+            return do()
+        except (UsageError, SimulatorError) as error:
+            self.found.append(error)
+            return None
+
+    def raise_all(self) -> None:
+        """Raises what was gathered, each on a line of its own; `InvalidConfig` if of several kinds."""
+        kinds = {type(error) for error in self.found}
+        if self.found:
+            raise (kinds.pop() if len(kinds) == 1 else InvalidConfig)("\n".join(map(str, self.found)))
 
 
 def near(name: str, known: Iterable[str], *, most: int = 5) -> str:

@@ -24,6 +24,8 @@ from topics.messages import (
     Sample,
     Status,
     Stop,
+    WeatherQuery,
+    WeatherSeries,
     Write,
 )
 
@@ -75,6 +77,7 @@ CLAIM = Topic("rpc/claim", Role.CONTROLLER, Claim, Delivery.QUERY, reply=Accepte
 RESET = Topic("rpc/reset", Role.CONTROLLER, Reset, Delivery.QUERY, reply=Accepted)
 STOP = Topic("rpc/stop", Role.CONTROLLER, Stop, Delivery.QUERY, reply=Accepted)
 STATUS = Topic("rpc/status", Role.ANYONE, Ask, Delivery.QUERY, reply=Status)
+WEATHER = Topic("rpc/weather", Role.ANYONE, WeatherQuery, Delivery.QUERY, reply=WeatherSeries)
 NODE_TOKEN = Topic("@live/node/{name}", Role.NODE, None, Delivery.TOKEN)
 CONTROLLER_TOKEN = Topic("@live/controller/{name}", Role.CONTROLLER, None, Delivery.TOKEN)
 
@@ -90,6 +93,7 @@ TOPICS = (
     RESET,
     STOP,
     STATUS,
+    WEATHER,
     NODE_TOKEN,
     CONTROLLER_TOKEN,
 )

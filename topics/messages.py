@@ -8,7 +8,7 @@ bytes in C order with the shape `(slots, points)`, in the manifest's order.
 from __future__ import annotations
 
 from enum import IntEnum, IntFlag, StrEnum
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -120,6 +120,54 @@ class Actuator(Message):
     feedback: str | None = None
 
 
+class TimeField(StrEnum):
+    """A field of the clock that an agent may observe, named as in EnergyPlus's data exchange API.
+
+    They describe the timestep that a sample closes (the episode's begin for sample 0): `hour` is 0 to 23,
+    `minutes` 1 to 60 and `current_time` (hours of the day, 0 to 24) its end; `day_of_week` is 1 on Sundays.
+    """
+
+    YEAR = "year"
+    MONTH = "month"
+    DAY_OF_MONTH = "day_of_month"
+    DAY_OF_WEEK = "day_of_week"
+    DAY_OF_YEAR = "day_of_year"
+    HOUR = "hour"
+    MINUTES = "minutes"
+    CURRENT_TIME = "current_time"
+
+
+class Action(Message):
+    """One dimension of an agent's action: the actuators that it sets, all to the same value."""
+
+    name: SafeName
+    unit: str
+    low: float | None = None
+    high: float | None = None
+    actuators: Annotated[tuple[SafeName, ...], Field(min_length=1)]
+
+
+class Choice(Message):
+    """One discrete dimension: the actions that it sets, and a row of their values for each choice."""
+
+    actions: Annotated[tuple[SafeName, ...], Field(min_length=1)]
+    values: Annotated[tuple[tuple[float, ...], ...], Field(min_length=1)]
+
+
+class Task(Message):
+    """What an agent of this node observes besides its points, what it decides, and what it is rewarded for.
+
+    With `choices` the action is discrete: one number for each of them. Without, it is a value for each of
+    `actions`. `reward` is a kind and its parameters, as `agent_sdk.rewards` reads them.
+    """
+
+    scenario: str = ""
+    time: tuple[TimeField, ...] = ()
+    actions: tuple[Action, ...] = ()
+    choices: tuple[Choice, ...] = ()
+    reward: dict[str, Any] | None = None
+
+
 class Versions(Message):
     """What a node is made of."""
 
@@ -136,6 +184,8 @@ class Manifest(Message):
     building: str
     weather: str
     location: str
+    latitude_deg: float | None = None
+    longitude_deg: float | None = None
     begin: str
     end: str
     steps_per_hour: Annotated[int, Field(ge=1, le=60)]
@@ -146,6 +196,8 @@ class Manifest(Message):
     sensors: tuple[Sensor, ...]
     meters: tuple[Meter, ...]
     actuators: tuple[Actuator, ...]
+    task: Task = Task()
+    warnings: tuple[str, ...] = ()
     versions: Versions
     host: str = ""
     cpu: int | None = None
@@ -265,15 +317,41 @@ class Stop(Message):
     source: str = ""
 
 
+class WeatherQuery(Message):
+    """Asks for columns of the weather file that the present episode reads, by their EPW names."""
+
+    columns: Annotated[list[str], Field(min_length=1, max_length=40)]
+
+
+class WeatherSeries(Message):
+    """The weather of an episode and of a week after it, as EnergyPlus reads it, noise included.
+
+    Row k of `values`, raw with shape (rows, columns), holds at `step_s * (k + 1)` seconds after the episode's
+    begin; NaN where the file says nothing.
+    """
+
+    episode: Count
+    columns: list[str]
+    units: list[str]
+    step_s: float
+    values: bytes
+
+
 class Ask(Message):
     """A question without parameters (status)."""
 
 
 class Accepted(Message):
-    """The node took a request. `episode` is the one that is running or starting now."""
+    """The node took a request. `episode` is the one that is running or starting now.
+
+    After a reset, `weather` is the episode's weather file, and `drawn` the parameters of its variability, by
+    column (`dry_bulb_temperature.sigma`).
+    """
 
     episode: list[Count]
     fresh: bool = False
+    weather: str = ""
+    drawn: dict[str, float] = Field(default_factory=dict)
 
 
 class Denied(Message):

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from datetime import datetime
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from agent_sdk.rewards.base import BoundReward, Terms
 from topics.errors import InvalidConfig, near
@@ -20,6 +20,10 @@ Band = tuple[float, float]
 MonthDay = tuple[int, int]
 
 
+def _one_or_more(value: Any) -> Any:
+    return (value,) if isinstance(value, str) else value
+
+
 class LinearReward(BaseModel):
     """Weighted sum of power and of degrees outside the comfort band.
 
@@ -28,12 +32,12 @@ class LinearReward(BaseModel):
 
         r = -w * lambda_energy * P - (1 - w) * lambda_temperature * sum_z max(low - T_z, T_z - high, 0)
 
-    P is the facility's HVAC electricity demand in W, T_z the air temperature of zone z in degC; the band is the
-    summer one from `summer_begin` to `summer_end` (month, day; both included), else the winter one, by the day
-    on which the timestep began. Both terms are zero or negative.
+    P is the facility's HVAC electricity demand in W (or the sum of the sensors that are named), T_z the air
+    temperature of zone z in degC; the band is the summer one from `summer_begin` to `summer_end` (month, day; both
+    included), else the winter one, by the day on which the timestep began. Both terms are zero or negative.
 
     Attributes:
-        power: name of the sensor for P; None is the one that reads it.
+        power: name or names of the sensors for P; None is the one that reads it.
         temperatures: names of the sensors for T_z; None is all zone air temperatures.
     """
 
@@ -46,7 +50,8 @@ class LinearReward(BaseModel):
     summer: Band = (23.0, 26.0)
     summer_begin: MonthDay = (6, 1)
     summer_end: MonthDay = (9, 30)
-    power: str | None = None
+    kind: Literal["linear"] = "linear"
+    power: Annotated[tuple[str, ...], BeforeValidator(_one_or_more)] | None = None
     temperatures: tuple[str, ...] | None = None
 
     @model_validator(mode="after")
@@ -65,7 +70,7 @@ class LinearReward(BaseModel):
 
     def bind(self, manifest: Manifest) -> BoundReward:
         """See `Reward.bind`."""
-        power, zones = self._power_index(manifest), self._temperature_indices(manifest)
+        powers, zones = self._power_indices(manifest), self._temperature_indices(manifest)
         energy_factor = -self.weight * self.lambda_energy
         comfort_factor = -(1.0 - self.weight) * self.lambda_temperature
 
@@ -73,7 +78,7 @@ class LinearReward(BaseModel):
             low, high = self.band(begin)
             temperatures = values[..., zones]
             outside = np.maximum(np.maximum(low - temperatures, temperatures - high), 0.0).sum(axis=-1)
-            power_w = values[..., power]
+            power_w = values[..., powers].sum(axis=-1)
             energy, comfort = energy_factor * power_w, comfort_factor * outside
             return energy + comfort, {
                 "energy": energy,
@@ -84,12 +89,12 @@ class LinearReward(BaseModel):
 
         return reward
 
-    def _power_index(self, manifest: Manifest) -> int:
+    def _power_indices(self, manifest: Manifest) -> list[int]:
         if self.power is not None:
-            return _find(self.power, manifest, "W")
+            return [_find(name, manifest, "W") for name in self.power]
         for index, sensor in enumerate(manifest.sensors):
             if sensor.variable.casefold() == HVAC_POWER:
-                return index
+                return [index]
         raise InvalidConfig(
             "the linear reward needs a sensor of 'Facility Total HVAC Electricity Demand Rate' (key 'Whole Building'): "
             "name one in sensors=, or name another power sensor by reward=LinearReward(power=...)"

@@ -1,0 +1,50 @@
+"""Fields of the clock that an agent observes, as EnergyPlus's data exchange API gives them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from datetime import MAXYEAR, MINYEAR, datetime
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topics.messages import TimeField
+
+_BEGIN: dict[TimeField, Callable[[datetime], float]] = {
+    TimeField.YEAR: lambda t: t.year,
+    TimeField.MONTH: lambda t: t.month,
+    TimeField.DAY_OF_MONTH: lambda t: t.day,
+    TimeField.DAY_OF_WEEK: lambda t: t.isoweekday() % 7 + 1,
+    TimeField.DAY_OF_YEAR: lambda t: t.timetuple().tm_yday,
+    TimeField.HOUR: lambda t: t.hour,
+}
+_HOURS = 24.0
+
+BOUNDS: dict[TimeField, tuple[float, float]] = {
+    TimeField.YEAR: (MINYEAR, MAXYEAR),
+    TimeField.MONTH: (1, 12),
+    TimeField.DAY_OF_MONTH: (1, 31),
+    TimeField.DAY_OF_WEEK: (1, 7),
+    TimeField.DAY_OF_YEAR: (1, 366),
+    TimeField.HOUR: (0, 23),
+    TimeField.MINUTES: (0, 60),
+    TimeField.CURRENT_TIME: (0, _HOURS),
+}
+"""Least and largest value of each field."""
+
+
+def clock(fields: Sequence[TimeField], begin: datetime, end: datetime) -> NDArray[np.float64]:
+    """The fields of the timestep from `begin` to `end` (the same for sample 0), shape (fields,).
+
+    `hour` and the date are those of its begin, `minutes` and `current_time` (h) of its end.
+    """
+    return np.array([_field(field, begin, end) for field in fields], np.float64)
+
+
+def _field(field: TimeField, begin: datetime, end: datetime) -> float:
+    if field is TimeField.MINUTES:
+        return 60.0 if end > begin and end.minute == 0 else end.minute
+    if field is TimeField.CURRENT_TIME:
+        midnight = begin.replace(hour=0, minute=0, second=0, microsecond=0)
+        return (end - midnight).total_seconds() / 3600.0
+    return _BEGIN[field](begin)

@@ -1,0 +1,103 @@
+"""What a user gives an environment, as the settings of a node."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from agent_sdk.launch import OwnNode
+from agent_sdk.rewards import Reward, read_reward
+from bridge.affinity import Affinity
+from topics.errors import InvalidConfig, UsageError
+
+OF_THE_SCENARIO = "scenario"
+"""The reward that the node's scenario names."""
+
+OF_A_NODE = (
+    "building", "weather", "scenario", "file", "config", "variant", "sensors", "meters", "actuators", "begin", "end",
+    "steps_per_hour", "weather_order", "variability", "sizing", "changes", "time", "reading", "actions", "control",
+    "discrete", "keep",
+)  # fmt: skip
+"""The arguments that a node decides by."""
+
+
+def for_node(given: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """What the user gave (None left out), as a node's settings.
+
+    Raises:
+        InvalidConfig: nothing to simulate, or several things; a point that is no list of names.
+    """
+    settings = {key: _plain(value) for key, value in given.items()}
+    sources = [key for key in ("scenario", "file", "config") if key in settings]
+    if len(sources) > 1:
+        raise InvalidConfig(f"{' and '.join(sources)} both say what to simulate; name one of them")
+    if not sources and not {"building", "weather"} <= set(settings):
+        raise InvalidConfig(
+            "name a building and a weather, a scenario, or the bus (connect=) and node of a running one"
+        )
+    for key in ("sensors", "actuators"):
+        for point, spec in settings.get(key, {}).items():
+            if isinstance(spec, str) or not isinstance(spec, list | dict):
+                raise InvalidConfig(f"{key} {point!r}: a tuple of EnergyPlus's names expected, got {spec!r}")
+    if "file" in settings:
+        settings["scenario"] = settings.pop("file")
+    # A relative path is the caller's, who may be elsewhere than the node.
+    for key in ("building", "config", "keep", "scenario", "weather"):
+        if key in settings:
+            settings[key] = _absolute(settings[key], always=key in ("config", "keep"))
+    return settings | {"name": name}
+
+
+def _plain(value: Any) -> Any:
+    """As JSON has it."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(part) for key, part in value.items()}
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return [_plain(part) for part in value]
+    return str(value) if isinstance(value, Path) else value
+
+
+def _absolute(value: Any, *, always: bool) -> Any:
+    if isinstance(value, list):
+        return [_absolute(part, always=always) for part in value]
+    path = Path(str(value))
+    if not always and not path.suffix:
+        return value
+    path = path.expanduser()
+    return str(path.absolute()) if always or path.exists() else value
+
+
+def check_reward(
+    reward: Reward | Mapping[str, Any] | str | None, settings: Mapping[str, Any], placement: Affinity
+) -> None:
+    """Checks the reward before anything starts; with a fault in it, all else as well, so that all are said at once.
+
+    Raises:
+        InvalidConfig: a kind or parameters that cannot be.
+    """
+    said = _of_file(settings.get("scenario", "")) if reward == OF_THE_SCENARIO else reward
+    if not isinstance(said, str | Mapping):
+        return
+    try:
+        read_reward(said)
+    except InvalidConfig as fault:
+        faults = [str(fault)]
+        try:
+            OwnNode({**settings, "check": True}, placement).close()
+        except UsageError as others:
+            faults.append(str(others))
+        raise InvalidConfig("\n".join(faults)) from None
+
+
+def _of_file(scenario: str) -> Any:
+    """The reward in a scenario's file; None where there is none to be read (the node says why)."""
+    if Path(scenario).suffix not in (".yaml", ".yml"):
+        return None
+    import yaml
+
+    try:
+        found = yaml.safe_load(Path(scenario).read_text())
+    except (OSError, ValueError, yaml.YAMLError):
+        return None
+    return found.get("reward") if isinstance(found, dict) else None

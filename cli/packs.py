@@ -1,0 +1,66 @@
+"""`zenostat packs`: buildings, weather and scenarios that can be added."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+from rich.table import Table
+
+from cli.console import err, out
+from models import packs as store
+
+app = typer.Typer(add_completion=False, rich_markup_mode="markdown")
+
+_EXAMPLE = "Example: `zenostat packs add sinergym`"
+
+
+@app.callback(invoke_without_command=True, epilog=_EXAMPLE)
+def packs(context: typer.Context) -> None:
+    """Lists, adds and removes data packs: buildings, weather and scenarios of others. No code of theirs is run.
+
+    Example: `zenostat packs add sinergym`
+    """
+    if context.invoked_subcommand is None:
+        list_packs()
+
+
+@app.command("list")
+def list_packs() -> None:
+    """Lists the data packs, where they are and what is in them.
+
+    Example: `zenostat packs list`
+    """
+    table = Table("name", "version", "licence", "where", "what")
+    for pack in store.PACKS.values():
+        where = str(store.folder(pack.name)) if store.is_installed(pack.name) else "not added"
+        table.add_row(pack.name, pack.version, pack.licence, where, _what(pack))
+    out.print(table)
+
+
+@app.command()
+def add(name: Annotated[str, typer.Argument(help="The pack's name.", metavar="NAME")]) -> None:
+    """Fetches a data pack with pip, checks its hash and unzips it. Once is enough.
+
+    Example: `zenostat packs add sinergym`
+    """
+    pack = store.find_pack(name)
+    if store.is_installed(name):
+        out.print(f"{name} {pack.version} is there already: {store.folder(name)}", markup=False, soft_wrap=True)
+        return
+    with err.status(f"adding {name}") as status:
+        folder = store.add(name, say=status.update)
+    out.print(f"{name} {pack.version} added: {_what(pack)}; in {folder}", markup=False, soft_wrap=True)
+
+
+@app.command()
+def remove(name: Annotated[str, typer.Argument(help="The pack's name.", metavar="NAME")]) -> None:
+    """Removes a data pack.
+
+    Example: `zenostat packs remove sinergym`
+    """
+    out.print(f"{name} removed" if store.remove(name) else f"{name} was not added")
+
+
+def _what(pack: store.Pack) -> str:
+    return f"{len(pack.buildings)} buildings, {len(pack.weathers)} weathers, {pack.scenarios} scenarios"

@@ -1,0 +1,133 @@
+"""`zenostat scenarios`: what there is to be controlled, and scenario files."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.table import Table
+
+from cli.console import err, out
+from topics.errors import Faults, InvalidConfig, UnknownName
+
+scenarios = typer.Typer(help="Lists scenarios; shows, checks and describes scenario files.", no_args_is_help=False)
+
+
+@scenarios.callback(invoke_without_command=True)
+def listing(
+    context: typer.Context,
+    match: Annotated[str, typer.Option(help="Only ids that contain this text.")] = "",
+    as_json: Annotated[bool, typer.Option("--json", help="Print all ids as JSON.")] = False,
+) -> None:
+    """Lists scenarios; each is an environment: `gym.make("zenostat/ID")`.
+
+    Example: `zenostat scenarios --match stochastic`
+    """
+    if context.invoked_subcommand is not None:
+        return
+    from topics.scenario_ids import bundled_ids, pack_ids
+
+    found = [name for name in (*pack_ids(), *bundled_ids()) if match.casefold() in name.casefold()]
+    if as_json:
+        json.dump(found, sys.stdout, indent=1)
+        sys.stdout.write("\n")
+        return
+    shown = found if match else list(pack_ids())
+    table = Table("id", "from", title=f"{len(found)} scenarios")
+    packed = set(pack_ids())
+    for name in shown:
+        table.add_row(name, "pack sinergym" if name in packed else "bundled")
+    if not match:
+        form = "BUILDING-WEATHER-{continuous|discrete}[-stochastic]-v1"
+        table.add_row(form, f"bundled, {len(bundled_ids())}: zenostat buildings, zenostat weathers")
+    out.print(table)
+
+
+@scenarios.command()
+def show(
+    scenario: Annotated[str, typer.Argument(help="Id, or a scenario file.")],
+    brief: Annotated[bool, typer.Option("--brief", help="Only what differs from the defaults.")] = False,
+) -> None:
+    """Prints a scenario as a file that can be edited and simulated.
+
+    Example: `zenostat scenarios show office-medium-USA_CO_Denver-discrete-v1 > mine.yaml`
+    """
+    from eplus_node.config import plan, read_base, read_config
+    from models.scenario import dump
+    from models.scenarios import expanded
+
+    config = read_config({"scenario": scenario})
+    if brief:
+        found = read_base(config)
+        assert found is not None
+    else:
+        with err.status(f"asking EnergyPlus about {scenario}"):
+            planned = plan(config)
+        found = expanded(planned.scenario, planned.building, planned.points, planned.task)
+    sys.stdout.write("# yaml-language-server: $schema=scenario.schema.json\n")
+    sys.stdout.write("# (made by `zenostat scenarios schema > scenario.schema.json`)\n")
+    sys.stdout.write(dump(found))
+
+
+@scenarios.command()
+def check(file: Annotated[Path, typer.Argument(help="A scenario file.")]) -> None:
+    """Checks a scenario file, its building, weather and points; starts no simulation.
+
+    Example: `zenostat scenarios check mine.yaml`
+    """
+    from agent_sdk.rewards import read_reward
+    from eplus_node.config import plan, read_config
+    from models.scenario import load_scenario
+
+    faults = Faults()
+    if not file.is_file():
+        raise UnknownName(f"there is no file {file.absolute()}")
+    with err.status(f"checking {file}"):
+        read = faults.catch(lambda: load_scenario(file))
+        reward = read.reward if read is not None else None
+        if reward is not None:
+            faults.catch(lambda: read_reward(reward))
+        planned = faults.catch(lambda: plan(read_config({"scenario": str(file)}))) if read is not None else None
+    faults.raise_all()
+    if planned is None:
+        raise InvalidConfig(f"{file} could not be read")
+    points = planned.points
+    out.print(
+        f"{file}: {planned.building.name}, {', '.join(s.name for s in planned.sources)}, {planned.period.steps} "
+        f"timesteps; {len(points.sensors)} sensors, {len(points.meters)} meters, {len(planned.task.actions)} actions"
+    )
+    for warning in planned.warnings:
+        out.print(f"warning: {warning}", style="yellow", markup=False)
+
+
+@scenarios.command()
+def schema() -> None:
+    """Prints the JSON schema of a scenario file, for editors that complete and check by it.
+
+    Example: `zenostat scenarios schema > scenario.schema.json`
+    """
+    json.dump(scenario_schema(), sys.stdout, indent=1)
+    sys.stdout.write("\n")
+
+
+def scenario_schema() -> dict[str, Any]:
+    """The schema with the rewards' parameters in it, which are another room's."""
+    from agent_sdk.rewards import REWARDS
+    from models.scenario import Scenario
+
+    found = Scenario.model_json_schema()
+    kinds = []
+    for kind in REWARDS.values():
+        own = kind.model_json_schema(ref_template="#/$defs/{model}")
+        found["$defs"].update(own.pop("$defs", {}))
+        own["required"] = ["kind"]
+        found["$defs"][kind.__name__] = own
+        kinds.append({"$ref": f"#/$defs/{kind.__name__}"})
+    found["properties"]["reward"] = {
+        "anyOf": [*kinds, {"type": "null"}],
+        "description": "What the agent is rewarded for; null: nothing.",
+    }
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **found}

@@ -1,0 +1,129 @@
+"""What one episode simulates: its weather, drawn and disturbed, and its files."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from datetime import timedelta
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models import design_days, weather
+from models.building import Building, prepared, write
+from models.design_days import Site
+from models.period import Period
+from models.scenario import Order
+from models.variability import Variability, disturbed
+from models.weather import Header
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """A weather file, with the location and design days that belong to it (None: the model's own)."""
+
+    name: str
+    path: Path
+    header: Header
+    site: Site | None
+
+
+@dataclass(frozen=True, slots=True)
+class Draw:
+    """What is random of an episode: which of the weather files, and the seed of its noise."""
+
+    source: int = 0
+    noise: int = 0
+
+
+class Draws:
+    """A draw for each episode. The same seed gives the same draws; without one they differ from run to run.
+
+    Args:
+        sources: number of weather files.
+        order: `random`, or `sequence` (from the first again after each seed).
+        noisy: whether the weather has noise.
+    """
+
+    def __init__(self, sources: int, order: Order, *, noisy: bool) -> None:
+        self._sources, self._order, self._noisy = sources, order, noisy
+        self.seed(None)
+
+    def seed(self, seed: int | None) -> None:
+        """Begins anew."""
+        self._random = np.random.Generator(np.random.PCG64(seed))
+        self._episode = 0
+
+    def next(self) -> Draw:
+        """The next episode's. Both numbers are drawn in any case, so that an option does not shift the other's."""
+        source, noise = (int(self._random.integers(bound)) for bound in (self._sources, 1 << 63))
+        if self._order == "sequence":
+            source = self._episode % self._sources
+        self._episode += 1
+        return Draw(source, noise if self._noisy else 0)
+
+
+@dataclass(frozen=True, slots=True)
+class Files:
+    """What EnergyPlus reads in an episode, and the parameters of its weather's noise."""
+
+    model: Path
+    weather: Path
+    drawn: dict[str, float] = field(default_factory=dict)
+
+
+class Episodes:
+    """Prepares the files of episodes of one building and run period."""
+
+    def __init__(
+        self, building: Building, period: Period, sources: Sequence[Source], variability: Variability, *, outputs: bool
+    ) -> None:
+        self._building, self._period, self._sources = building, period, sources
+        self._variability, self._outputs = variability, outputs
+        self._read: dict[int, weather.Weather] = {}
+
+    def prepare(self, draw: Draw, folder: Path) -> Files:
+        """Writes the files of an episode into `folder`."""
+        source = self._sources[draw.source]
+        objects = prepared(self._building, self._period, outputs=self._outputs)
+        if source.site is not None:
+            objects = design_days.apply(objects, source.site)
+        model = write(objects, folder)
+        if not self._variability:
+            return Files(model, source.path)
+        if draw.source not in self._read:
+            self._read[draw.source] = weather.read(source.path)
+        found = disturbed(self._read[draw.source], self._variability, np.random.Generator(np.random.PCG64(draw.noise)))
+        path = folder / "in.epw"
+        weather.write(self._read[draw.source], path, found.changed)
+        drawn = {f"{column}.{name}": value for column, values in found.drawn.items() for name, value in values.items()}
+        return Files(model, path, drawn)
+
+
+AHEAD = timedelta(days=7)
+"""How far beyond its end an episode's weather is known to forecasts."""
+
+
+def series(path: Path, period: Period, columns: Sequence[str]) -> tuple[NDArray[np.float64], float]:
+    """Columns of a weather file from the first day of a run period to a week after its last, as EnergyPlus reads it.
+
+    Returns:
+        values, shape (rows, columns), NaN where missing, each at the end of its interval; and the interval in seconds.
+
+    Raises:
+        UnknownName: no such column.
+    """
+    found = [weather.find_column(name) for name in columns]
+    read = weather.read(path)
+    days: dict[tuple[int, int], list[int]] = {}
+    for row, (_, month, day, _, _) in enumerate(read.times.tolist()):
+        days.setdefault((month, day), []).append(row)
+    rows: list[int] = []
+    day = period.begin
+    while day <= period.end + AHEAD and (day.month, day.day) in days:
+        rows += days[day.month, day.day]
+        day += timedelta(days=1)
+    values = np.column_stack([read.column(column.name)[rows] for column in found])
+    missing = np.array([column.missing for column in found])
+    return np.where(values >= missing, np.nan, values), 3600.0 * read.record_h

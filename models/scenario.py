@@ -1,0 +1,220 @@
+"""A scenario: what is simulated, what an agent sees and decides of it, and what it is rewarded for; one file.
+
+Each field is also an argument of `gym.make("zenostat/Scenario-v1", ...)` and of a node.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import date
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import yaml
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+
+from models.variability import Noise
+from topics.codec import explain
+from topics.errors import InvalidConfig, UnknownName
+from topics.messages import Reading, SafeName, TimeField
+
+Changes = dict[str, dict[str, dict[str, Any] | None]]
+"""Object type, object name, fields. A field None is removed, fields None remove the object, the name `*`
+means each object of that type, and a new name a new object."""
+
+Order = Literal["random", "sequence"]
+Control = Literal["point", "zone", "building"]
+Sizing = Literal["weather", "model"]
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class SensorSpec(_Part):
+    """An output variable of EnergyPlus. Without `reading`, the scenario's."""
+
+    variable: str
+    key: str
+    reading: Reading | None = None
+
+
+class ActuatorSpec(_Part):
+    """An actuator of EnergyPlus. Bounds left out are the model's own, or those of its unit."""
+
+    component_type: str
+    control_type: str
+    key: str
+    low: float | None = None
+    high: float | None = None
+
+
+class ActionSpec(_Part):
+    """One dimension of the action: it sets all of `actuators`. Bounds left out are the actuators' own."""
+
+    actuators: Annotated[tuple[SafeName, ...], Field(min_length=1)]
+    low: float | None = None
+    high: float | None = None
+
+
+class ChoiceSpec(_Part):
+    """One discrete dimension: a row of values for `actions` for each choice."""
+
+    actions: Annotated[tuple[SafeName, ...], Field(min_length=1)]
+    values: Annotated[tuple[tuple[float, ...], ...], Field(min_length=1)]
+
+
+def _listed(form: type[_Part]) -> BeforeValidator:
+    """Takes a list in the order of the fields as well: `[Zone Air Temperature, Core_ZN]`."""
+    names = list(form.model_fields)
+
+    def read(value: Any) -> Any:
+        if isinstance(value, str | Mapping | BaseModel) or not hasattr(value, "__iter__"):
+            return value
+        values = list(value)
+        least = sum(field.is_required() for field in form.model_fields.values())
+        if not least <= len(values) <= len(names):
+            raise ValueError(f"{least} to {len(names)} parts expected ({', '.join(names)}), got {values}")
+        return dict(zip(names, values, strict=False))
+
+    return BeforeValidator(read, json_schema_input_type=form | list[str | float | None])
+
+
+def _one_or_more(value: Any) -> Any:
+    return (value,) if isinstance(value, str) else value
+
+
+def _day(value: Any) -> Any:
+    return value.isoformat() if isinstance(value, date) else value  # YAML reads 2018-07-01 as a date
+
+
+Day = Annotated[str | None, BeforeValidator(_day)]
+
+
+class Scenario(_Part):
+    """What is simulated, observed, decided and rewarded.
+
+    Attributes:
+        id: its name, without `zenostat/`.
+        about: what it is, for people.
+        building: short name or path of a model.
+        weather: short names or paths of weather files; one is drawn for each episode.
+        weather_order: `random`, or `sequence`: one after the other, an episode each.
+        variability: noise on the weather, by column of the weather file.
+        sizing: `weather`: location and design days follow the weather file; `model`: the model's own stay.
+        begin, end: first and last day, MM-DD or YYYY-MM-DD; the model's own run period if left out.
+        steps_per_hour: timesteps an hour; the model's own if left out.
+        changes: objects of the model, field by field.
+        time: fields of the clock that are observed, before the sensors.
+        sensors, meters, actuators: by the name that they get; a sensible set found in the model if left out.
+        reading: how sensors read that do not say: `instant`; `mean`: what EnergyPlus reports, the mean or sum over
+            the timestep; left out: `mean` for rates and energies, `instant` for states.
+        actions: the action's dimensions, by name; found by `control` if left out.
+        control: `point`: a dimension for each actuator; `zone`: the same, with zones choosing on their own where
+            discrete; `building`: one pair of setpoints for all thermostats.
+        discrete: choices, or the number of equal steps from the widest to the tightest setpoints; None: continuous.
+        reward: its kind and parameters; None: 0.
+    """
+
+    id: str = ""
+    about: str = ""
+    building: str
+    weather: Annotated[tuple[str, ...], BeforeValidator(_one_or_more), Field(min_length=1)]
+    weather_order: Order = "random"
+    variability: dict[str, Noise] = Field(default_factory=dict)
+    sizing: Sizing = "weather"
+    begin: Day = None
+    end: Day = None
+    steps_per_hour: int | None = None
+    changes: Changes = Field(default_factory=dict)
+    time: tuple[TimeField, ...] = ()
+    sensors: dict[str, Annotated[SensorSpec, _listed(SensorSpec)]] | None = None
+    meters: dict[str, str] | None = None
+    actuators: dict[str, Annotated[ActuatorSpec, _listed(ActuatorSpec)]] | None = None
+    reading: Literal[Reading.INSTANT, Reading.MEAN] | None = None
+    actions: dict[str, ActionSpec] | None = None
+    control: Control = "point"
+    discrete: Annotated[int, Field(ge=2)] | tuple[ChoiceSpec, ...] | None = None
+    reward: dict[str, Any] | None = Field(default_factory=lambda: {"kind": "linear"})
+
+    @model_validator(mode="after")
+    def _time_fields_once(self) -> Scenario:
+        if len(set(self.time)) < len(self.time):
+            raise ValueError("a time field is named twice")
+        return self
+
+
+def read_scenario(given: Mapping[str, Any], what: str = "the scenario") -> Scenario:
+    """`given` as a scenario; `InvalidConfig` names all faults at once."""
+    try:
+        return Scenario.model_validate(dict(given))
+    except ValidationError as error:
+        raise InvalidConfig(f"{what}: {explain(error)}") from None
+
+
+if TYPE_CHECKING:
+    _SafeLoader = yaml.SafeLoader
+else:
+    _SafeLoader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times as fast, where libyaml is there
+
+
+class _Loader(_SafeLoader):
+    """YAML without surprises: a key that stands twice is an error, not the last of both."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:  # noqa: FBT001, FBT002
+        seen = set()
+        for key_node, _ in node.value:
+            key = self.construct_object(key_node, deep=True)
+            if key in seen:
+                raise yaml.constructor.ConstructorError(None, None, f"{key!r} stands twice", key_node.start_mark)
+            seen.add(key)
+        return super().construct_mapping(node, deep)
+
+
+def load_yaml(path: Path) -> dict[str, Any]:
+    """A YAML file that holds a mapping.
+
+    Raises:
+        UnknownName: there is no such file.
+        InvalidConfig: it is no YAML, or something else than a mapping.
+    """
+    try:
+        text = path.read_text()
+    except (OSError, UnicodeDecodeError) as error:
+        raise UnknownName(f"cannot read {path.absolute()}: {error}") from None
+    try:
+        found = yaml.load(text, _Loader)  # noqa: S506  # a SafeLoader
+    except yaml.YAMLError as error:
+        raise InvalidConfig(f"{path} is no YAML: {error}") from None
+    if not isinstance(found, dict) or not all(isinstance(key, str) for key in found):
+        raise InvalidConfig(f"{path} should hold names and values, as `building: office-small`")
+    return found
+
+
+def load_scenario(path: Path) -> Scenario:
+    """The scenario of a file. Paths in it are relative to it."""
+    return read_scenario(beside(load_yaml(path), path.parent), str(path))
+
+
+def beside(given: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """`given` with the paths of its building and weather made absolute, where they name files in `folder`."""
+
+    def found(text: Any) -> Any:
+        if not isinstance(text, str) or not Path(text).suffix:
+            return text
+        path = folder / Path(text).expanduser()
+        return str(path.resolve()) if path.is_file() else text
+
+    result = dict(given)
+    if "building" in result:
+        result["building"] = found(result["building"])
+    if "weather" in result:
+        weather = result["weather"]
+        result["weather"] = [found(w) for w in weather] if isinstance(weather, list | tuple) else found(weather)
+    return result
+
+
+def dump(scenario: Scenario) -> str:
+    """The scenario as YAML; `load_scenario` gives an equal one."""
+    plain = scenario.model_dump(mode="json", exclude_defaults=True)
+    return yaml.safe_dump(plain, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None)

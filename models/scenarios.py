@@ -1,0 +1,97 @@
+"""Scenarios by id: those of the data packs, and one for each bundled building in each bundled weather."""
+
+from __future__ import annotations
+
+import re
+
+from models.building import Building
+from models.points import Points
+from models.scenario import ActionSpec, ActuatorSpec, ChoiceSpec, Scenario, SensorSpec
+from models.variability import Noise, Variability
+from topics.errors import UnknownName, near
+from topics.messages import Actuator, Sensor, Task
+from topics.scenario_ids import BUILDINGS, WEATHERS, bundled_ids, pack_ids
+
+STEPS = 10
+"""Choices of the discrete scenarios, as many as Sinergym's have."""
+
+_ID = re.compile(
+    rf"({'|'.join(map(re.escape, sorted(BUILDINGS, key=len, reverse=True)))})-({'|'.join(map(re.escape, WEATHERS))})"
+    r"-(continuous|discrete)(-stochastic)?-v1"
+)
+
+
+def default_variability() -> Variability:
+    """The weather noise of the paper's stochastic scenarios: temperature in K, humidity in percent."""
+    return {
+        "dry_bulb_temperature": Noise(sigma=1.0, mu=0.0, tau_h=24.0),
+        "relative_humidity": Noise(sigma=(2.0, 5.0), mu=0.0, tau_h=24.0),
+    }
+
+
+def ids() -> tuple[str, ...]:
+    """All ids, without `zenostat/`: the packs' first."""
+    return (*pack_ids(), *bundled_ids())
+
+
+def find_scenario(text: str) -> Scenario:
+    """The scenario of an id, with or without `zenostat/`.
+
+    Raises:
+        UnknownName: there is none; near ones are listed.
+        InvalidConfig: it needs a data pack that is not there.
+    """
+    name = text.removeprefix("zenostat/")
+    if name in pack_ids():
+        from models.sinergym import pack_scenarios
+
+        return pack_scenarios()[name]
+    match = _ID.fullmatch(name)
+    if not match:
+        raise UnknownName(f"no scenario {text!r}; {near(name, ids())}")
+    building, weather, form, stochastic = match.groups()
+    return Scenario(
+        id=name,
+        about=f"{building} in {weather}: one pair of setpoints for all its zones"
+        + (", ten steps" if form == "discrete" else "")
+        + (", weather with noise" if stochastic else ""),
+        building=building,
+        weather=(weather,),
+        variability=default_variability() if stochastic else {},
+        control="building",
+        discrete=STEPS if form == "discrete" else None,
+    )
+
+
+def expanded(scenario: Scenario, building: Building, points: Points, task: Task) -> Scenario:
+    """The same scenario with all that it left out and that was found in the model, to be read and edited."""
+    period = building.period(scenario.begin, scenario.end, scenario.steps_per_hour)
+    found: dict[str, object] = {
+        "begin": period.begin.isoformat(),
+        "end": period.end.isoformat(),
+        "steps_per_hour": period.steps_per_hour,
+        "sensors": {s.name: _sensor(s, scenario) for s in points.sensors},
+        "meters": {m.name: m.meter for m in points.meters},
+        "actuators": {a.name: _actuator(a) for a in points.actuators},
+    }
+    left_out = {name: value for name, value in found.items() if getattr(scenario, name) is None}
+    if scenario.actions is None and scenario.control != "point":
+        left_out["actions"] = {a.name: ActionSpec(actuators=a.actuators, low=a.low, high=a.high) for a in task.actions}
+    if isinstance(scenario.discrete, int):
+        left_out["discrete"] = tuple(ChoiceSpec(actions=c.actions, values=c.values) for c in task.choices)
+    return scenario.model_copy(update={**left_out, "control": "point"})
+
+
+def _sensor(sensor: Sensor, scenario: Scenario) -> SensorSpec:
+    reading = sensor.reading if scenario.reading is None else None
+    return SensorSpec(variable=sensor.variable, key=sensor.key, reading=reading)
+
+
+def _actuator(actuator: Actuator) -> ActuatorSpec:
+    return ActuatorSpec(
+        component_type=actuator.component_type,
+        control_type=actuator.control_type,
+        key=actuator.key,
+        low=actuator.low,
+        high=actuator.high,
+    )

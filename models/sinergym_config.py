@@ -1,0 +1,407 @@
+"""One configuration of Sinergym, field by field; what is wrong is gathered and said at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from models import catalog, packs
+from models.catalog import Entry
+from models.fields import Fields
+from models.literals import Box, Space, Table, space
+from models.scenario import ActionSpec, ActuatorSpec, ChoiceSpec, Scenario, SensorSpec, read_scenario
+from models.sinergym_choices import choice_specs
+from models.variability import Noise
+from models.weather import find_column
+from topics.codec import explain
+from topics.errors import InvalidConfig, near
+from topics.keys import check_name
+from topics.messages import Reading, TimeField
+from topics.scenario_ids import CONTINUOUS, DISCRETE, PACK_IDS
+
+PACK = "sinergym"
+"""The data pack of the buildings and weather files that a configuration may name."""
+
+MODEL, WEATHER = packs.PACKS[PACK].buildings, packs.PACKS[PACK].weathers
+
+REQUIRED = ("id_base", "building_file", "weather_specification", "variables", "action_space", "reward", "reward_kwargs")
+OPTIONAL = ("actuators", "meters", "context", "time_variables", "building_config", "weather_variability",
+            "action_space_discrete", "only_discrete")  # fmt: skip
+IGNORED = ("max_ep_store", "initial_context")
+"""How many folders Sinergym keeps, and values for actuators that no action sets: settings of its program."""
+
+LINEAR = "sinergym.utils.rewards:LinearReward"
+_REWARD_NAMES = {"temperature_variables": "temperatures", "energy_variables": "power"}
+_REWARD_BANDS = {"range_comfort_winter": "winter", "range_comfort_summer": "summer"}
+_REWARD_DAYS = {"summer_start": ("summer_begin", [6, 1]), "summer_final": ("summer_end", [9, 30])}
+_REWARD_NUMBERS = {
+    "energy_weight": ("weight", 0.5),
+    "lambda_energy": ("lambda_energy", 1.0),
+    "lambda_temperature": ("lambda_temperature", 1.0),
+}
+_RUN_PERIOD = "[day, month, year, day, month, year]"
+
+
+@dataclass(frozen=True, slots=True)
+class Parsed:
+    """What a configuration says.
+
+    Attributes:
+        base: the beginning of its ids.
+        forms: `continuous`, `discrete`, or both.
+        scenario: what its scenarios have in common.
+        weathers: weather files by key.
+        noise: of the stochastic scenarios; empty if there are none.
+        choices: of the discrete scenarios; None if nobody knows what their choices mean, and `reason` says so.
+    """
+
+    base: str
+    forms: tuple[str, ...]
+    scenario: Scenario
+    weathers: dict[str, tuple[str, ...]]
+    noise: dict[str, Noise]
+    choices: tuple[ChoiceSpec, ...] | None
+    reason: str
+
+
+GONE = ("zone radiant hvac operation mode",)
+"""Variables of the pack's scenarios that EnergyPlus 25.2 does not have (Sinergym then observes 0.0 for ever)."""
+
+
+def _still_there(sensors: dict[str, SensorSpec], decided: Mapping[str, ActuatorSpec]) -> dict[str, SensorSpec]:
+    """Where a gone variable has the name of a schedule that the action sets, that schedule's value stands for it."""
+    return {
+        name: SensorSpec(variable=decided[name].control_type, key=decided[name].key)
+        if spec.variable.casefold() in GONE and name in decided
+        else spec
+        for name, spec in sensors.items()
+    }
+
+
+class Reader(Fields):
+    """Reads a configuration.
+
+    Args:
+        given: the file's content.
+        path: the file; paths in it are relative to its folder.
+        tables: what discrete choices mean, by id base.
+    """
+
+    def __init__(self, given: Mapping[str, Any], path: Path, tables: Mapping[str, Table]) -> None:
+        super().__init__(given)
+        self.path, self.tables = path, tables
+        self.renamed: dict[str, str] = {}
+
+    def read(self) -> Parsed:
+        """All that is said; `InvalidConfig` has all faults, one a line."""
+        self._check_keys()
+        base = self._id_base()
+        weathers = self._weathers()
+        decided = self._decided()
+        fields = {
+            "building": self._file("building_file", self.given.get("building_file"), catalog.buildings, MODEL),
+            "weather": next(iter(weathers.values()), ("none",)),
+            "sizing": "weather",
+            **self._building_config(),
+            "time": self._time(),
+            "sensors": _still_there(self._sensors(), decided),
+            "meters": self._meters(),
+            "reading": Reading.INSTANT,
+            "control": "point",
+            **self._with_context(decided),
+            "reward": self._reward(),
+        }
+        noise = self._variability()
+        choices, reason = self._choices(base, decided)
+        if self.faults:
+            raise InvalidConfig("\n".join(f"{self.path}: {fault}" for fault in self.faults))
+        forms = [] if self.given.get("only_discrete") else [CONTINUOUS]
+        forms += [DISCRETE] if self.given.get("action_space_discrete") else []
+        scenario = read_scenario(fields, str(self.path))
+        return Parsed(base, tuple(forms), scenario, weathers, noise, choices, reason)
+
+    # What is said and what is not
+
+    def _check_keys(self) -> None:
+        self.known(self.given, (*REQUIRED, *OPTIONAL, *IGNORED), "")
+        for name in REQUIRED:
+            if self.given.get(name) is None:
+                self.fault(f"{name} is missing")
+        only = self.given.get("only_discrete")
+        if only is not None and not isinstance(only, bool):
+            self.fault(f"only_discrete: true or false expected, got {only!r}")
+        if only is True and not self.given.get("action_space_discrete"):
+            self.fault("only_discrete: true leaves nothing without action_space_discrete")
+
+    # The building, its weather and its run period
+
+    def _id_base(self) -> str:
+        base = self.given.get("id_base")
+        if base is None:
+            return ""
+        if not isinstance(base, str):
+            self.fault(f"id_base: a text expected, got {base!r}")
+            return ""
+        return self.attempt(lambda: check_name(base, "the base of the ids"), "id_base") or ""
+
+    def _file(self, where: str, text: Any, known: Callable[[], tuple[Entry, ...]], promised: tuple[str, ...]) -> str:
+        """A file beside the configuration, an absolute path, or the catalogue's name of a file of the data pack."""
+        if text is None:
+            return ""
+        if not isinstance(text, str) or not text:
+            self.fault(f"{where}: the name of a file expected, got {text!r}")
+            return ""
+        beside = self.path.parent / Path(text)
+        if beside.is_file():
+            return str(beside.resolve())
+        packed = [entry for entry in known() if entry.pack == PACK]
+        for entry in packed:
+            if entry.path.name == text:
+                return entry.name
+        if not packed and Path(text).stem in promised:
+            self.fault(f"{where}: {text!r} is in the data pack {PACK!r}: {packs.command(PACK)}")
+        else:
+            names = [entry.path.name for entry in packed]
+            self.fault(f"{where}: no file {text!r} beside {self.path.name} or in the data pack; {near(text, names)}")
+        return ""
+
+    def _weathers(self) -> dict[str, tuple[str, ...]]:
+        """Weather files by key."""
+        given = self.mapping("weather_specification")
+        if not given:
+            return {}
+        where = "weather_specification"
+        self.known(given, ("weather_files", "keys"), f"{where}: ")
+        files, keys = given.get("weather_files"), self.texts(given.get("keys"), f"{where}.keys")
+        if not isinstance(files, list):
+            self.fault(f"{where}.weather_files: a list of files expected, got {files!r}")
+            return {}
+        if len(files) != len(keys) or not files:
+            self.fault(f"{where}: {len(files)} weather_files and {len(keys)} keys; there should be a key for each")
+        for key in dict.fromkeys(key for key in keys if keys.count(key) > 1):
+            self.fault(f"{where}.keys: {key!r} stands twice")
+        for key in keys:
+            self.attempt(lambda key=key: check_name(key, "the key"), f"{where}.keys")  # type: ignore[misc]
+        found = {}
+        for number, (key, file) in enumerate(zip(keys, files, strict=False)):
+            names = file if isinstance(file, list) else [file]
+            where_file = f"{where}.weather_files.{number}"
+            found[key] = tuple(self._file(where_file, name, catalog.weathers, WEATHER) for name in names)
+        return found
+
+    def _building_config(self) -> dict[str, Any]:
+        given = self.mapping("building_config")
+        self.known(given, ("timesteps_per_hour", "runperiod"), "building_config: ")
+        found: dict[str, Any] = {}
+        steps = given.get("timesteps_per_hour")
+        if steps is not None:
+            found["steps_per_hour"] = steps
+            if not isinstance(steps, int) or isinstance(steps, bool):
+                self.fault(f"building_config.timesteps_per_hour: a whole number expected, got {steps!r}")
+        period = given.get("runperiod")
+        if period is not None:
+            try:
+                d1, m1, y1, d2, m2, y2 = period
+                begin, end = date(y1, m1, d1), date(y2, m2, d2)
+                if end < begin:
+                    self.fault(f"building_config.runperiod ends ({end}) before it begins ({begin})")
+                found |= {"begin": begin.isoformat(), "end": end.isoformat()}
+            except (TypeError, ValueError) as error:
+                self.fault(f"building_config.runperiod: {_RUN_PERIOD} expected, got {period!r} ({error})")
+        return found
+
+    # What is observed
+
+    def _time(self) -> tuple[TimeField, ...]:
+        given = self.given.get("time_variables")
+        fields = []
+        for name in self.texts(given, "time_variables") if given is not None else []:
+            if name in list(TimeField):
+                fields.append(TimeField(name))
+            else:
+                self.fault(f"time_variables: no field {name!r} of the clock; {near(name, map(str, TimeField))}")
+        if len(set(fields)) < len(fields):
+            self.fault("time_variables: a field is named twice")
+        return tuple(fields)
+
+    def _sensors(self) -> dict[str, SensorSpec]:
+        found: dict[str, SensorSpec] = {}
+        for variable, spec in self.mapping("variables").items():
+            where = f"variables.{variable}"
+            if not isinstance(spec, Mapping):
+                self.fault(f"{where}: variable_names and keys expected, got {spec!r}")
+                continue
+            self.known(spec, ("variable_names", "keys"), f"{where}: ")
+            for said, key in self._named_keys(spec.get("variable_names"), spec.get("keys"), where):
+                name = self.name(said, where)
+                if name is not None:
+                    self._once(said, name, where)
+                    found[name] = SensorSpec(variable=str(variable), key=key)
+        return found
+
+    def _named_keys(self, names: Any, keys: Any, where: str) -> list[tuple[str, str]]:
+        if isinstance(names, str) and isinstance(keys, str):
+            return [(names, keys)]
+        if isinstance(names, str):
+            keys = self.texts(keys, f"{where}.keys")
+            return [(f"{key.lower().replace(' ', '_')}_{names}", key) for key in keys]
+        if isinstance(keys, str):
+            self.fault(f"{where}: with one key there is one name, got {names!r}")
+            return []
+        names, keys = self.texts(names, f"{where}.variable_names"), self.texts(keys, f"{where}.keys")
+        if len(names) != len(keys):
+            self.fault(f"{where}: {len(names)} variable_names and {len(keys)} keys; there should be a name for each")
+        return list(zip(names, keys, strict=False))
+
+    def _meters(self) -> dict[str, str]:
+        found = {}
+        for meter, said in self.mapping("meters").items():
+            where = f"meters.{meter}"
+            name = self.name(said, where)
+            if name is not None:
+                self._once(said, name, where)
+                found[name] = str(meter)
+        return found
+
+    def _once(self, said: str, name: str, where: str) -> None:
+        """Remembers a name of an observation; two that are one in a topic are a fault."""
+        if name in self.renamed.values():
+            self.fault(f"{where}: two observations are called {name!r}")
+        self.renamed[said] = name
+
+    # What is decided
+
+    def _decided(self) -> dict[str, ActuatorSpec]:
+        """The actuators of the action, with its bounds."""
+        found = self._specs("actuators")
+        given = self.given.get("action_space")
+        bounds = self._space("action_space") if given is not None else None
+        if bounds is not None and not isinstance(bounds, Box):
+            self.fault(f"action_space: a Box is expected, got {given!r}; a discrete one is action_space_discrete")
+        elif bounds is not None and len(bounds.low) != len(found):
+            self.fault(f"action_space has {len(bounds.low)} dimensions, and there are {len(found)} actuators")
+        elif bounds is not None:
+            for (name, spec), low, high in zip(list(found.items()), bounds.low, bounds.high, strict=True):
+                found[name] = spec.model_copy(update={"low": low, "high": high})
+        return found
+
+    def _with_context(self, decided: Mapping[str, ActuatorSpec]) -> dict[str, Any]:
+        """The actuators and, where some are not of the action, its dimensions."""
+        context = self._specs("context")
+        for name in context:
+            if name in decided:
+                self.fault(f"context: {name!r} is an actuator of the action already")
+        found: dict[str, Any] = {"actuators": {**decided, **context}}
+        return found | ({"actions": {name: ActionSpec(actuators=(name,)) for name in decided}} if context else {})
+
+    def _specs(self, section: str) -> dict[str, ActuatorSpec]:
+        found: dict[str, ActuatorSpec] = {}
+        names = ("variable_name", "element_type", "value_type")
+        for key, spec in self.mapping(section).items():
+            where = f"{section}.{key}"
+            if not isinstance(spec, Mapping) or not all(isinstance(spec.get(n), str) for n in names):
+                self.fault(f"{where}: {', '.join(names)} expected, got {spec!r}")
+                continue
+            self.known(spec, names, f"{where}: ")
+            name = self.name(spec["variable_name"], where)
+            if name in found:
+                self.fault(f"{where}: two actuators are called {name!r}")
+            elif name is not None:
+                found[name] = ActuatorSpec(
+                    component_type=spec["element_type"], control_type=spec["value_type"], key=str(key)
+                )
+        return found
+
+    def _space(self, name: str) -> Space | None:
+        given = self.given[name]
+        if not isinstance(given, str):
+            self.fault(f"{name}: the text of a space expected, got {given!r}")
+            return None
+        return self.attempt(lambda: space(given), name)
+
+    def _choices(self, base: str, actuators: Mapping[str, ActuatorSpec]) -> tuple[tuple[ChoiceSpec, ...] | None, str]:
+        """The discrete dimensions of these actuators; None and the reason if nobody knows what the choices mean."""
+        given = self.given.get("action_space_discrete")
+        if not given or (discrete := self._space("action_space_discrete")) is None:
+            return (), ""
+        if isinstance(discrete, Box):
+            self.fault(f"action_space_discrete: Discrete or MultiDiscrete expected, got {given!r}")
+            return (), ""
+        meaning = self.tables.get(base.lower())
+        if meaning is None:
+            return None, self._unknown_choices(base)
+        return self.attempt(lambda: choice_specs(discrete, meaning, actuators), "action_space_discrete") or (), ""
+
+    def _unknown_choices(self, base: str) -> str:
+        if base in PACK_IDS and not packs.is_installed(PACK):
+            return f"what the discrete choices of {base!r} mean is in the data pack {PACK!r}: {packs.command(PACK)}"
+        return (
+            f"what the choices of {self.given['action_space_discrete']} mean for {base!r} stands in code, which is "
+            "not run; write them into a scenario file (its field `discrete`), or use the continuous scenarios"
+        )
+
+    # Weather noise and reward
+
+    def _variability(self) -> dict[str, Noise]:
+        found = {}
+        for said, numbers in self.mapping("weather_variability").items():
+            where = f"weather_variability.{said}"
+            column = self.attempt(lambda said=said: find_column(str(said)).name, where)  # type: ignore[misc]
+            if not isinstance(numbers, list) or len(numbers) not in (3, 4):
+                self.fault(f"{where}: [sigma, mu, tau] or [sigma, mu, tau, [low, high]] expected, got {numbers!r}")
+                continue
+            low, high = self.pair(numbers[3], f"{where}.3") if len(numbers) == 4 else (None, None)
+            try:
+                noise = Noise(sigma=numbers[0], mu=numbers[1], tau_h=numbers[2], low=low, high=high)
+            except ValidationError as error:
+                self.fault(f"{where}: {explain(error)}")
+                continue
+            if column is not None:
+                found[column] = noise
+        return found
+
+    def _reward(self) -> dict[str, Any]:
+        kind = self.given.get("reward")
+        if kind is not None and kind != LINEAR:
+            self.fault(f"reward: {kind!r} is not known here; what is known: {LINEAR!r}")
+        given = self.mapping("reward_kwargs")
+        if kind != LINEAR or self.given.get("reward_kwargs") is None:
+            return {}
+        self.known(given, (*_REWARD_NAMES, *_REWARD_BANDS, *_REWARD_DAYS, *_REWARD_NUMBERS), "reward_kwargs: ")
+        found: dict[str, Any] = {"kind": "linear"}
+        for name, (ours, default) in _REWARD_NUMBERS.items():
+            found[ours] = self.number(given.get(name, default), f"reward_kwargs.{name}")
+        if not 0 <= found["weight"] <= 1:
+            self.fault(f"reward_kwargs.energy_weight: 0 to 1 expected, got {found['weight']:g}")
+        for name, ours in _REWARD_BANDS.items():
+            low, high = self.pair(given.get(name), f"reward_kwargs.{name}")
+            found[ours] = [low, high]
+            if not low < high:
+                self.fault(f"reward_kwargs.{name}: [low, high] expected, got [{low:g}, {high:g}]")
+        for name, (ours, usual) in _REWARD_DAYS.items():
+            found[ours] = self._month_day(given.get(name, usual), f"reward_kwargs.{name}")
+        for name, ours in _REWARD_NAMES.items():
+            found[ours] = self._observed(given.get(name), f"reward_kwargs.{name}")
+        return found
+
+    def _month_day(self, given: Any, where: str) -> list[int]:
+        try:
+            month, day = given
+            date(2000, month, day)
+        except (TypeError, ValueError) as error:
+            self.fault(f"{where}: [month, day] expected, got {given!r} ({error})")
+            return [1, 1]
+        return [month, day]
+
+    def _observed(self, given: Any, where: str) -> list[str]:
+        """Names of observations, as they are called here."""
+        names = self.texts(given, where)
+        for name in names:
+            if name not in self.renamed:
+                self.fault(f"{where}: no variable or meter is called {name!r}; {near(name, self.renamed)}")
+        return [self.renamed.get(name, name) for name in names]

@@ -1,0 +1,47 @@
+"""The data packs in tests: the real one, fetched with pip where it is not there yet, and wheels made by hand."""
+
+from __future__ import annotations
+
+import hashlib
+import zipfile
+from pathlib import Path
+
+from models import packs
+from models.packs import Pack
+
+
+def sinergym() -> Path:
+    """The folder of the real pack in the present store (`.../packs/sinergym-VERSION`); the files are in `sinergym/`.
+
+    The usual store is used by all test runs, so that it is fetched once; workers that ask at once wait for one.
+    """
+    return packs.add("sinergym")
+
+
+def wheel(folder: Path, files: dict[str, str], *, name: str = "zenostat_fake_pack", version: str = "1.0") -> Path:
+    """A wheel for pip with these files, in `folder`."""
+    info = f"{name}-{version}.dist-info"
+    whole = files | {
+        f"{info}/METADATA": f"Metadata-Version: 2.1\nName: {name.replace('_', '-')}\nVersion: {version}\n",
+        f"{info}/WHEEL": "Wheel-Version: 1.0\nGenerator: tests\nRoot-Is-Purelib: true\nTag: py3-none-any\n",
+        f"{info}/RECORD": "",
+    }
+    path = folder / f"{name}-{version}-py3-none-any.whl"
+    folder.mkdir(parents=True, exist_ok=True)
+    with zipfile.ZipFile(path, "w") as archive:
+        for inside, text in whole.items():
+            archive.writestr(inside, text)
+    return path
+
+
+def pack_of(path: Path, *, sha256: str = "", version: str = "1.0") -> Pack:
+    """The pack `fake` of such a wheel."""
+    return Pack(
+        name="fake",
+        requirement=f"zenostat-fake-pack=={version}",
+        sha256=sha256 or hashlib.sha256(path.read_bytes()).hexdigest(),
+        licence="MIT",
+        about="two files",
+        python_version="3.12",
+        root="fake",
+    )

@@ -1,0 +1,240 @@
+"""Episodes: what is drawn, and the files that EnergyPlus reads."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Sequence
+from itertools import combinations, pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from models import design_days, weather
+from models.building import Building, read_building
+from models.catalog import find_building, find_weather
+from models.episode import Draw, Draws, Episodes, Files, Source
+from models.variability import Noise, Variability
+
+SEEDS = st.integers(0, 2**64)
+ORDERS = ("random", "sequence")
+
+
+def draws(draws: Draws, count: int) -> list[Draw]:
+    return [draws.next() for _ in range(count)]
+
+
+def seeded(sources: int, order: Any, seed: int | None, *, noisy: bool = True) -> Draws:
+    made = Draws(sources, order, noisy=noisy)
+    made.seed(seed)
+    return made
+
+
+# Draws
+
+
+@given(SEEDS, st.integers(1, 20), st.sampled_from(ORDERS), st.booleans(), st.integers(0, 9))
+def test_a_seed_begins_the_same_draws_anew(seed: int, sources: int, order: str, noisy: bool, before: int) -> None:
+    made = seeded(sources, order, seed, noisy=noisy)
+    first = draws(made, 10)
+    draws(made, before)
+    made.seed(seed)
+    assert draws(made, 10) == first
+    assert draws(seeded(sources, order, seed, noisy=noisy), 10) == first
+
+
+def test_without_a_seed_the_draws_differ_from_run_to_run() -> None:
+    """Two noise seeds of 63 bits are the same once in 10^19 times."""
+    one, other = (Draws(1, "random", noisy=True) for _ in range(2))
+    assert one.next() != other.next()
+    assert seeded(1, "random", None).next() != seeded(1, "random", None).next()
+
+
+def test_seeds_and_episodes_each_have_a_noise_of_their_own() -> None:
+    """20,000 seeds of 63 bits: two are the same with a chance of 2e8 / 2^63 = 2e-11, and these are fixed."""
+    found = [draw.noise for seed in range(1000) for draw in draws(seeded(3, "random", seed), 20)]
+    assert len(set(found)) == len(found)
+    assert all(0 <= noise < 2**63 for noise in found)
+
+
+@given(SEEDS, st.integers(1, 9))
+def test_a_sequence_goes_round_and_a_seed_begins_it_anew(seed: int, sources: int) -> None:
+    made = seeded(sources, "sequence", seed)
+    round_and_round = [k % sources for k in range(3 * sources + 1)]
+    assert [draw.source for draw in draws(made, 3 * sources + 1)] == round_and_round
+    made.seed(seed + 1)
+    assert [draw.source for draw in draws(made, sources + 1)] == round_and_round[: sources + 1]
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_draws_go_on_from_episode_to_episode(order: str) -> None:
+    """The noise of no two of a hundred episodes is the same: a chance of 5e-16 that it were."""
+    assert len({draw.noise for draw in draws(seeded(4, order, 0), 100)}) == 100
+
+
+def within_five_deviations(counts: Counter[int], sources: int, total: int) -> bool:
+    """Each count is binomial; with 5 standard deviations one in 1.7 million of fair ones is refused."""
+    mean, deviation = total / sources, np.sqrt(total * (1 / sources) * (1 - 1 / sources))
+    return all(abs(counts[k] - mean) <= 5 * deviation for k in range(sources))
+
+
+@pytest.mark.parametrize("sources", [2, 3, 7, 16])
+def test_random_draws_reach_all_sources_alike(sources: int) -> None:
+    """Within the episodes of one seed, and as the first episode of many seeds."""
+    total = 4000
+    one = Counter(draw.source for draw in draws(seeded(sources, "random", 1), total))
+    many = Counter(seeded(sources, "random", seed).next().source for seed in range(total))
+    assert set(one) == set(many) == set(range(sources))
+    assert within_five_deviations(one, sources, total)
+    assert within_five_deviations(many, sources, total)
+
+
+def test_random_draws_do_not_follow_from_the_one_before() -> None:
+    """Nine pairs of three sources, alike within 5 standard deviations."""
+    found = [draw.source for draw in draws(seeded(3, "random", 2), 9001)]
+    pairs = Counter(3 * before + after for before, after in pairwise(found))
+    assert within_five_deviations(pairs, 9, 9000)
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_without_noise_there_is_no_noise_seed(order: str) -> None:
+    assert {draw.noise for draw in draws(seeded(3, order, 5, noisy=False), 20)} == {0}
+
+
+@given(SEEDS, st.integers(1, 9))
+def test_noise_does_not_change_which_weather_is_drawn(seed: int, sources: int) -> None:
+    with_noise, without = (draws(seeded(sources, "random", seed, noisy=noisy), 10) for noisy in (True, False))
+    assert [draw.source for draw in with_noise] == [draw.source for draw in without]
+
+
+@given(SEEDS, st.integers(1, 9))
+def test_the_order_of_the_weathers_does_not_change_the_noise(seed: int, sources: int) -> None:
+    random, sequence = (draws(seeded(sources, order, seed), 10) for order in ORDERS)
+    assert [draw.noise for draw in random] == [draw.noise for draw in sequence]
+
+
+@pytest.mark.parametrize(("few", "more"), list(combinations((1, 2, 3, 5, 16), 2)))
+def test_the_number_of_weathers_does_not_change_the_noise(few: int, more: int) -> None:
+    for seed in range(20):
+        one, other = (draws(seeded(sources, "random", seed), 10) for sources in (few, more))
+        assert [draw.noise for draw in one] == [draw.noise for draw in other]
+
+
+# Files
+
+SMALL = "ref-small-office"
+DENVER, MIAMI = "USA_CO_Denver", "USA_FL_Miami"
+NOISE: Variability = {"dry_bulb_temperature": Noise(sigma=(1.0, 2.0), tau_h=12.0)}
+
+
+@pytest.fixture(scope="module")
+def small() -> Building:
+    return read_building(find_building(SMALL))
+
+
+def source(name: str, sizing: str = "weather") -> Source:
+    path = find_weather(name).path
+    header = weather.read_header(path)
+    return Source(name, path, header, design_days.site(path, header) if sizing == "weather" else None)
+
+
+def episodes(building: Building, sources: Sequence[Source], variability: Variability | None = None) -> Episodes:
+    return Episodes(building, building.period("07-03", "07-04", 4), sources, variability or {}, outputs=False)
+
+
+def prepared(of: Episodes, draw: Draw, folder: Path) -> Files:
+    folder.mkdir()
+    return of.prepare(draw, folder)
+
+
+def objects(files: Files) -> dict[str, Any]:
+    return dict(json.loads(files.model.read_text()))
+
+
+def test_the_same_draw_gives_the_same_files(small: Building, tmp_path: Path) -> None:
+    """Also from other episodes, and after others: nothing but the draw counts."""
+    used, fresh = (episodes(small, [source(DENVER), source(MIAMI)], NOISE) for _ in range(2))
+    first = prepared(used, Draw(1, 12345), tmp_path / "first")
+    prepared(used, Draw(0, 7), tmp_path / "between")
+    again, elsewhere = prepared(used, Draw(1, 12345), tmp_path / "b"), prepared(fresh, Draw(1, 12345), tmp_path / "c")
+    for other in (again, elsewhere):
+        assert other.weather.read_bytes() == first.weather.read_bytes()
+        assert other.model.read_bytes() == first.model.read_bytes()
+        assert other.drawn == first.drawn
+
+
+def test_another_noise_is_another_weather_and_the_same_model(small: Building, tmp_path: Path) -> None:
+    made = episodes(small, [source(DENVER)], NOISE)
+    one, other = prepared(made, Draw(0, 1), tmp_path / "one"), prepared(made, Draw(0, 2), tmp_path / "other")
+    assert one.weather.read_bytes() != other.weather.read_bytes()
+    assert one.drawn != other.drawn
+    assert one.model.read_bytes() == other.model.read_bytes()
+
+
+def test_noise_changes_the_weather_by_about_what_was_drawn(small: Building, tmp_path: Path) -> None:
+    """8760 hours with a correlation of 12 h are some 365 independent ones: the deviation is known to 4 %.
+
+    Its error is sigma / sqrt(2 * 365), that of the mean sigma / sqrt(365); five of either are allowed.
+    """
+    files = prepared(episodes(small, [source(DENVER)], NOISE), Draw(0, 3), tmp_path / "noisy")
+    before, after = (weather.read(path).column("dry_bulb_temperature") for path in (source(DENVER).path, files.weather))
+    sigma = files.drawn["dry_bulb_temperature.sigma"]
+    assert 1.0 <= sigma <= 2.0
+    assert files.drawn["dry_bulb_temperature.tau_h"] == 12.0
+    assert files.drawn["dry_bulb_temperature.mu"] == 0.0
+    assert np.std(after - before) == pytest.approx(sigma, rel=5 / np.sqrt(2 * 365))
+    assert abs(np.mean(after - before)) < 5 * sigma / np.sqrt(365)
+
+
+def test_noisy_weather_is_written_beside_the_model_and_the_original_is_left_alone(
+    small: Building, tmp_path: Path
+) -> None:
+    original = source(DENVER).path
+    before = original.read_bytes()
+    files = prepared(episodes(small, [source(DENVER)], NOISE), Draw(0, 3), tmp_path / "noisy")
+    assert files.weather.parent == files.model.parent == tmp_path / "noisy"
+    assert files.weather != original
+    assert original.read_bytes() == before
+
+
+def test_without_variability_the_file_itself_is_read(small: Building, tmp_path: Path) -> None:
+    made = episodes(small, [source(DENVER), source(MIAMI)])
+    found = [prepared(made, Draw(k, 0), tmp_path / str(k)) for k in range(2)]
+    assert [files.weather for files in found] == [find_weather(name).path for name in (DENVER, MIAMI)]
+    assert [files.drawn for files in found] == [{}, {}]
+    assert [file.name for file in (tmp_path / "0").iterdir()] == ["in.epJSON"]
+
+
+def test_the_location_and_design_days_follow_the_weather(small: Building, tmp_path: Path) -> None:
+    """Denver lies at 39.7 degrees north and 1.7 km up, Miami at 25.8 degrees and at the sea."""
+    made = episodes(small, [source(DENVER), source(MIAMI)])
+    denver, miami = (objects(prepared(made, Draw(k), tmp_path / str(k))) for k in range(2))
+    (high,), (low,) = (model["Site:Location"].values() for model in (denver, miami))
+    assert (high["latitude"], low["latitude"]) == pytest.approx((39.7, 25.8), abs=0.2)
+    assert high["elevation"] > 1500
+    assert low["elevation"] < 20
+    coldest = [
+        min(day["maximum_dry_bulb_temperature"] for day in model["SizingPeriod:DesignDay"].values())
+        for model in (denver, miami)
+    ]
+    assert coldest[0] < -10
+    assert coldest[1] > 0
+
+
+def test_the_location_and_design_days_of_the_model_stay_where_asked(small: Building, tmp_path: Path) -> None:
+    made = objects(prepared(episodes(small, [source(MIAMI, "model")]), Draw(), tmp_path / "own"))
+    for kind in ("Site:Location", "SizingPeriod:DesignDay"):
+        assert made[kind] == small.objects[kind]
+
+
+def test_the_run_period_is_that_of_the_episode(small: Building, tmp_path: Path) -> None:
+    made = objects(prepared(episodes(small, [source(DENVER)]), Draw(), tmp_path / "own"))
+    (run,) = made["RunPeriod"].values()
+    days = [run[f"{end}_{part}"] for end in ("begin", "end") for part in ("month", "day_of_month")]
+    assert days == [7, 3, 7, 4]
+    (timestep,) = made["Timestep"].values()
+    assert timestep["number_of_timesteps_per_hour"] == 4

@@ -1,0 +1,456 @@
+"""What a building and a weather file are: against EnergyPlus's own words, hand calculation, and small models."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from models import catalog, facts
+from models.building import Building, prepared, read_building, write
+from models.facts import BuildingFacts, building_facts, climate_zone, listed_facts, weather_facts, zone_areas
+from models.period import Period
+from models.survey import places, survey
+from topics.errors import InvalidConfig
+
+# Multipliers of zones and of a list of zones, plenums, attics, no heating in some zones, condenser loops.
+ASKED = ("hotel-small", "office-large", "ref-midrise-apartment", "ref-outpatient", "restaurant-fast-food", "warehouse")
+
+_RUN = """
+import sys
+from pyenergyplus.api import EnergyPlusAPI
+model, weather, folder = sys.argv[1:]
+api = EnergyPlusAPI()
+state = api.state_manager.new_state()
+api.runtime.set_console_output_status(state, False)
+api.runtime.callback_begin_new_environment(state, api.runtime.stop_simulation)
+api.runtime.run_energyplus(state, ["-w", weather, "-d", folder, model])
+"""
+
+
+@dataclass(frozen=True)
+class Said:
+    """What EnergyPlus says of a model at the start of a run: rows of `eplusout.eio` and `eplusout.bnd`."""
+
+    building: Building
+    rows: list[list[str]]
+
+    def of(self, kind: str) -> list[list[str]]:
+        return [row for row in self.rows if row[0] == kind]
+
+
+def start(name: str, folder: Path) -> Said:
+    building = read_building(catalog.find_building(name))
+    day = date(2017, 1, 1)
+    objects = prepared(building, Period(day, day, building.steps_per_hour))
+    objects["OutputControl:Files"] = {"files": {"output_eio": "Yes", "output_bnd": "Yes", "output_tabular": "No"}}
+    folder.mkdir()
+    model, weather = write(objects, folder), catalog.find_weather("USA_CO_Denver").path
+    subprocess.run([sys.executable, "-P", "-c", _RUN, str(model), str(weather), str(folder)], stdin=subprocess.DEVNULL)
+    text = (folder / "eplusout.eio").read_text() + (folder / "eplusout.bnd").read_text()
+    return Said(building, [[cell.strip() for cell in line.split(",")] for line in text.splitlines()])
+
+
+@pytest.fixture(scope="module")
+def said(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Said]:
+    folder = tmp_path_factory.mktemp("eio")
+    with ThreadPoolExecutor(2) as pool:
+        return dict(zip(ASKED, pool.map(lambda name: start(name, folder / name), ASKED), strict=True))
+
+
+# Areas, as in `Zone Information`: … zone multiplier [10], list multiplier [11], … floor area [-8], … counted [-1]
+
+
+@pytest.mark.parametrize("name", ASKED)
+def test_the_floor_area_of_each_zone_is_energyplus_own(said: dict[str, Said], name: str) -> None:
+    rows = said[name].of("Zone Information")
+    areas = {zone.upper(): area for zone, area in zone_areas(said[name].building.objects).items()}
+    assert areas == pytest.approx({row[1]: float(row[-8]) for row in rows}, rel=0.005, abs=0.006)
+
+
+@pytest.mark.parametrize("name", ASKED)
+def test_the_buildings_areas_and_zones_are_energyplus_own(said: dict[str, Said], name: str) -> None:
+    rows = said[name].of("Zone Information")
+    controlled = {row[1] for row in said[name].of("Controlled Zone")}
+    counted = {row[1]: float(row[-8]) * int(row[10]) * int(row[11]) for row in rows if row[-1] == "Yes"}
+    found = building_facts(said[name].building)
+    assert found.floor_area_m2 == pytest.approx(sum(counted.values()), rel=0.005)
+    assert found.conditioned_area_m2 == pytest.approx(
+        sum(area for zone, area in counted.items() if zone in controlled), rel=0.005
+    )
+    assert (found.zones, found.conditioned_zones) == (len(rows), len(controlled))
+
+
+def test_the_models_asked_have_multipliers_and_zones_that_do_not_count(said: dict[str, Said]) -> None:
+    rows = [row for name in ASKED for row in said[name].of("Zone Information")]
+    assert max(int(row[10]) * int(row[11]) for row in rows) > 1
+    assert {row[-1] for row in rows} == {"Yes", "No"}
+
+
+@pytest.mark.parametrize("entry", catalog.bundled_buildings(), ids=lambda e: e.name)
+def test_facts_of_all_buildings_hold_together(entry: catalog.Entry) -> None:
+    found = listed_facts(entry)
+    assert 0 < found.conditioned_area_m2 <= found.floor_area_m2 * (1 + 1e-9)
+    assert 0 < found.conditioned_zones <= found.zones
+    assert found.hvac != "none"
+    assert found.fuels[0] == "electricity"
+    assert (found.ems_programs > 0) != entry.name.startswith("ref-")  # the older models have none
+
+
+# The same building in both generations: its form did not change.
+@pytest.mark.parametrize(
+    ("new", "old"),
+    [("office-medium", "ref-medium-office"), ("school-primary", "ref-primary-school"), ("warehouse", "ref-warehouse")],
+)
+def test_a_building_has_one_area_in_both_generations(new: str, old: str) -> None:
+    areas = [listed_facts(catalog.find_building(name)).floor_area_m2 for name in (new, old)]
+    assert areas[0] == pytest.approx(areas[1], rel=0.001)
+
+
+# Fuels and systems, by what EnergyPlus meters and offers
+
+
+@pytest.mark.parametrize("name", ["ref-small-office", "office-medium", "ref-super-market", "hotel-small"])
+def test_fuels_are_those_that_energyplus_meters(name: str) -> None:
+    building = read_building(catalog.find_building(name))
+    meters = {m.name.upper() for m in survey(building, catalog.bundled_weathers()[0].path).meters}
+    all_fuels = ("electricity", "natural gas", "propane", "district cooling", "district heating water", "coal")
+    metered = {fuel for fuel in all_fuels if f"{fuel.replace(' ', '')}:facility".upper() in meters}
+    assert set(building_facts(building).fuels) == metered
+
+
+def model(**kinds: dict[str, dict[str, Any]]) -> Building:
+    return Building(
+        "b", {"Building": {"b": {}}} | {kind.replace("__", ":"): items for kind, items in kinds.items()}, "0"
+    )
+
+
+@pytest.mark.parametrize(
+    ("kinds", "hvac", "fuels"),
+    [
+        ({}, "none", ()),
+        ({"ZoneHVAC__IdealLoadsAirSystem": {"i": {}}}, "ideal loads", ("district cooling", "district heating water")),
+        (
+            {"ZoneHVAC__IdealLoadsAirSystem": {"i": {"cooling_fuel_type": "Electricity"}}, "Lights": {"l": {}}},
+            "ideal loads",
+            ("electricity", "district heating water"),
+        ),
+        (
+            {
+                "AirLoopHVAC": {"l": {}},
+                "Coil__Cooling__DX__SingleSpeed": {"c": {}},
+                "Coil__Heating__Fuel": {"h": {"fuel_type": "Propane"}},
+            },
+            "1 air loop, DX cooling, propane furnace",
+            ("electricity", "propane"),
+        ),
+        (
+            {
+                "ZoneHVAC__PackagedTerminalAirConditioner": {
+                    "p": {"cooling_coil_name": "System", "heating_coil_name": "HEAT"}
+                },
+                "CoilSystem__Cooling__DX__HeatExchangerAssisted": {"system": {"cooling_coil_name": "cool"}},
+                "Coil__Cooling__DX__SingleSpeed": {"Cool": {}},
+                "Coil__Heating__Electric": {"Heat": {}},
+            },
+            "PTAC",
+            ("electricity",),
+        ),
+        (
+            {
+                "ZoneHVAC__LowTemperatureRadiant__VariableFlow": {
+                    "r": {"surface_name_or_radiant_surface_group_name": "slab"}
+                },
+                "BuildingSurface__Detailed": {"Slab": {"surface_type": "Floor", "vertices": []}},
+                "Boiler__HotWater": {"b": {"fuel_type": "NaturalGas"}},
+            },
+            "radiant floor, boiler",
+            ("natural gas",),
+        ),
+    ],
+)  # fmt: skip
+def test_systems_and_fuels_are_read_from_the_objects(kinds: dict[str, Any], hvac: str, fuels: tuple[str, ...]) -> None:
+    found = building_facts(model(**kinds))
+    assert (found.hvac, found.fuels) == (hvac, fuels)
+
+
+# Geometry by hand
+
+
+def polygon(*corners: tuple[float, float, float]) -> list[dict[str, float]]:
+    return [{f"vertex_{axis}_coordinate": value for axis, value in zip("xyz", c, strict=True)} for c in corners]
+
+
+SQUARE = polygon((0, 0, 0), (0, 2, 0), (2, 2, 0), (2, 0, 0))
+L_SHAPE = polygon((0, 0, 0), (4, 0, 0), (4, 1, 0), (1, 1, 0), (1, 3, 0), (0, 3, 0))
+TILTED = polygon((0, 0, 0), (3, 0, 4), (3, 2, 4), (0, 2, 0))  # 5 m along the slope, 2 m across
+
+
+@pytest.mark.parametrize(("vertices", "area"), [(SQUARE, 4.0), (L_SHAPE, 6.0), (TILTED, 10.0)])
+def test_a_floors_area_is_its_polygons(vertices: list[dict[str, float]], area: float) -> None:
+    surface = {"surface_type": "Floor", "zone_name": "A", "vertices": vertices}
+    objects = model(Zone={"a": {}}, BuildingSurface__Detailed={"f": surface}).objects
+    assert zone_areas(objects) == {"a": pytest.approx(area)}
+
+
+def test_walls_and_roofs_are_no_floor_and_a_zone_without_one_has_no_area() -> None:
+    walls = {n: {"surface_type": n, "zone_name": "a", "vertices": SQUARE} for n in ("Wall", "Roof", "Ceiling")}
+    assert zone_areas(model(Zone={"a": {}}, BuildingSurface__Detailed=walls).objects) == {"a": 0.0}
+
+
+def test_the_zones_own_field_comes_before_its_floors_and_autocalculate_is_none() -> None:
+    floors = {n: {"surface_type": "floor", "zone_name": n, "vertices": SQUARE} for n in ("a", "b")}
+    zones = {"a": {"floor_area": 7.5}, "b": {"floor_area": "Autocalculate"}}
+    objects = model(Zone=zones, BuildingSurface__Detailed=floors).objects
+    assert zone_areas(objects) == {"a": 7.5, "b": pytest.approx(4.0)}
+
+
+def test_a_rectangular_floor_and_the_floor_that_a_ceiling_implies_count() -> None:
+    objects = model(
+        Zone={"below": {}, "above": {}},
+        Floor__GroundContact={"g": {"zone_name": "below", "length": 3.0, "width": 2.5}},
+        BuildingSurface__Detailed={
+            "c": {
+                "surface_type": "Ceiling",
+                "zone_name": "below",
+                "outside_boundary_condition": "Zone",
+                "outside_boundary_condition_object": "ABOVE",
+                "vertices": SQUARE,
+            }
+        },
+    ).objects
+    assert zone_areas(objects) == {"below": 7.5, "above": pytest.approx(4.0)}
+
+
+def test_spaces_add_up_to_their_zone() -> None:
+    floor = {"surface_type": "Floor", "zone_name": "a", "vertices": SQUARE}
+    objects = model(
+        Zone={"a": {}},
+        Space={"s1": {"zone_name": "A"}, "s2": {"zone_name": "a", "floor_area": 10.0}},
+        BuildingSurface__Detailed={"f1": floor | {"space_name": "S1"}, "f2": floor | {"space_name": "s2"}, "f3": floor},
+    ).objects
+    assert zone_areas(objects) == {"a": pytest.approx(4.0 + 10.0 + 4.0)}
+
+
+def test_multipliers_of_zones_and_lists_count_and_an_attic_does_not() -> None:
+    found = building_facts(
+        model(
+            Zone={
+                "a": {"floor_area": 10.0, "multiplier": 2},
+                "b": {"floor_area": 5.0},
+                "attic": {"floor_area": 100.0, "part_of_total_floor_area": "No"},
+            },
+            ZoneList={"middle": {"zones": [{"zone_name": "A"}]}},
+            ZoneGroup={"g": {"zone_list_name": "Middle", "zone_list_multiplier": 3}},
+            ZoneHVAC__EquipmentConnections={"e": {"zone_name": "A"}},
+        )
+    )
+    assert (found.floor_area_m2, found.conditioned_area_m2) == (65.0, 60.0)
+    assert (found.zones, found.conditioned_zones) == (3, 1)
+
+
+def test_a_thermostat_on_a_list_of_zones_conditions_each() -> None:
+    found = building_facts(
+        model(
+            Zone={"a": {}, "b": {}, "c": {}},
+            ZoneList={"both": {"zones": [{"zone_name": "a"}, {"zone_name": "b"}]}},
+            ZoneControl__Thermostat={"t": {"zone_or_zonelist_name": "Both"}},
+        )
+    )
+    assert found.conditioned_zones == 2
+
+
+def test_facts_are_made_once_for_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ZENOSTAT_CACHE", str(tmp_path / "cache"))
+    path = tmp_path / "b.epJSON"
+    path.write_text('{"Building": {"b": {}}, "Zone": {"a": {"floor_area": 5.0}}, "Timestep": {}}')
+    entry = catalog.find_building(str(path))
+    first = listed_facts(entry)
+    assert isinstance(first, BuildingFacts)
+    assert first.floor_area_m2 == 5.0
+    monkeypatch.setattr(facts, "building_facts", lambda _: pytest.fail("made again"))
+    assert listed_facts(entry) == first
+
+
+# Places, as in EnergyPlus's list of what is connected (`eplusout.bnd`)
+
+
+@pytest.mark.parametrize("name", ASKED)
+def test_nodes_equipment_and_branches_are_where_energyplus_has_them(said: dict[str, Said], name: str) -> None:
+    where = {key: place.upper() for key, place in places(said[name].building.objects).items()}
+    expected = {}
+    for row in said[name].of("Branch"):  # branch, loop, kind of loop, inlet node, outlet node
+        expected[row[2]] = row[3]
+        if row[4] == "Air":
+            expected |= {row[5]: row[3], row[6]: row[3]}
+    for kind in ("Controlled Zone Inlet", "Controlled Zone Return"):  # zone, node
+        expected |= {row[3]: row[2] for row in said[name].of(kind)}
+    expected |= {row[3]: row[4] for row in said[name].of("Zone Equipment Component")}
+    assert len(expected) > 10
+    assert {key: where.get(key) for key in expected} == expected
+
+
+def test_names_lead_to_the_zone_or_the_loop() -> None:
+    found = places(
+        model(
+            Zone={"Hall": {}, "Attic": {}},
+            ZoneList={"All": {"zones": [{"zone_name": "Hall"}, {"zone_name": "Attic"}]}},
+            Space={"Corner": {"zone_name": "hall"}},
+            BuildingSurface__Detailed={
+                "Wall": {"zone_name": "HALL", "construction_name": "Brick"},
+                "Lid": {"zone_name": "Hall", "outside_boundary_condition_object": "Attic"},
+            },
+            FenestrationSurface__Detailed={"Pane": {"building_surface_name": "WALL"}},
+            Lights={
+                "Lamp": {"zone_or_zonelist_or_space_or_spacelist_name": "corner", "schedule_name": "Day"},
+                "Bulbs": {"zone_or_zonelist_or_space_or_spacelist_name": "All"},
+            },
+            ZoneHVAC__EquipmentConnections={
+                "x": {"zone_name": "Hall", "zone_conditioning_equipment_list_name": "List", "zone_air_node_name": "Air"}
+            },
+            ZoneHVAC__EquipmentList={"List": {"equipment": [{"zone_equipment_name": "Box"}]}},
+            ZoneHVAC__AirDistributionUnit={"Box": {"air_terminal_name": "Damper"}},
+            AirTerminal__SingleDuct__VAV__Reheat={
+                "Damper": {"reheat_coil_name": "Reheat", "air_inlet_node_name": "In"}
+            },
+            Coil__Heating__Water={"Reheat": {"water_inlet_node_name": "Hot"}},
+            AirLoopHVAC={"Duct": {"branch_list_name": "Air Branches"}},
+            PlantLoop={"Loop": {"plant_side_branch_list_name": "Made", "demand_side_branch_list_name": "Used"}},
+            BranchList={
+                "Air Branches": {"branches": [{"branch_name": "Main"}]},
+                "Made": {"branches": [{"branch_name": "Source"}]},
+                "Used": {"branches": [{"branch_name": "Sink"}]},
+            },
+            Branch={
+                "Main": {"components": [{"component_name": "Fan", "component_inlet_node_name": "Return"}]},
+                "Source": {"components": [{"component_name": "Boiler"}]},
+                "Sink": {"components": [{"component_name": "Reheat"}]},
+            },
+            SetpointManager__Scheduled={"Manager": {"setpoint_node_or_nodelist_name": "Return"}},
+            Schedule__Compact={"Day": {}},
+        ).objects
+    )
+    expected = {
+        "HALL": "Hall", "CORNER": "Hall", "WALL": "Hall", "PANE": "Hall", "LAMP": "Hall", "CORNER LAMP": "Hall",
+        "HALL BULBS": "Hall", "ATTIC BULBS": "Attic", "IZ-LID": "Attic", "BOX": "Hall", "DAMPER": "Hall",
+        "REHEAT": "Hall", "HOT": "Hall", "AIR": "Hall", "IN": "Hall", "DUCT": "Duct", "MAIN": "Duct", "FAN": "Duct",
+        "RETURN": "Duct", "MANAGER": "Duct", "LOOP": "Loop", "BOILER": "Loop", "SOURCE": "Loop", "SINK": "Loop",
+    }  # fmt: skip
+    assert {name: found.get(name) for name in expected} == expected
+    assert not {"BULBS", "ALL", "DAY", "BRICK"} & found.keys()
+
+
+# Weather
+
+
+def epw(path: Path, temperature: np.ndarray, *, years: tuple[int, ...] = (2019,), humidity: float = 50.0) -> Path:
+    """An EPW of `temperature` (degC), a row a day of 24 hours; `years`: of its days, in turn."""
+    header = ["LOCATION,Town,-,LND,Own,000000,10.0,20.0,1.0,300.0", "DESIGN CONDITIONS,0", *["COMMENTS"] * 5]
+    header[4] = "HOLIDAYS/DAYLIGHT SAVINGS,No,0,0,0"
+    rows = [
+        f"{years[day % len(years)]},1,1,{hour + 1},60,?9?9#,{value},0,{humidity}," + ",".join(["0"] * 26)
+        for day, values in enumerate(temperature)
+        for hour, value in enumerate(values)
+    ]
+    path.write_text("\n".join([*header, "DATA PERIODS,1,1,Data,Sunday, 1/ 1,12/31", *rows]) + "\n")
+    return path
+
+
+def constant(temperature_c: float, days: int = 365) -> np.ndarray:
+    return np.full((days, 24), temperature_c)
+
+
+# A year at one temperature has 365 (T - 10) cooling and 365 (18.3 - T) heating degree days: the limits lie
+# at 26.44, 23.70 and 19.59 degC, and (heating) at 12.82, 10.08, 7.34, 4.60 and -0.88 degC.
+@pytest.mark.parametrize(
+    ("temperature_c", "zone"),
+    [
+        (26.5, "0"), (26.4, "1"), (23.8, "1"), (23.6, "2"), (19.7, "2"), (19.5, "3"), (12.9, "3"), (12.7, "4"),
+        (10.2, "4"), (10.0, "5"), (7.4, "5"), (7.2, "6"), (4.7, "6"), (4.5, "7"), (-0.8, "7"), (-1.0, "8"),
+    ],
+)  # fmt: skip
+def test_the_climate_zone_follows_degree_days(temperature_c: float, zone: str) -> None:
+    assert climate_zone(constant(temperature_c)) == zone
+
+
+def test_degree_days_are_of_daily_means() -> None:
+    swing = constant(19.5) + 15.0 * np.sin(np.arange(24) / 24 * 2 * np.pi)
+    assert climate_zone(swing) == climate_zone(constant(19.5)) == "3"
+
+
+def test_two_years_are_judged_as_one_and_a_month_not_at_all() -> None:
+    assert climate_zone(constant(10.0, 730)) == climate_zone(constant(10.0))
+    assert climate_zone(constant(10.0, 31)) == ""
+
+
+@pytest.mark.parametrize("entry", catalog.bundled_weathers(), ids=lambda e: e.name)
+def test_a_bundled_weather_has_its_facts(entry: catalog.Entry) -> None:
+    found = weather_facts(entry.path)
+    rows = [line.split(",") for line in entry.path.read_text("latin-1").splitlines()[8:]]
+    assert found.mean_temperature_degC == pytest.approx(sum(float(row[6]) for row in rows) / 8760)
+    assert found.mean_humidity_pct == pytest.approx(sum(float(row[8]) for row in rows) / 8760)
+    assert found.years == "typical year"
+    assert (found.first, found.last) == ((1, 1), (12, 31))
+    # Places whose county's zone in the Standard is far from a limit.
+    known = {"Denver": "5", "Golden": "5", "Boulder": "5", "Miami": "1", "Orlando": "2", "Tampa": "2", "Chicago": "5"}
+    known |= {"San.Francisco": "3", "Fresno": "3", "Sterling": "4"}
+    assert found.climate_zone == known.get(entry.name.split("_")[2], found.climate_zone)
+
+
+@pytest.mark.parametrize(
+    ("line", "zone"),
+    [
+        (' - Climate type "5B" (ASHRAE Standard 196-2006 Climate Zone)**', "5B"),
+        (' - Climate type "7" (ASHRAE Standards 90.1-2004 and 90.2-2004 Climate Zone)**', "7"),
+        (' - Climate Zone "3C" (ASHRAE Standard 169-2021)', "3C"),
+        (' - Climate type "BSk" (Köppen classification)**', "0"),  # the file's own
+    ],
+)
+def test_a_stat_file_beside_names_the_zone(tmp_path: Path, line: str, zone: str) -> None:
+    path = epw(tmp_path / "a.epw", constant(30.0))
+    (tmp_path / "a.stat").write_text(f"Statistics\n{line}\n", encoding="latin-1")
+    assert weather_facts(path).climate_zone == zone
+
+
+@pytest.mark.parametrize(
+    ("years", "said"), [((2019,), "2019"), ((1999, 1987), "typical year"), ((2001, 2005), "typical year")]
+)
+def test_years_are_those_of_the_rows(tmp_path: Path, years: tuple[int, ...], said: str) -> None:
+    assert weather_facts(epw(tmp_path / "a.epw", constant(10.0), years=years)).years == said
+
+
+def test_a_missing_value_is_left_out_of_the_mean(tmp_path: Path) -> None:
+    temperature = constant(10.0)
+    temperature[3, 4:9] = 99.9
+    found = weather_facts(epw(tmp_path / "a.epw", temperature, humidity=999.0 / 3))
+    assert found.mean_temperature_degC == pytest.approx(10.0)
+    assert found.climate_zone == "5"
+
+
+def test_a_file_without_a_single_temperature_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InvalidConfig, match=r"a\.epw has no dry-bulb temperature"):
+        weather_facts(epw(tmp_path / "a.epw", constant(99.9)))
+
+
+@pytest.mark.parametrize(
+    ("rows", "words"),
+    [
+        ("", "0 rows"),
+        ("2019,1,1,1,60,?9,10,0,50,0\n", "1 rows, which are no whole days of 24 rows"),
+        ("2019,1,1,1,60,?9,warm,0,50,0\n", "cannot be read"),
+    ],
+)
+def test_rows_that_are_no_days_of_numbers_are_refused_with_the_files_name(
+    tmp_path: Path, rows: str, words: str
+) -> None:
+    path = epw(tmp_path / "broken.epw", constant(10.0, 0))
+    path.write_text(path.read_text() + rows)
+    with pytest.raises(InvalidConfig, match=rf"broken\.epw.*{words}"):
+        weather_facts(path)

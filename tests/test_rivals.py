@@ -1,0 +1,297 @@
+"""What fights a scenario's actuators: found in small models, and true in EnergyPlus."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from models.building import prepared, read_building, write
+from models.catalog import find_building, find_weather
+from models.changes import Changes, changed
+from models.points import choose
+from models.rivals import rivals
+from models.survey import survey
+from topics.messages import Actuator
+
+ZONE, SCHEDULE = "Zone Temperature Control", "Schedule:Compact"
+COOLING = Actuator(name="zone", component_type=ZONE, control_type="Cooling Setpoint", key="CORE_ZN", unit="degC")
+HEATING = Actuator(name="heat", component_type=ZONE, control_type="Heating Setpoint", key="CORE_ZN", unit="degC")
+COOLING_SCHEDULE = Actuator(
+    name="plan", component_type=SCHEDULE, control_type="Schedule Value", key="CLGSETP_SCH", unit="degC"
+)
+
+MODEL: dict[str, dict[str, Any]] = {
+    "Zone": {"Core_ZN": {}, "Attic": {}},
+    "ZoneControl:Thermostat": {
+        "t": {
+            "zone_or_zonelist_name": "Core_ZN",
+            "control_1_object_type": "ThermostatSetpoint:DualSetpoint",
+            "control_1_name": "dual",
+        }
+    },
+    "ThermostatSetpoint:DualSetpoint": {
+        "Dual": {
+            "heating_setpoint_temperature_schedule_name": "Htgsetp_Sch",
+            "cooling_setpoint_temperature_schedule_name": "Clgsetp_Sch",
+        },
+        "idle": {"cooling_setpoint_temperature_schedule_name": "Spare_Sch"},
+    },
+}
+
+
+def ems(
+    component: str,
+    control: str,
+    key: str,
+    *lines: str,
+    point: str = "BeginTimestepBeforePredictor",
+    more: Changes | None = None,
+) -> Changes:
+    """EMS with one actuator, and one program that is called at `point`."""
+    return {
+        "EnergyManagementSystem:Actuator": {
+            "Rival": {
+                "actuated_component_type": component,
+                "actuated_component_control_type": control,
+                "actuated_component_unique_name": key,
+            }
+        },
+        "EnergyManagementSystem:Program": {"Prog": {"lines": [{"program_line": line} for line in lines]}},
+        "EnergyManagementSystem:ProgramCallingManager": {
+            "Mgr": {"energyplus_model_calling_point": point, "programs": [{"program_name": "Prog"}]}
+        },
+    } | (more or {})
+
+
+SETS_ZONE = ems("zone temperature control", "COOLING setpoint", "Core_zn", "IF 1 > 0", " set rival = 28.0", "ENDIF")
+UNSET_ZONE = ems(ZONE, "Cooling Setpoint", "Core_ZN", "SET other = 28.0")
+SIZING_ZONE = ems(ZONE, "Cooling Setpoint", "Core_ZN", "SET Rival = 28.0", point="EndOfZoneSizing")
+NULL_ZONE = ems(ZONE, "Cooling Setpoint", "Core_ZN", "SET Rival = Null")
+SETS_SCHEDULE = ems(SCHEDULE, "Schedule Value", "CLGSETP_SCH", "SET Rival = 28.0")
+WINS = "EMS program 'Prog' sets the same control by EnergyManagementSystem:Actuator 'Rival', and wins"
+GIVES_BACK = (
+    "EnergyManagementSystem:Actuator 'Rival' is on the same control and no program sets it in the run; "
+    "EnergyPlus then gives the building its own control back"
+)
+BY_ZONE = (
+    "EMS program 'Prog' sets the cooling setpoint of zone 'Core_ZN' by EnergyManagementSystem:Actuator 'Rival', "
+    "which wins over schedule 'CLGSETP_SCH' there"
+)
+
+FIGHTS = {
+    "no EMS": ({}, COOLING, ""),
+    "a program on the same zone control": (SETS_ZONE, COOLING, WINS),
+    "another control of the zone": (SETS_ZONE, HEATING, ""),
+    "an actuator that is not set": (UNSET_ZONE, COOLING, GIVES_BACK),
+    "an actuator that is set for sizing only": (SIZING_ZONE, COOLING, GIVES_BACK),
+    "a program on the schedule below a zone control": (SETS_SCHEDULE, COOLING, ""),
+    "a program on the same schedule": (SETS_SCHEDULE, COOLING_SCHEDULE, WINS),
+    "a program on a zone above the schedule": (SETS_ZONE, COOLING_SCHEDULE, BY_ZONE),
+    "an actuator of the zone that is not set": (UNSET_ZONE, COOLING_SCHEDULE, ""),
+    "an actuator of the zone that is only released": (NULL_ZONE, COOLING_SCHEDULE, ""),
+    "an actuator of the zone that is set for sizing only": (SIZING_ZONE, COOLING_SCHEDULE, ""),
+}
+
+
+def said(changes: dict[str, Any], *actuators: Actuator) -> list[str]:
+    return rivals(MODEL | changes, actuators)
+
+
+@pytest.mark.parametrize("case", FIGHTS)
+def test_who_fights_whom(case: str) -> None:
+    changes, actuator, text = FIGHTS[case]
+    assert said(changes, actuator) == ([f"actuator {actuator.name!r}: {text}"] if text else [])
+
+
+_DRIVE = """
+import json, sys
+from pyenergyplus.api import EnergyPlusAPI
+model, weather, folder, orders = sys.argv[1:]
+orders = json.loads(orders)
+api = EnergyPlusAPI()
+state = api.state_manager.new_state()
+api.runtime.set_console_output_status(state, False)
+exchange = api.exchange
+api.exchange.request_variable(state, "Zone Thermostat Cooling Setpoint Temperature", "CORE_ZN")
+seen = []
+
+def order(at):
+    for kind, control, key, value in orders:
+        exchange.set_actuator_value(at, exchange.get_actuator_handle(at, kind, control, key), value)
+
+def begin(at):
+    if exchange.kind_of_sim(at) == 3:
+        order(at)
+
+def end(at):
+    if exchange.kind_of_sim(at) == 3 and not exchange.warmup_flag(at):
+        handle = exchange.get_variable_handle(at, "Zone Thermostat Cooling Setpoint Temperature", "CORE_ZN")
+        seen.append(exchange.get_variable_value(at, handle))
+        order(at)
+
+api.runtime.callback_after_new_environment_warmup_complete(state, begin)
+api.runtime.callback_end_zone_timestep_after_zone_reporting(state, end)
+code = api.runtime.run_energyplus(state, ["-w", weather, "-d", folder, model])
+print("SEEN", json.dumps([code, sorted(set(seen))]))
+"""
+
+
+@pytest.mark.parametrize("case", [case for case, (_, actuator, _) in FIGHTS.items() if actuator is not HEATING])
+def test_it_is_so_in_energyplus(case: str, folder: Path) -> None:
+    """A day of the small office on which the actuator is always set to 26.5 degC."""
+    changes, actuator, text = FIGHTS[case]
+    office = read_building(find_building("ref-small-office"))
+    objects = changed(prepared(office, office.period("07-03", "07-03", None)), changes)
+    orders = json.dumps([(actuator.component_type, actuator.control_type, actuator.key, 26.5)])
+    command = [sys.executable, "-P", "-c", _DRIVE, str(write(objects, folder)), str(find_weather("Denver").path)]
+    done = subprocess.run([*command, str(folder), orders], capture_output=True, text=True, check=True)
+    (line,) = [line for line in done.stdout.splitlines() if line.startswith("SEEN ")]
+    code, setpoints = json.loads(line.removeprefix("SEEN "))
+    assert code == 0
+    own = [24.0, 26.7]  # its schedule's on that day
+    assert setpoints == pytest.approx({"": [26.5], WINS: [28.0], BY_ZONE: [28.0], GIVES_BACK: own}[text])
+    assert bool(rivals(objects, [actuator])) == bool(text)
+
+
+# Programs
+
+
+def test_programs_that_nobody_calls_and_comments_set_nothing() -> None:
+    quiet = ems(ZONE, "Cooling Setpoint", "Core_ZN", "! SET Rival = 28.0")
+    assert GIVES_BACK in said(quiet, COOLING)[0]
+    idle = {**SETS_ZONE, "EnergyManagementSystem:ProgramCallingManager": {}}
+    assert GIVES_BACK in said(idle, COOLING)[0]
+
+
+def test_a_subroutine_that_is_run_is_named() -> None:
+    sub = {"EnergyManagementSystem:Subroutine": {"Sub": {"lines": [{"program_line": "SET Rival = 28.0"}]}}}
+    called = ems(ZONE, "Cooling Setpoint", "Core_ZN", "RUN sub", more=sub)  # type: ignore[arg-type]
+    assert "EMS program 'Sub' sets the same control" in said(called, COOLING)[0]
+
+
+def test_a_program_that_also_reads_the_schedule_is_said_to() -> None:
+    sensor = {
+        "Seen": {
+            "output_variable_or_output_meter_name": "Schedule Value",
+            "output_variable_or_output_meter_index_key_name": "clgsetp_sch",
+        }
+    }
+    changes = ems(
+        SCHEDULE, "Schedule Value", "CLGSETP_SCH", "SET Rival = Seen + 1",
+        more={"EnergyManagementSystem:Sensor": sensor},  # type: ignore[dict-item]
+    )  # fmt: skip
+    (line,) = said(changes, COOLING_SCHEDULE)
+    assert line.endswith("'Rival' (program 'Prog' also reads it), and wins")
+
+
+# Schedules
+
+
+def schedule(key: str) -> Actuator:
+    return COOLING_SCHEDULE.model_copy(update={"key": key})
+
+
+def test_a_schedule_that_nothing_uses_is_said() -> None:
+    assert said({}, schedule("SPARE_SCH")) == ["actuator 'plan': nothing in the model uses schedule 'SPARE_SCH'"]
+    assert said({"Lights": {"l": {"schedule_name": "Spare_Sch"}}}, schedule("SPARE_SCH")) == []
+    assert len(said({"Output:Variable": {"o": {"key_value": "Spare_Sch"}}}, schedule("SPARE_SCH"))) == 1
+
+
+def test_a_use_within_a_list_is_a_use() -> None:
+    heard = {"X": {"x": {"entries": [{"schedule_name": "Spare_Sch"}]}}}
+    assert said(heard, schedule("SPARE_SCH")) == []
+
+
+def test_a_schedule_for_sizing_only_is_said() -> None:
+    sizing = {"Sizing:Zone": {"s": {"some_schedule_name": "Spare_Sch"}}}
+    assert said(sizing, schedule("SPARE_SCH")) == [
+        "actuator 'plan': schedule 'SPARE_SCH' is used for sizing only (Sizing:Zone)"
+    ]
+
+
+def test_a_schedule_that_only_ems_reads_is_said() -> None:
+    model = read_building(find_building("office-small"))
+    assert rivals(model.objects, [schedule("BINARY OCCUPANCY")])[0].startswith(
+        "actuator 'plan': no object uses schedule 'BINARY OCCUPANCY'; only EMS program"
+    )
+
+
+def test_optimum_start_programs_win_over_their_schedules() -> None:
+    model = read_building(find_building("office-medium"))
+    (line,) = rivals(model.objects, [schedule("CLGSETP_SCH_YES_OPTIMUM")])
+    assert line.endswith("sets the same control by EnergyManagementSystem:Actuator 'CLGSETP_SCH_Actuator', and wins")
+
+
+# Thermostats
+
+
+def test_a_thermostat_without_that_setpoint_is_said() -> None:
+    model = {
+        **MODEL,
+        "ZoneControl:Thermostat": {
+            "t": {
+                "zone_or_zonelist_name": "both",
+                "control_1_object_type": "ThermostatSetpoint:SingleHeating",
+                "control_1_name": "warm",
+            }
+        },
+        "ThermostatSetpoint:SingleHeating": {"warm": {"setpoint_temperature_schedule_name": "Htgsetp_Sch"}},
+        "ZoneList": {"Both": {"zones": [{"zone_name": "Core_ZN"}, {"zone_name": "Attic"}]}},
+    }
+    assert rivals(model, [HEATING, COOLING]) == [
+        "actuator 'zone': the thermostat of zone 'Core_ZN' has a heating setpoint only"
+    ]
+
+
+@pytest.mark.parametrize(("building", "idle"), [("office-medium", 0), ("hotel-small", 9), ("warehouse", 1)])
+def test_the_default_actuators_of_bundled_models_rule_but_for_zones_without_cooling(building: str, idle: int) -> None:
+    model = read_building(find_building(building))
+    points = choose(model, survey(model, find_weather("Denver").path), {}, {}, None)
+    lines = rivals(model.objects, points.actuators)
+    assert len(lines) == idle
+    assert all(line.endswith("has a heating setpoint only") for line in lines)
+
+
+# IT equipment, plugins, external interfaces
+
+
+def servers(method: str, outlet: str = "Rack In") -> dict[str, Any]:
+    return {
+        "ElectricEquipment:ITE:AirCooled": {
+            "Rack": {
+                "zone_or_space_name": "core_zn",
+                "air_flow_calculation_method": method,
+                "supply_air_node_name": outlet,
+            }
+        },
+        "AirTerminal:SingleDuct:VAV:NoReheat": {"Box": {"air_outlet_node_name": "rack in"}},
+    }
+
+
+def test_it_equipment_under_approach_temperatures_takes_the_cooling_setpoint_away() -> None:
+    approach = servers("FlowControlWithApproachTemperatures")
+    text = (
+        "the cooling setpoint of zone 'Core_ZN' has no effect: ElectricEquipment:ITE:AirCooled 'Rack' is under "
+        "FlowControlWithApproachTemperatures, which rule the supply air"
+    )
+    assert said(approach, COOLING, COOLING_SCHEDULE) == [f"actuator 'zone': {text}", f"actuator 'plan': {text}"]
+    assert said(approach, HEATING) == []
+    assert said(servers("FlowFromSystem"), COOLING) == []
+    assert said(servers("FlowControlWithApproachTemperatures", "Elsewhere"), COOLING) == []
+
+
+def test_plugins_and_external_interfaces_may_fight() -> None:
+    plugin = {"PythonPlugin:Instance": {"P": {"python_module_name": "mine", "plugin_class_name": "Ruler"}}}
+    assert said(plugin, COOLING, HEATING) == [
+        "actuators 'zone', 'heat': PythonPlugin:Instance 'P' runs mine.Ruler, which may set the same controls"
+    ]
+    outer = {"ExternalInterface:Actuator": SETS_ZONE["EnergyManagementSystem:Actuator"]}
+    assert said(outer, COOLING, HEATING) == [
+        "actuator 'zone': ExternalInterface:Actuator 'Rival' is on the same control and may win"
+    ]
+    assert said(plugin) == []

@@ -1,0 +1,236 @@
+"""What a user gives an environment, as the settings of a node: no node is started here."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from agent_sdk.settings import OF_A_NODE, OF_THE_SCENARIO, _of_file, check_reward, for_node
+from bridge.affinity import Affinity
+from eplus_node.config import read_config
+from topics.errors import InvalidConfig, UsageError
+from topics.messages import Reading
+
+BASE: dict[str, Any] = {"building": "office-small", "weather": "USA_CO_Denver"}
+TEMPERATURE = ("Zone Air Temperature", "Core_ZN")
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Where the user stands, with files of theirs."""
+    for name in ("mine.idf", "mine.epw", "other.epw", "mine.yaml"):
+        (tmp_path / name).write_text("")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+# Names
+
+
+def test_short_names_stay_and_the_node_gets_its_own() -> None:
+    assert for_node(BASE, "office") == {**BASE, "name": "office"}
+
+
+def test_names_with_a_dot_are_no_paths(here: Path) -> None:
+    given = {"building": "office-small", "weather": ["USA_CA_San.Francisco", "USA_OK_Oklahoma.City"]}
+    assert for_node(given, "b") == {**given, "name": "b"}
+
+
+# Paths
+
+
+@pytest.mark.parametrize("form", [str, Path])
+def test_paths_of_files_are_made_absolute(here: Path, form: Any) -> None:
+    given = {"building": form("mine.idf"), "weather": form("mine.epw"), "keep": form("kept")}
+    found = for_node(given, "b")
+    assert found["building"] == str(here / "mine.idf")
+    assert found["weather"] == str(here / "mine.epw")
+    assert found["keep"] == str(here / "kept"), "a folder that is still to be made"
+
+
+@pytest.mark.parametrize("form", [tuple, list])
+def test_each_of_several_weathers_is_made_absolute(here: Path, form: Any) -> None:
+    given = {**BASE, "weather": form(["mine.epw", Path("other.epw"), "USA_CO_Denver"])}
+    assert for_node(given, "b")["weather"] == [str(here / "mine.epw"), str(here / "other.epw"), "USA_CO_Denver"]
+
+
+def test_a_path_in_the_users_home_is_found(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(here))
+    found = for_node({"building": "~/mine.idf", "weather": "~/mine.epw"}, "b")
+    assert (found["building"], found["weather"]) == (str(here / "mine.idf"), str(here / "mine.epw"))
+
+
+def test_the_home_of_nobody_is_a_mistake_of_the_users() -> None:
+    with pytest.raises(UsageError, match="nobody_of_that_name"):
+        read_and_find({"building": "~nobody_of_that_name/x.idf", "weather": "USA_CO_Denver"})
+
+
+def read_and_find(given: dict[str, Any]) -> None:
+    """What a node does with the settings before it starts anything."""
+    from eplus_node.config import plan
+
+    plan(read_config(for_node(given, "b")))
+
+
+def test_a_scenario_file_is_the_scenario(here: Path) -> None:
+    found = for_node({"file": Path("mine.yaml"), "begin": "07-01"}, "b")
+    assert found == {"scenario": str(here / "mine.yaml"), "begin": "07-01", "name": "b"}
+
+
+def test_a_configuration_file_is_made_absolute(here: Path) -> None:
+    found = for_node({"config": "theirs.yaml", "variant": "hot-continuous"}, "b")
+    assert found == {"config": str(here / "theirs.yaml"), "variant": "hot-continuous", "name": "b"}
+
+
+@pytest.mark.parametrize(
+    "scenario", ["office-small-USA_CO_Denver-continuous-v1", "office-small-USA_CA_San.Francisco-discrete-v1"]
+)
+def test_a_scenarios_id_stays(here: Path, scenario: str) -> None:
+    assert for_node({"scenario": scenario}, "b")["scenario"] == scenario
+
+
+# What to simulate
+
+
+@pytest.mark.parametrize(
+    "named",
+    [("scenario", "file"), ("scenario", "config"), ("file", "config"), ("scenario", "file", "config")],
+)
+def test_one_thing_says_what_to_simulate(named: tuple[str, ...]) -> None:
+    with pytest.raises(InvalidConfig, match=" and ".join(named)):
+        for_node(dict.fromkeys(named, "x.yaml"), "b")
+
+
+@pytest.mark.parametrize("given", [{}, {"building": "office-small"}, {"weather": "USA_CO_Denver"}, {"begin": "07-01"}])
+def test_something_says_what_to_simulate(given: dict[str, Any]) -> None:
+    with pytest.raises(InvalidConfig, match="name a building and a weather, a scenario, or the bus"):
+        for_node(given, "b")
+
+
+def test_a_building_may_stand_beside_a_scenario() -> None:
+    found = for_node({"scenario": "office-small-USA_CO_Denver-continuous-v1", "building": "warehouse"}, "b")
+    assert found["building"] == "warehouse"
+
+
+# Points
+
+
+@pytest.mark.parametrize("kind", ["sensors", "actuators"])
+@pytest.mark.parametrize("spec", ["Zone Air Temperature", 5, None, 1.5], ids=str)
+def test_a_point_is_a_list_of_names(kind: str, spec: Any) -> None:
+    with pytest.raises(InvalidConfig, match=rf"{kind} 'core': a tuple of EnergyPlus's names expected"):
+        for_node({**BASE, kind: {"core": spec}}, "b")
+
+
+@pytest.mark.parametrize("kind", ["sensors", "actuators"])
+@pytest.mark.parametrize("points", [["core"], "core", 5], ids=str)
+def test_points_stand_under_names(kind: str, points: Any) -> None:
+    with pytest.raises(InvalidConfig, match=kind):
+        for_node({**BASE, kind: points}, "b")
+
+
+def test_points_may_be_tuples_lists_or_by_field() -> None:
+    by_field = {"variable": "Zone Air Temperature", "key": "Core_ZN", "reading": "mean"}
+    sensors = {"a": TEMPERATURE, "b": list(TEMPERATURE), "c": (*TEMPERATURE, Reading.MEAN), "d": by_field}
+    found = for_node({**BASE, "sensors": sensors}, "b")["sensors"]
+    plain = ["Zone Air Temperature", "Core_ZN"]
+    assert found == {"a": plain, "b": plain, "c": [*plain, "mean"], "d": by_field}
+
+
+def test_no_points_is_not_the_same_as_points_left_out() -> None:
+    assert for_node({**BASE, "actuators": {}}, "b")["actuators"] == {}
+    assert "actuators" not in for_node(BASE, "b")
+
+
+# As JSON
+
+
+def test_what_travels_is_plain() -> None:
+    given = {
+        **BASE,
+        "keep": Path("/kept"),
+        "time": ("hour", "month"),
+        "variability": {"dry_bulb_temperature": {"sigma": (1.0, 2.0)}},
+        "actuators": {"core": ("Zone Temperature Control", "Heating Setpoint", "Core_ZN", 15, None)},
+        "actions": {"heat": {"actuators": ("core",)}},
+        "discrete": ({"actions": ("heat",), "values": ((15.0,), (20.0,))},),
+        "changes": {"Material": {"Insulation": {"conductivity": 0.03}, "Other": None}},
+    }
+    found = for_node(given, "b")
+    assert json.loads(json.dumps(found)) == found
+    assert found["variability"] == {"dry_bulb_temperature": {"sigma": [1.0, 2.0]}}
+    assert found["discrete"] == [{"actions": ["heat"], "values": [[15.0], [20.0]]}]
+    assert found["changes"] == given["changes"]
+
+
+def test_numpys_numbers_are_numbers() -> None:
+    given = {
+        **BASE,
+        "steps_per_hour": np.int64(4),
+        "actuators": {"core": ("Fan", "Fan Air Mass Flow Rate", "FAN 1", np.float32(0.5), np.float64(2.0))},
+        "discrete": [{"actions": ["core"], "values": np.linspace(0.5, 2.0, 4).reshape(-1, 1)}],
+    }
+    found = json.loads(json.dumps(for_node(given, "b")))
+    assert found["steps_per_hour"] == 4
+    assert found["actuators"]["core"][3:] == [0.5, 2.0]
+    assert found["discrete"][0]["values"] == [[0.5], [1.0], [1.5], [2.0]]
+
+
+def test_a_node_knows_every_setting_that_is_handed_on() -> None:
+    named = dict.fromkeys(set(OF_A_NODE) - {"file"}, None)
+    with pytest.raises(InvalidConfig, match="no setting 'colour'") as raised:
+        read_config({**named, "colour": "red"})
+    assert str(raised.value).count("no setting") == 1
+
+
+# The reward in a file
+
+
+def test_the_reward_of_a_file_is_read(tmp_path: Path) -> None:
+    file = tmp_path / "mine.yml"
+    file.write_text("building: b\nreward: {kind: linear, weight: 0.25}\n")
+    assert _of_file(str(file)) == {"kind": "linear", "weight": 0.25}
+
+
+@pytest.mark.parametrize(
+    "text", ["building: b", "reward: null", "- reward", "", "{", "a: [", "reward: {a: b", "day: 2018-13-45"], ids=repr
+)
+def test_a_file_without_a_reward_has_none(tmp_path: Path, text: str) -> None:
+    file = tmp_path / "mine.yaml"
+    file.write_text(text)
+    assert _of_file(str(file)) is None
+
+
+def test_a_file_that_is_no_text_has_none(tmp_path: Path) -> None:
+    file = tmp_path / "mine.yaml"
+    file.write_bytes(b"reward: \xff\xfe\x00")
+    assert _of_file(str(file)) is None
+
+
+@pytest.mark.parametrize("scenario", ["", "office-small-USA_CO_Denver-continuous-v1", "gone.yaml"])
+def test_what_is_no_file_has_no_reward_to_read(here: Path, scenario: str) -> None:
+    assert _of_file(scenario) is None
+
+
+def test_a_folder_is_no_file(tmp_path: Path) -> None:
+    (tmp_path / "folder.yaml").mkdir()
+    assert _of_file(str(tmp_path / "folder.yaml")) is None
+
+
+def test_a_good_reward_starts_nothing(tmp_path: Path) -> None:
+    file = tmp_path / "mine.yaml"
+    file.write_text("reward: {kind: linear, weight: 0.25}\n")
+    for reward in (None, "linear", {"kind": "linear"}, OF_THE_SCENARIO):
+        check_reward(reward, {"scenario": str(file)}, Affinity.OFF)
+
+
+def test_a_bad_reward_is_said_with_what_else_is_wrong(tmp_path: Path) -> None:
+    file = tmp_path / "mine.yaml"
+    file.write_text("building: no-such-building\nweather: USA_CO_Denver\nreward: {kind: linear, weight: 3}\n")
+    with pytest.raises(InvalidConfig) as raised:
+        check_reward(OF_THE_SCENARIO, for_node({"file": file}, "b"), Affinity.OFF)
+    assert [w for w in ("reward: weight", "no building 'no-such-building'") if w not in str(raised.value)] == []
