@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from math import isfinite
+from numbers import Real
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from agent_sdk import spaces
-from topics.errors import InvalidAction
+from topics.errors import InvalidAction, near
 from topics.messages import Action, Choice, Manifest, Mask
 
 
@@ -17,7 +20,6 @@ class Actions:
 
     Attributes:
         space: `Box`, float32, shape (actions,), or `Discrete`, or `MultiDiscrete`.
-        actuators: names of the actuators that they set; None for all.
         mask: what a command does to each actuator, raw; None if they set all.
     """
 
@@ -34,7 +36,7 @@ class Actions:
         self._fan = np.array([action_of.get(a.name, 0) for a in manifest.actuators], np.intp)
         self._one_each = self._fan.tolist() == list(range(len(task.actions)))
         left = [a.name for a in manifest.actuators if a.name not in action_of]
-        self.actuators = [a.name for a in manifest.actuators if a.name in action_of] if left else None
+        self._actuators, self._left = manifest.actuators, left
         kept = [Mask.KEEP if a.name in left else Mask.SET for a in manifest.actuators]
         self.mask = bytes(kept) if left else None
 
@@ -54,19 +56,41 @@ class Actions:
             return chosen
         return chosen[self._fan] if len(self._actions) else np.zeros(len(self._fan))
 
+    def context(self, values: Mapping[str, float | None]) -> dict[int, float | None]:
+        """By position, values of actuators that are in no action.
+
+        Raises:
+            InvalidAction: an unknown actuator, one that an action sets, or a value out of its bounds or not finite.
+        """
+        found: dict[int, float | None] = {}
+        for name, value in values.items():
+            if name not in self._left:
+                raise InvalidAction(f"{name!r} is no actuator beside the actions; {near(name, self._left)}")
+            index = next(i for i, a in enumerate(self._actuators) if a.name == name)
+            actuator = self._actuators[index]
+            low = -np.inf if actuator.low is None else actuator.low
+            high = np.inf if actuator.high is None else actuator.high
+            if value is not None and not (isinstance(value, Real) and isfinite(value) and low <= value <= high):
+                raise InvalidAction(f"{name} = {value!r}; its bounds are {low:g} to {high:g} {actuator.unit}")
+            found[index] = value
+        return found
+
     def _checked(self, action: ArrayLike) -> NDArray[np.float64]:
-        values = np.asarray(action, np.float64)
+        values = _array(action, np.float64)
         if values.shape != self._low.shape:
             named = ", ".join(self.names) or "the building's own control"
             raise InvalidAction(f"action of shape {values.shape}; {self._low.shape} expected: {named}")
         if not self._inside(values).all():
             raise InvalidAction(self._fault(values))
-        # The space's float32 bounds may lie a rounding error outside the actuators' own.
-        return np.clip(values, self._low, self._high)
+        checked: NDArray[np.float64] = np.clip(values, self._low, self._high)
+        return checked
 
     def _inside(self, values: NDArray[np.float64]) -> NDArray[np.bool_]:
         finite = np.isfinite(values)  # an unbounded action takes any finite value
-        return finite & (values >= self._space_low) & (values <= self._space_high)
+        # The space's float32 bounds lie a rounding error inside or outside the actuators' own: both are meant.
+        low, high = np.minimum(self._space_low, self._low), np.maximum(self._space_high, self._high)
+        inside: NDArray[np.bool_] = finite & (values >= low) & (values <= high)
+        return inside
 
     def _fault(self, values: NDArray[np.float64]) -> str:
         faults = []
@@ -77,7 +101,7 @@ class Actions:
         return "; ".join(faults)
 
     def _chosen(self, action: ArrayLike) -> NDArray[np.float64]:
-        picked: NDArray[Any] = np.atleast_1d(np.asarray(action))
+        picked: NDArray[Any] = np.atleast_1d(_array(action, None))
         if picked.shape != (len(self._choices),) or not np.issubdtype(picked.dtype, np.integer):
             raise InvalidAction(f"action {action!r}; {self.space} expected")
         values = np.empty(len(self._actions))
@@ -86,6 +110,13 @@ class Actions:
                 raise InvalidAction(f"choice {index} of {', '.join(table.names)}; 0 to {len(table.rows) - 1} expected")
             values[table.columns] = table.rows[index]
         return values
+
+
+def _array(action: ArrayLike, kind: type[np.float64] | None) -> NDArray[Any]:
+    try:
+        return np.asarray(action, kind)
+    except (TypeError, ValueError) as error:
+        raise InvalidAction(f"action {action!r} is no array of numbers: {error}") from None
 
 
 class _Table:

@@ -23,6 +23,7 @@ from agent_sdk.rewards import Reward, read_reward
 from agent_sdk.sample import SampleView
 from bridge.affinity import Affinity
 from topics.errors import EpisodeChanged, InvalidConfig
+from topics.messages import Mask, WeatherSeries
 
 Observation = NDArray[np.float32]
 NAME = "building"
@@ -121,6 +122,7 @@ class BuildingEnv(gym.Env[Observation, Any]):
         self._time = manifest.task.time
         self._values = self._actions.values
         self._sample: SampleView | None = None
+        self._context: dict[int, float | None] = {}
         for warning in manifest.warnings:
             warnings.warn(f"{manifest.building}: {warning}", stacklevel=3)
 
@@ -151,8 +153,7 @@ class BuildingEnv(gym.Env[Observation, Any]):
             if node is None:
                 raise InvalidConfig(f"connect={endpoint!r} needs the node's name: node='office'")
         bus = self._close.enter_context(connect(endpoint, affinity=placement, core=core))
-        mine = Actions(bus.manifest(node)).actuators
-        return self._close.enter_context(bus.controller(node, name="env", level=level, actuators=mine))
+        return self._close.enter_context(bus.controller(node, name="env", level=level))
 
     def _rewarding(self, reward: Reward | Mapping[str, Any] | str | None) -> Reward | None:
         wanted = self.manifest.task.reward if reward == settings.OF_THE_SCENARIO else reward
@@ -169,6 +170,7 @@ class BuildingEnv(gym.Env[Observation, Any]):
         super().reset(seed=seed)
         if options:
             raise InvalidConfig(f"unknown reset options {sorted(options)}; there are none")
+        self._context = {}
         sample = self._sample = self.link.reset(seed=seed)
         info = self._info(sample)
         info["weather"], info["weather_noise"] = self.link.accepted.weather, self.link.accepted.drawn
@@ -184,7 +186,7 @@ class BuildingEnv(gym.Env[Observation, Any]):
         previous = self._sample
         if previous is None or previous.truncated:
             raise EpisodeChanged("the episode is over; call reset()" if previous else "call reset() before step()")
-        self.link.send(self._values(action), self._actions.mask)
+        self.link.send(*self._command(action))
         sample = self._sample = self.link.receive()
         values, info, begin = sample.values, self._info(sample), sample.time - self._timestep
         reward = 0.0
@@ -192,6 +194,33 @@ class BuildingEnv(gym.Env[Observation, Any]):
             total, info["reward_terms"] = self._reward(values, begin)
             reward = float(total)
         return self._observed(sample, values, begin), reward, False, sample.truncated, info
+
+    def _command(self, action: ArrayLike) -> tuple[NDArray[np.float64], bytes | None]:
+        values, mask = self._values(action), self._actions.mask
+        if self._context:
+            assert mask is not None
+            kinds = bytearray(mask)
+            for index, value in self._context.items():
+                kinds[index] = Mask.RELEASE if value is None else Mask.SET
+                values[index] = 0.0 if value is None else value
+            mask, self._context = bytes(kinds), {}
+        return values, mask
+
+    def set_context(self, values: Mapping[str, float | None]) -> None:
+        """Sets actuators that are in no action, from the next step on until it is called again; None releases one.
+
+        Raises:
+            InvalidAction: an actuator that the node does not have, or that an action sets; a value out of bounds.
+        """
+        self._context |= self._actions.context(values)
+
+    def weather(self, columns: Sequence[str]) -> WeatherSeries:
+        """Columns of the weather file that this episode reads, noise included; see `WeatherSeries`.
+
+        Raises:
+            UnknownName: no such column of an EPW.
+        """
+        return self.link.bus.weather(self.manifest.node, columns)
 
     def _observed(self, sample: SampleView, values: NDArray[np.float64], begin: Any) -> Observation:
         if not self._time:

@@ -6,9 +6,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from agent_sdk.launch import OwnNode
 from agent_sdk.rewards import Reward, read_reward
 from bridge.affinity import Affinity
+from topics import readable
 from topics.errors import InvalidConfig, UsageError
 
 OF_THE_SCENARIO = "scenario"
@@ -37,6 +40,8 @@ def for_node(given: Mapping[str, Any], name: str) -> dict[str, Any]:
             "name a building and a weather, a scenario, or the bus (connect=) and node of a running one"
         )
     for key in ("sensors", "actuators"):
+        if not isinstance(settings.get(key, {}), dict):
+            raise InvalidConfig(f"{key}: points by the names that they get expected, got {given[key]!r}")
         for point, spec in settings.get(key, {}).items():
             if isinstance(spec, str) or not isinstance(spec, list | dict):
                 raise InvalidConfig(f"{key} {point!r}: a tuple of EnergyPlus's names expected, got {spec!r}")
@@ -55,6 +60,8 @@ def _plain(value: Any) -> Any:
         return {str(key): _plain(part) for key, part in value.items()}
     if isinstance(value, Sequence) and not isinstance(value, str):
         return [_plain(part) for part in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
     return str(value) if isinstance(value, Path) else value
 
 
@@ -64,7 +71,10 @@ def _absolute(value: Any, *, always: bool) -> Any:
     path = Path(str(value))
     if not always and not path.suffix:
         return value
-    path = path.expanduser()
+    try:
+        path = path.expanduser()
+    except RuntimeError:  # ~name of nobody: the node says so
+        return value
     return str(path.absolute()) if always or path.exists() else value
 
 
@@ -94,10 +104,8 @@ def _of_file(scenario: str) -> Any:
     """The reward in a scenario's file; None where there is none to be read (the node says why)."""
     if Path(scenario).suffix not in (".yaml", ".yml"):
         return None
-    import yaml
-
     try:
-        found = yaml.safe_load(Path(scenario).read_text())
-    except (OSError, ValueError, yaml.YAMLError):
+        found = readable.parse(Path(scenario).read_text(encoding="utf-8"), scenario)
+    except (OSError, ValueError, InvalidConfig):
         return None
-    return found.get("reward") if isinstance(found, dict) else None
+    return found.get("reward")

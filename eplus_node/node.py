@@ -300,10 +300,15 @@ class Node:
     # The engine
 
     def _prepare(self) -> None:
-        """Writes the files of the episode that begins."""
-        folder = (self.config.keep.absolute() if self.config.keep else self._folder) / self._episode_name()
+        """Writes the files of the episode that begins. Its weather outlives the engine, which clears its own folder."""
+        keep, name = self.config.keep, self._episode_name()
+        folder = (keep.absolute() if keep else self._folder) / name
         folder.mkdir(parents=True, exist_ok=True)
-        self._files = self._episodes.prepare(self._draw, folder)
+        if not keep:
+            for former in self._folder.glob("*.epw"):
+                former.unlink()
+        weather = folder / "in.epw" if keep else self._folder / f"{name}.epw"
+        self._files = self._episodes.prepare(self._draw, folder, weather)
 
     def _episode_name(self) -> str:
         return f"episode-{self.exchange.episode[0]:04}"

@@ -52,12 +52,16 @@ class Draws:
 
     def seed(self, seed: int | None) -> None:
         """Begins anew."""
-        self._random = np.random.Generator(np.random.PCG64(seed))
+        which, noise = np.random.SeedSequence(seed).spawn(2)
+        self._which, self._noise = (
+            np.random.Generator(np.random.PCG64(which)),
+            np.random.Generator(np.random.PCG64(noise)),
+        )
         self._episode = 0
 
     def next(self) -> Draw:
-        """The next episode's. Both numbers are drawn in any case, so that an option does not shift the other's."""
-        source, noise = (int(self._random.integers(bound)) for bound in (self._sources, 1 << 63))
+        """The next episode's. Each number has a generator of its own: more weathers leave the noise as it was."""
+        source, noise = int(self._which.integers(self._sources)), int(self._noise.integers(1 << 63))
         if self._order == "sequence":
             source = self._episode % self._sources
         self._episode += 1
@@ -83,8 +87,8 @@ class Episodes:
         self._variability, self._outputs = variability, outputs
         self._read: dict[int, weather.Weather] = {}
 
-    def prepare(self, draw: Draw, folder: Path) -> Files:
-        """Writes the files of an episode into `folder`."""
+    def prepare(self, draw: Draw, folder: Path, disturbed_weather: Path) -> Files:
+        """Writes the model of an episode into `folder`, and its weather, if there is noise, to the other path."""
         source = self._sources[draw.source]
         objects = prepared(self._building, self._period, outputs=self._outputs)
         if source.site is not None:
@@ -95,10 +99,9 @@ class Episodes:
         if draw.source not in self._read:
             self._read[draw.source] = weather.read(source.path)
         found = disturbed(self._read[draw.source], self._variability, np.random.Generator(np.random.PCG64(draw.noise)))
-        path = folder / "in.epw"
-        weather.write(self._read[draw.source], path, found.changed)
+        weather.write(self._read[draw.source], disturbed_weather, found.changed)
         drawn = {f"{column}.{name}": value for column, values in found.drawn.items() for name, value in values.items()}
-        return Files(model, path, drawn)
+        return Files(model, disturbed_weather, drawn)
 
 
 AHEAD = timedelta(days=7)

@@ -58,8 +58,7 @@ class Fields:
         """A number; 0, and a fault, if it is none."""
         if isinstance(given, int | float) and not isinstance(given, bool):
             return float(given)
-        hint = " (in YAML 1e-4 is a text, 1.0e-4 a number)" if isinstance(given, str) else ""
-        self.fault(f"{where}: a number expected, got {given!r}{hint}")
+        self.fault(f"{where}: a number expected, got {given!r}")
         return 0.0
 
     def name(self, text: Any, where: str) -> str | None:

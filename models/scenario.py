@@ -6,14 +6,23 @@ Each field is also an argument of `gym.make("zenostat/Scenario-v1", ...)` and of
 from __future__ import annotations
 
 from collections.abc import Mapping
-from datetime import date
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
-import yaml
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    Tag,
+    ValidationError,
+    model_validator,
+)
 
+from models.catalog import MODEL_SUFFIXES, WEATHER_SUFFIXES
 from models.variability import Noise
+from topics import readable
 from topics.codec import explain
 from topics.errors import InvalidConfig, UnknownName
 from topics.messages import Reading, SafeName, TimeField
@@ -25,6 +34,10 @@ means each object of that type, and a new name a new object."""
 Order = Literal["random", "sequence"]
 Control = Literal["point", "zone", "building"]
 Sizing = Literal["weather", "model"]
+
+
+Number = Annotated[float, Field(strict=True)]
+"""No text and no boolean."""
 
 
 class _Part(BaseModel):
@@ -45,23 +58,23 @@ class ActuatorSpec(_Part):
     component_type: str
     control_type: str
     key: str
-    low: float | None = None
-    high: float | None = None
+    low: Number | None = None
+    high: Number | None = None
 
 
 class ActionSpec(_Part):
     """One dimension of the action: it sets all of `actuators`. Bounds left out are the actuators' own."""
 
     actuators: Annotated[tuple[SafeName, ...], Field(min_length=1)]
-    low: float | None = None
-    high: float | None = None
+    low: Number | None = None
+    high: Number | None = None
 
 
 class ChoiceSpec(_Part):
     """One discrete dimension: a row of values for `actions` for each choice."""
 
     actions: Annotated[tuple[SafeName, ...], Field(min_length=1)]
-    values: Annotated[tuple[tuple[float, ...], ...], Field(min_length=1)]
+    values: Annotated[tuple[tuple[Number, ...], ...], Field(min_length=1)]
 
 
 def _listed(form: type[_Part]) -> BeforeValidator:
@@ -84,11 +97,20 @@ def _one_or_more(value: Any) -> Any:
     return (value,) if isinstance(value, str) else value
 
 
-def _day(value: Any) -> Any:
-    return value.isoformat() if isinstance(value, date) else value  # YAML reads 2018-07-01 as a date
+def _is_list(value: Any) -> str:
+    return "@list" if isinstance(value, list | tuple) else "@number"
 
 
-Day = Annotated[str | None, BeforeValidator(_day)]
+Count = Annotated[int, Field(strict=True)]
+Weathers = Annotated[
+    tuple[str, ...],
+    Field(min_length=1),
+    BeforeValidator(_one_or_more, json_schema_input_type=str | Annotated[list[str], Field(min_length=1)]),
+]
+Discrete = Annotated[
+    Annotated[int, Field(ge=2, strict=True), Tag("@number")] | Annotated[tuple[ChoiceSpec, ...], Tag("@list")],
+    Discriminator(_is_list),
+]
 
 
 class Scenario(_Part):
@@ -119,13 +141,13 @@ class Scenario(_Part):
     id: str = ""
     about: str = ""
     building: str
-    weather: Annotated[tuple[str, ...], BeforeValidator(_one_or_more), Field(min_length=1)]
+    weather: Weathers
     weather_order: Order = "random"
     variability: dict[str, Noise] = Field(default_factory=dict)
     sizing: Sizing = "weather"
-    begin: Day = None
-    end: Day = None
-    steps_per_hour: int | None = None
+    begin: str | None = None
+    end: str | None = None
+    steps_per_hour: Count | None = None
     changes: Changes = Field(default_factory=dict)
     time: tuple[TimeField, ...] = ()
     sensors: dict[str, Annotated[SensorSpec, _listed(SensorSpec)]] | None = None
@@ -134,7 +156,7 @@ class Scenario(_Part):
     reading: Literal[Reading.INSTANT, Reading.MEAN] | None = None
     actions: dict[str, ActionSpec] | None = None
     control: Control = "point"
-    discrete: Annotated[int, Field(ge=2)] | tuple[ChoiceSpec, ...] | None = None
+    discrete: Discrete | None = None
     reward: dict[str, Any] | None = Field(default_factory=lambda: {"kind": "linear"})
 
     @model_validator(mode="after")
@@ -152,25 +174,6 @@ def read_scenario(given: Mapping[str, Any], what: str = "the scenario") -> Scena
         raise InvalidConfig(f"{what}: {explain(error)}") from None
 
 
-if TYPE_CHECKING:
-    _SafeLoader = yaml.SafeLoader
-else:
-    _SafeLoader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times as fast, where libyaml is there
-
-
-class _Loader(_SafeLoader):
-    """YAML without surprises: a key that stands twice is an error, not the last of both."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:  # noqa: FBT001, FBT002
-        seen = set()
-        for key_node, _ in node.value:
-            key = self.construct_object(key_node, deep=True)
-            if key in seen:
-                raise yaml.constructor.ConstructorError(None, None, f"{key!r} stands twice", key_node.start_mark)
-            seen.add(key)
-        return super().construct_mapping(node, deep)
-
-
 def load_yaml(path: Path) -> dict[str, Any]:
     """A YAML file that holds a mapping.
 
@@ -179,16 +182,10 @@ def load_yaml(path: Path) -> dict[str, Any]:
         InvalidConfig: it is no YAML, or something else than a mapping.
     """
     try:
-        text = path.read_text()
+        text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise UnknownName(f"cannot read {path.absolute()}: {error}") from None
-    try:
-        found = yaml.load(text, _Loader)  # noqa: S506  # a SafeLoader
-    except yaml.YAMLError as error:
-        raise InvalidConfig(f"{path} is no YAML: {error}") from None
-    if not isinstance(found, dict) or not all(isinstance(key, str) for key in found):
-        raise InvalidConfig(f"{path} should hold names and values, as `building: office-small`")
-    return found
+    return readable.parse(text, str(path))
 
 
 def load_scenario(path: Path) -> Scenario:
@@ -197,13 +194,15 @@ def load_scenario(path: Path) -> Scenario:
 
 
 def beside(given: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """`given` with the paths of its building and weather made absolute, where they name files in `folder`."""
+    """`given` with the paths of its building and weather made absolute; they are relative to `folder`."""
 
     def found(text: Any) -> Any:
-        if not isinstance(text, str) or not Path(text).suffix:
+        if not isinstance(text, str) or Path(text).suffix.lower() not in (*MODEL_SUFFIXES, *WEATHER_SUFFIXES):
             return text
-        path = folder / Path(text).expanduser()
-        return str(path.resolve()) if path.is_file() else text
+        try:
+            return str((folder / Path(text).expanduser()).resolve())
+        except RuntimeError:  # ~name of nobody: the catalogue says so
+            return text
 
     result = dict(given)
     if "building" in result:
@@ -217,4 +216,4 @@ def beside(given: Mapping[str, Any], folder: Path) -> dict[str, Any]:
 def dump(scenario: Scenario) -> str:
     """The scenario as YAML; `load_scenario` gives an equal one."""
     plain = scenario.model_dump(mode="json", exclude_defaults=True)
-    return yaml.safe_dump(plain, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None)
+    return readable.dump(plain)

@@ -25,30 +25,38 @@ def task_of(scenario: Scenario, points: Points) -> Task:
     """
     faults: list[str] = []
     if scenario.actions is None:
-        actions = _found(scenario, points.actuators)
+        actions = _found(scenario, points.actuators, faults)
     else:
         actions = _named(scenario, points.actuators, faults)
     choices: tuple[Choice, ...] = ()
-    if not faults and scenario.discrete is not None:
-        if isinstance(scenario.discrete, int):
-            choices = _steps(actions, points.actuators, scenario, faults)
-        else:
-            choices = tuple(Choice(actions=c.actions, values=c.values) for c in scenario.discrete)
-            faults += _choice_faults(choices, actions)
+    if isinstance(scenario.discrete, int) and not faults:
+        choices = _steps(actions, points.actuators, scenario, faults)
+    elif isinstance(scenario.discrete, tuple):
+        choices = tuple(Choice(actions=c.actions, values=c.values) for c in scenario.discrete)
+        faulty = set(scenario.actions or ()) - {a.name for a in actions}
+        faults += _choice_faults(choices, actions, faulty)
     if faults:
         raise InvalidConfig("\n".join(faults))
     return Task(scenario=scenario.id, time=scenario.time, actions=actions, choices=choices, reward=scenario.reward)
 
 
-def _found(scenario: Scenario, actuators: Sequence[Actuator]) -> tuple[Action, ...]:
+def _found(scenario: Scenario, actuators: Sequence[Actuator], faults: list[str]) -> tuple[Action, ...]:
     """An action for each actuator; with `control: building` one for each kind of thermostat setpoint."""
     if scenario.control != "building":
         return tuple(_joined(a.name, [a]) for a in actuators)
     kinds: dict[str, list[Actuator]] = {}
     for actuator in actuators:
-        together = actuator.component_type == THERMOSTAT
-        kinds.setdefault(safe(actuator.control_type) if together else actuator.name, []).append(actuator)
-    return tuple(_joined(name, members) for name, members in kinds.items())
+        if actuator.component_type == THERMOSTAT:
+            kinds.setdefault(safe(actuator.control_type), []).append(actuator)
+    for actuator in actuators:
+        if actuator.component_type != THERMOSTAT and actuator.name in kinds:
+            faults.append(f"actuator {actuator.name!r} is called as all thermostats together are; name it otherwise")
+        elif actuator.component_type != THERMOSTAT:
+            kinds[actuator.name] = [actuator]
+    actions = tuple(_joined(name, members) for name, members in kinds.items())
+    for action in actions:
+        faults += _bound_faults(action, None, None)
+    return actions
 
 
 def _joined(name: str, members: Sequence[Actuator]) -> Action:
@@ -65,7 +73,11 @@ def _named(scenario: Scenario, actuators: Sequence[Actuator], faults: list[str])
     by_name, taken = {a.name: a for a in actuators}, dict[str, str]()
     actions = []
     for name, spec in (scenario.actions or {}).items():
-        check_name(name, "the action's name")
+        try:
+            check_name(name, "the action's name")
+        except InvalidConfig as fault:
+            faults.append(str(fault))
+            continue
         members = []
         for actuator in spec.actuators:
             if actuator not in by_name:
@@ -137,14 +149,17 @@ def _choice(members: Sequence[Action], by_name: dict[str, Actuator], count: int)
     return Choice(actions=tuple(a.name for a in members), values=rows)
 
 
-def _choice_faults(choices: Sequence[Choice], actions: Sequence[Action]) -> list[str]:
-    by_name, faults, seen = {a.name: a for a in actions}, [], set[str]()
+def _choice_faults(choices: Sequence[Choice], actions: Sequence[Action], faulty: set[str]) -> list[str]:
+    """What is wrong with choices; of `faulty` actions nothing is known but that they are there."""
+    by_name, faults, seen = {a.name: a for a in actions}, [], list[str]()
     for number, choice in enumerate(choices):
         where = f"discrete.{number}"
         unknown = [name for name in choice.actions if name not in by_name]
-        faults += [f"{where}: there is no action {name!r}; {near(name, by_name)}" for name in unknown]
-        faults += [f"{where}: action {name!r} has its choices already" for name in choice.actions if name in seen]
-        seen |= set(choice.actions)
+        faults += [f"{where}: there is no action {n!r}; {near(n, by_name)}" for n in unknown if n not in faulty]
+        for name in choice.actions:
+            if name in seen:
+                faults.append(f"{where}: action {name!r} has its choices already")
+            seen.append(name)
         for index, row in enumerate(choice.values):
             if len(row) != len(choice.actions):
                 faults.append(f"{where}: row {index} has {len(row)} values for {len(choice.actions)} actions")

@@ -51,7 +51,7 @@ def test_each_actuator_has_an_action_of_its_own_where_nothing_is_joined() -> Non
     own = Actions(manifest(actuators=FOUR))
     assert own.values([16.0, 23.0, 17.0, 24.0]).tolist() == [16.0, 23.0, 17.0, 24.0]
     assert own.names == ["heat_a", "cool_a", "heat_b", "cool_b"]
-    assert (own.actuators, own.mask) == (None, None)
+    assert own.mask is None
 
 
 def test_all_actuators_of_an_action_get_its_value() -> None:
@@ -80,18 +80,16 @@ def test_whatever_is_joined_each_actuator_gets_its_actions_value(data: st.DataOb
     set_here = [i for i in range(count) if owner[i] != -1]
     assert [values[i] for i in set_here] == [by_group[owner[i]] for i in set_here]
     if len(set_here) == count:
-        assert (made.mask, made.actuators) == (None, None)
+        assert made.mask is None
     else:
         assert list(made.mask or b"") == [Mask.KEEP if o == -1 else Mask.SET for o in owner]
-        assert made.actuators == [points[i].name for i in set_here]
 
 
 # Actuators that no action sets
 
 
-def test_what_no_action_sets_is_kept_and_not_claimed() -> None:
+def test_what_no_action_sets_is_kept() -> None:
     some = actions(FOUR, COOL)
-    assert some.actuators == ["cool_a", "cool_b"]
     assert list(some.mask or b"") == [Mask.KEEP, Mask.SET, Mask.KEEP, Mask.SET]
     values = some.values([25.0])
     assert values.shape == (4,)
@@ -99,18 +97,43 @@ def test_what_no_action_sets_is_kept_and_not_claimed() -> None:
     assert values[[1, 3]].tolist() == [25.0, 25.0]
 
 
-def test_without_actions_nothing_is_claimed_and_all_is_kept() -> None:
+def test_without_actions_all_is_kept() -> None:
     none = actions(FOUR)
-    assert (none.space.shape, none.actuators, list(none.mask or b"")) == ((0,), [], [Mask.KEEP] * 4)
+    assert (none.space.shape, list(none.mask or b"")) == ((0,), [Mask.KEEP] * 4)
     assert none.values([]).shape == (4,)
 
 
 def test_without_actuators_there_is_nothing_to_say() -> None:
     none = actions(())
-    assert (none.actuators, none.mask) == (None, None)
+    assert none.mask is None
     assert none.values(np.zeros(0, np.float32)).shape == (0,)
     with pytest.raises(InvalidAction, match="building's own control"):
         none.values([1.0])
+
+
+def test_what_no_action_sets_may_be_set_beside_them() -> None:
+    some = actions((*FOUR, actuator("free")), COOL)
+    assert some.context({"heat_b": 20.0, "heat_a": None, "free": -1e9}) == {2: 20.0, 0: None, 4: -1e9}
+    assert some.context({"heat_a": 15.0, "heat_b": 22.5}) == {0: 15.0, 2: 22.5}, "the ends belong to the bounds"
+    assert some.context({}) == {}
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"cool_a": 25.0}, "'cool_a' is no actuator beside the actions"),
+        ({"heet_a": 20.0}, "'heet_a'.*'heat_a'"),
+        ({"cool": 25.0}, "'cool'"),
+        ({"heat_a": 14.9}, r"heat_a = 14\.9; its bounds are 15 to 22\.5 degC"),
+        ({"heat_a": 20.0, "heat_b": 22.6}, r"heat_b = 22\.6"),
+        ({"free": np.nan}, "free = nan"),
+        ({"free": np.inf}, "free = inf"),
+        ({"free": "warm"}, "free"),
+    ],
+)
+def test_what_cannot_be_set_beside_the_actions_is_refused(values: dict[str, Any], words: str) -> None:
+    with pytest.raises(InvalidAction, match=words):
+        actions((*FOUR, actuator("free")), COOL).context(values)
 
 
 # Numbers

@@ -148,7 +148,7 @@ def episodes(building: Building, sources: Sequence[Source], variability: Variabi
 
 def prepared(of: Episodes, draw: Draw, folder: Path) -> Files:
     folder.mkdir()
-    return of.prepare(draw, folder)
+    return of.prepare(draw, folder, folder / "in.epw")
 
 
 def objects(files: Files) -> dict[str, Any]:
@@ -160,11 +160,23 @@ def test_the_same_draw_gives_the_same_files(small: Building, tmp_path: Path) -> 
     used, fresh = (episodes(small, [source(DENVER), source(MIAMI)], NOISE) for _ in range(2))
     first = prepared(used, Draw(1, 12345), tmp_path / "first")
     prepared(used, Draw(0, 7), tmp_path / "between")
+    prepared(fresh, Draw(0, 12345), tmp_path / "before")
     again, elsewhere = prepared(used, Draw(1, 12345), tmp_path / "b"), prepared(fresh, Draw(1, 12345), tmp_path / "c")
     for other in (again, elsewhere):
         assert other.weather.read_bytes() == first.weather.read_bytes()
         assert other.model.read_bytes() == first.model.read_bytes()
         assert other.drawn == first.drawn
+
+
+def test_noise_is_put_on_the_weather_that_was_drawn(small: Building, tmp_path: Path) -> None:
+    """Miami is some 14 K warmer than Denver; noise of mean 0 shifts a year's mean by less than 1 K."""
+    sources = [source(DENVER), source(MIAMI)]
+    made = episodes(small, sources, NOISE)
+    for number, drawn in enumerate((1, 0, 1)):
+        found, own = weather.read(prepared(made, Draw(drawn, number), tmp_path / str(number)).weather), sources[drawn]
+        assert found.header.place == own.header.place
+        shift = found.column("dry_bulb_temperature") - weather.read(own.path).column("dry_bulb_temperature")
+        assert abs(np.mean(shift)) < 1.0
 
 
 def test_another_noise_is_another_weather_and_the_same_model(small: Building, tmp_path: Path) -> None:

@@ -80,7 +80,7 @@ def explain(error: ValidationError) -> str:
     """All faults that pydantic found, in one line: path, what came, what would be right."""
     faults = []
     for fault in error.errors(include_url=False):
-        path = ".".join(str(part) for part in fault["loc"]) or "(whole)"
+        path = ".".join(str(part) for part in fault["loc"] if not str(part).startswith("@")) or "(whole)"
         faults.append(f"{path}: {fault['msg']}, got {_short(fault['input'])}")
     return "; ".join(faults)
 

@@ -26,9 +26,9 @@ def read_reward(given: Mapping[str, Any] | str) -> Reward:
     """
     parameters = {"kind": given} if isinstance(given, str) else dict(given)
     kind = parameters.get("kind")
-    if kind not in REWARDS:
+    if not isinstance(kind, str) or kind not in REWARDS:
         raise InvalidConfig(f"reward: there is no kind {kind!r}; {near(str(kind), REWARDS)}")
     try:
-        return REWARDS[str(kind)].model_validate(parameters)
+        return REWARDS[kind].model_validate(parameters)
     except ValidationError as error:
         raise InvalidConfig(f"reward: {explain(error)}") from None

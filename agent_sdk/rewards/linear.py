@@ -51,7 +51,9 @@ class LinearReward(BaseModel):
     summer_begin: MonthDay = (6, 1)
     summer_end: MonthDay = (9, 30)
     kind: Literal["linear"] = "linear"
-    power: Annotated[tuple[str, ...], BeforeValidator(_one_or_more)] | None = None
+    power: Annotated[tuple[str, ...], BeforeValidator(_one_or_more, json_schema_input_type=str | list[str])] | None = (
+        None
+    )
     temperatures: tuple[str, ...] | None = None
 
     @model_validator(mode="after")
