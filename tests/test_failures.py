@@ -146,9 +146,12 @@ def test_an_unknown_building_and_weather_are_named_at_once() -> None:
         ({"begin": "07-02", "end": "07-01"}, r"the run period ends \(.*07-01\) before it begins \(.*07-02\)"),
         ({"steps_per_hour": 7}, r"steps_per_hour 7 does not divide the hour"),
         ({"sensors": {"a b": ("Zone Air Temperature", "CORE_ZN")}}, r"the point name 'a b' cannot stand in a topic"),
-        ({"sensors": {"inside": ("Zone Air Temperature", "CORE_ZN", "avg")}}, r"sensor 'inside': .*'avg'"),
+        (
+            {"sensors": {"inside": ("Zone Air Temperature", "CORE_ZN", "avg")}},
+            r"sensors.inside.reading: .*'mean', 'sum' or 'instant', got 'avg'",
+        ),
         ({"sensors": {"inside": "Zone Air Temperature"}}, r"sensors 'inside': a tuple of EnergyPlus's names expected"),
-        ({"building": None}, r"name a building and a weather, or the bus"),
+        ({"building": None}, r"name a building and a weather, a scenario, or the bus"),
     ],
 )
 def test_settings_that_cannot_be(given: dict[str, Any], message: str) -> None:

@@ -458,7 +458,7 @@ def test_faults_of_the_reward_are_said_at_once(own):
           range_comfort_winter: [23.5, 20]
           summer_start: [13, 1]
           energy_weight: 2
-          lambda_energy: 1e-4
+          lambda_energy: much
           lambda_temprature: 1.0
         """
     )
