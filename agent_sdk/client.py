@@ -39,6 +39,7 @@ from topics.messages import (
     Message,
     Reset,
     Sample,
+    ScenarioText,
     Status,
     Stop,
     WeatherQuery,
@@ -132,6 +133,10 @@ class Bus:
     def weather(self, node: str, columns: Sequence[str]) -> WeatherSeries:
         """The weather that a node's present episode reads, noise included; `UnknownName` lists the columns."""
         return self._ask(keys.WEATHER, node, WeatherQuery(columns=list(columns)), WeatherSeries)
+
+    def scenario(self, node: str) -> str:
+        """The scenario that a node simulates, as a scenario file (YAML)."""
+        return self._ask(keys.SCENARIO, node, Ask(), ScenarioText).text
 
     def _ask(self, topic: keys.Topic, node: str, question: Message | None, answer: type[R]) -> R:
         replies = self.session.get(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -15,6 +16,7 @@ from typing import Any
 from bridge import affinity
 from bridge.affinity import Affinity
 from topics.errors import NodeLost, from_wire
+from topics.messages import Manifest
 
 _END_S = 40.0  # EnergyPlus may be finishing files that are kept
 _SOCKET_PATH_MAX = 100  # sun_path has 108 bytes
@@ -26,6 +28,9 @@ class OwnNode:
     Args:
         settings: of `eplus_node.config.NodeConfig`; the endpoint, folder and core are filled in here.
         placement: see `bridge.affinity`.
+
+    Attributes:
+        manifest: what the node is, told before anybody has joined its bus; None if it was only to check.
 
     Raises:
         ZenostatError: whatever the node raised when it could not start.
@@ -71,6 +76,7 @@ class OwnNode:
         said = json.loads(line)
         if "error" in said:
             raise from_wire(said)
+        self.manifest = Manifest.model_validate(said["manifest"]) if "manifest" in said else None
 
     @property
     def pid(self) -> int:
@@ -95,3 +101,21 @@ class OwnNode:
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
+
+
+class Monitor:
+    """A live view of a bus, in a process of its own: Rerun's viewer if there is a display, else its web page."""
+
+    def __init__(self, endpoint: str) -> None:
+        display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+        program = [sys.executable, "-P", "-m", "cli.main", "monitor", "--connect", endpoint]
+        self._process = subprocess.Popen([*program, *([] if display else ["--web"])], stdin=subprocess.DEVNULL)
+
+    def close(self) -> None:
+        """Ends it."""
+        self._process.terminate()
+        try:
+            self._process.wait(timeout=_END_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()

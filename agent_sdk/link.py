@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from types import TracebackType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import zenoh
@@ -31,13 +31,48 @@ from topics.errors import (
     from_wire,
     near,
 )
-from topics.messages import Accepted, Claim, Command, Event, EventKind, Mask, Reset, Sample, State
+from topics.messages import (
+    Accepted,
+    Claim,
+    Command,
+    Event,
+    EventKind,
+    Manifest,
+    Mask,
+    Reset,
+    Sample,
+    State,
+    WeatherSeries,
+)
 
 if TYPE_CHECKING:
     from agent_sdk.client import Bus
 
 _INBOX = 1024
 _MEET_S = 10.0
+
+
+class Link(Protocol):
+    """What an environment steps: samples in, commands out."""
+
+    manifest: Manifest
+    accepted: Accepted
+    name: str
+
+    def reset(self, *, seed: int | None = None) -> SampleView:
+        """Starts a new episode; its sample 0."""
+
+    def receive(self) -> SampleView:
+        """Waits for the next sample."""
+
+    def send(self, values: NDArray[np.float64], mask: bytes | None = None) -> None:
+        """Answers the present sample: a value for each actuator, and what is done with it (None: all are set)."""
+
+    def weather(self, columns: Sequence[str]) -> WeatherSeries:
+        """Columns of the weather that the present episode reads."""
+
+    def close(self) -> None:
+        """Lets go; twice is fine."""
 
 
 class ControlLink:
@@ -133,6 +168,14 @@ class ControlLink:
             sample = self._next(changes=True)
             if sample.episode == accepted.episode[0]:
                 return self._keep(sample)
+
+    def weather(self, columns: Sequence[str]) -> WeatherSeries:
+        """Columns of the weather file that the present episode reads; `UnknownName` lists them."""
+        return self.bus.weather(self.manifest.node, columns)
+
+    def scenario(self) -> str:
+        """The scenario that the node simulates, as a scenario file (YAML)."""
+        return self.bus.scenario(self.manifest.node)
 
     def current(self) -> SampleView:
         """The sample that the node stands at, for a controller that has just come."""

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from agent_sdk.launch import OwnNode
-from agent_sdk.rewards import Reward, read_reward
+from agent_sdk.rewards import AnyReward, read_reward
 from bridge.affinity import Affinity
 from topics import readable
 from topics.errors import InvalidConfig, UsageError
@@ -20,7 +20,7 @@ OF_THE_SCENARIO = "scenario"
 OF_A_NODE = (
     "building", "weather", "scenario", "file", "config", "variant", "sensors", "meters", "actuators", "begin", "end",
     "steps_per_hour", "weather_order", "variability", "sizing", "changes", "time", "reading", "actions", "control",
-    "discrete", "keep",
+    "discrete", "terminate", "keep",
 )  # fmt: skip
 """The arguments that a node decides by."""
 
@@ -78,16 +78,14 @@ def _absolute(value: Any, *, always: bool) -> Any:
     return str(path.absolute()) if always or path.exists() else value
 
 
-def check_reward(
-    reward: Reward | Mapping[str, Any] | str | None, settings: Mapping[str, Any], placement: Affinity
-) -> None:
+def check_reward(reward: AnyReward | None, settings: Mapping[str, Any], placement: Affinity) -> None:
     """Checks the reward before anything starts; with a fault in it, all else as well, so that all are said at once.
 
     Raises:
         InvalidConfig: a kind or parameters that cannot be.
     """
     said = _of_file(settings.get("scenario", "")) if reward == OF_THE_SCENARIO else reward
-    if not isinstance(said, str | Mapping):
+    if said is None:
         return
     try:
         read_reward(said)

@@ -7,6 +7,7 @@ A node listens (mode peer) and brokers between the clients that connect to it; e
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -22,6 +23,18 @@ _FORM = re.compile(r"(tcp|unixsock-stream)/\S+")
 _LOOPBACK = re.compile(r"tcp/(127\.\d+\.\d+\.\d+|localhost|\[::1\]):\d+")
 
 zenoh.init_log_from_env_or("off")
+
+
+_used = False
+_forked = False
+
+
+def _after_fork() -> None:
+    global _forked
+    _forked = _used
+
+
+os.register_at_fork(after_in_child=_after_fork)
 
 
 def check_endpoint(endpoint: str) -> str:
@@ -48,7 +61,15 @@ def open_session(
         InvalidConfig: an endpoint of no known form, or beyond loopback without `expose`.
         EndpointTaken: another program listens there.
         NothingThere: nobody listens at any of `connect`.
+        BusError: in a process forked from one that was on a bus; Zenoh's threads do not survive a fork.
     """
+    global _used
+    if _forked:
+        raise BusError(
+            "this process was forked from one that was on a bus already, which Zenoh does not survive; start it anew "
+            "(multiprocessing: context 'spawn'; gym.make_vec: vector_kwargs={'context': 'spawn'})"
+        )
+    _used = True
     for endpoint in (*listen, *connect):
         check_endpoint(endpoint)
     for endpoint in listen:

@@ -101,12 +101,12 @@ def _episode(bus: Bus, endpoint: str, controller: str, title: str, bars: Progres
 def _table(results: dict[str, tuple[Result, float]], title: str) -> Table:
     table = Table("", *results, title=title)
     rows = {
-        "electricity (kWh)": [f"{r.electricity_kwh:,.0f}" for r, _ in results.values()],
-        "  of it HVAC (kWh)": [f"{r.hvac_electricity_kwh:,.0f}" for r, _ in results.values()],
-        "gas (kWh)": [f"{r.gas_kwh:,.0f}" for r, _ in results.values()],
-        "peak (kW)": [f"{r.peak_kw:,.1f}" for r, _ in results.values()],
-        "outside comfort, occupied (K h)": [f"{r.occupied_discomfort_kh:,.1f}" for r, _ in results.values()],
-        "outside comfort, always (K h)": [f"{r.discomfort_kh:,.1f}" for r, _ in results.values()],
+        "electricity (kWh)": [_said(r.energy_kwh.get("electricity"), 0) for r, _ in results.values()],
+        "  of it HVAC (kWh)": [_said(r.hvac_electricity_kwh, 0) for r, _ in results.values()],
+        "gas (kWh)": [_said(r.energy_kwh.get("natural_gas"), 0) for r, _ in results.values()],
+        "peak (kW)": [_said(r.peak_kw, 1) for r, _ in results.values()],
+        "outside comfort, occupied (K h)": [_said(r.occupied_outside_kh, 1) for r, _ in results.values()],
+        "outside comfort, always (K h)": [_said(r.outside_kh, 1) for r, _ in results.values()],
         "timesteps": [f"{r.steps}" for r, _ in results.values()],
         "timesteps/s": [f"{rate:,.0f}" for _, rate in results.values()],
         "late, rejected messages": [f"{r.late}, {r.rejected}" for r, _ in results.values()],
@@ -114,3 +114,7 @@ def _table(results: dict[str, tuple[Result, float]], title: str) -> Table:
     for name, cells in rows.items():
         table.add_row(name, *cells)
     return table
+
+
+def _said(value: float | None, digits: int) -> str:
+    return "not measured" if value is None else f"{value:,.{digits}f}"

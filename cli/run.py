@@ -2,21 +2,43 @@
 
 from __future__ import annotations
 
+import inspect
 import time
-from typing import Annotated
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from bridge.session import DEFAULT_ENDPOINT
 from cli.console import out, progress
-from topics.errors import UnknownName, near
+from topics.errors import InvalidConfig
+from topics.keys import safe
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+    from agent_sdk import ControlLink
+    from agent_sdk.controllers import Agent
+
+_WORDS = {"true": True, "false": False}
 
 
 def run(
     node: Annotated[str, typer.Option(help="The node's name.")],
     controller: Annotated[
-        str, typer.Option(help="building (its own control) or rbc (rules on comfort bands).")
+        str,
+        typer.Option(
+            help="building (its own control), rbc (rules on comfort bands), random, fixed, setback (by the clock), "
+            "incremental, pid; or a class of your own: path/to/file.py:MyController, package.module:MyController."
+        ),
     ] = "rbc",
+    parameters: Annotated[
+        list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="A parameter of the controller; repeated.")
+    ] = None,
+    seed: Annotated[
+        int | None,
+        typer.Option(min=0, help="Of what the controller draws, and of the first episode that this command begins."),
+    ] = None,
     connect: Annotated[str, typer.Option(help="Endpoint of the bus.")] = DEFAULT_ENDPOINT,
     level: Annotated[int, typer.Option(min=1, max=16, help="Priority level; 1 is the highest.")] = 10,
     episodes: Annotated[int, typer.Option(min=1, help="How many episodes to control.")] = 1,
@@ -24,27 +46,80 @@ def run(
 ) -> None:
     """Controls a node, from the sample that it stands at to the episode's end.
 
-    Example: `zenostat run --node office --controller rbc`
+    Example: `zenostat run --node office --controller rbc --set margin=0.5`
     """
     from agent_sdk import connect as connect_bus
-    from agent_sdk.controllers import CONTROLLERS
+    from agent_sdk.controllers import Agent, create, load_controller
 
-    if controller not in CONTROLLERS:
-        raise UnknownName(f"no controller {controller!r}; {near(controller, CONTROLLERS)}")
-    with connect_bus(connect) as bus, bus.controller(node, name=controller, level=level) as link, progress() as bars:
-        for number in range(episodes):
-            if reset or number:
-                link.reset()
-            brain = CONTROLLERS[controller](link.manifest)
-            bar = bars.add_task(f"{node}: {link.name}", total=link.manifest.steps, rate="")
-            start, first, shown = time.monotonic(), None, 0.0
-            for sample in link:
-                first = sample.step if first is None else first
-                if not sample.truncated:
-                    sample.send(brain.act(sample))
-                now = time.monotonic()
-                if now - shown > 0.1 or sample.truncated:
-                    shown = now
-                    rate = (sample.step - first) / max(now - start, 1e-9)
-                    bars.update(bar, completed=sample.step, rate=f"{rate:,.0f} steps/s")
+    made_by = load_controller(controller)
+    given = _seeded(made_by, read_parameters(parameters or []), seed, begins=reset or episodes > 1, name=controller)
+    name = safe(controller.rpartition(":")[2])
+    with connect_bus(connect) as bus:
+        agent = Agent(create(made_by, bus.manifest(node), given))
+        with bus.controller(node, name=name, level=level) as link, progress() as bars:
+            for number in range(episodes):
+                if reset or number:
+                    link.reset(seed=seed)
+                    seed = None  # the sequence that it began goes on
+                _episode(link, agent, bars)
     out.print(f"{node}: {episodes} episode{'s' if episodes > 1 else ''} controlled by {controller}")
+
+
+def _episode(link: ControlLink, agent: Agent, bars: Progress) -> None:
+    """Answers all samples to the episode's end, and shows how far it is."""
+    bar = bars.add_task(f"{link.manifest.node}: {link.name}", total=link.manifest.steps, rate="")
+    start, first, shown = time.monotonic(), None, 0.0
+    for sample in link:
+        first = sample.step if first is None else first
+        if not sample.truncated:
+            sample.send(agent.values(sample))
+        now = time.monotonic()
+        if now - shown > 0.1 or sample.truncated:
+            shown = now
+            rate = (sample.step - first) / max(now - start, 1e-9)
+            bars.update(bar, completed=sample.step, rate=f"{rate:,.0f} steps/s")
+
+
+def read_parameters(given: Sequence[str]) -> dict[str, Any]:
+    """`name=value` texts by name; a value is a number, true or false where it reads as one, else a text.
+
+    Raises:
+        InvalidConfig: another form, or a name that stands twice.
+    """
+    found: dict[str, Any] = {}
+    for text in given:
+        name, equals, value = text.partition("=")
+        if not equals or not name:
+            raise InvalidConfig(f"--set {text}: a name and a value expected, as --set margin=0.5")
+        if name in found:
+            raise InvalidConfig(f"--set {name} stands twice: {found[name]} and {value}")
+        found[name] = _read(value)
+    return found
+
+
+def _read(text: str) -> bool | float | str:
+    if text.casefold() in _WORDS:
+        return _WORDS[text.casefold()]
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text
+
+
+def _seeded(
+    made_by: Callable[..., Any], given: dict[str, Any], seed: int | None, *, begins: bool, name: str
+) -> dict[str, Any]:
+    """The parameters with the seed, where the controller takes one."""
+    if seed is None:
+        return given
+    if "seed" in inspect.signature(made_by).parameters:
+        if "seed" in given:
+            raise InvalidConfig(f"--seed {seed} and --set seed={given['seed']}: leave one of them out")
+        return {**given, "seed": seed}
+    if not begins:
+        raise InvalidConfig(
+            f"--seed {seed} rules nothing: {name} draws nothing and joins a running episode; add --reset"
+        )
+    return given

@@ -123,7 +123,7 @@ def scenario_schema() -> dict[str, Any]:
     for kind in REWARDS.values():
         own = kind.model_json_schema(ref_template="#/$defs/{model}")
         found["$defs"].update(own.pop("$defs", {}))
-        own["required"] = ["kind"]
+        own["required"] = ["kind", *own.get("required", [])]
         found["$defs"][kind.__name__] = own
         kinds.append({"$ref": f"#/$defs/{kind.__name__}"})
     found["properties"]["reward"] = {

@@ -1,7 +1,7 @@
 """A node as a program, for whoever starts one of their own: `python -m eplus_node`.
 
 Standard input: one line of JSON, the settings of `NodeConfig`; the node ends when its other end is closed.
-Standard output: one line of JSON, `{"ready": name}` or `{"error": class, "message": text}`.
+Standard output: one line of JSON, `{"ready": name, "manifest": {...}}` or `{"error": class, "message": text}`.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import os
 import signal
 import sys
 import threading
+from typing import Any
 
 from eplus_node.config import plan, read_config
 from eplus_node.node import Node
@@ -23,7 +24,7 @@ def _end_with_owner() -> None:
     os.kill(os.getpid(), signal.SIGTERM)
 
 
-def _say(**what: str) -> None:
+def _say(**what: Any) -> None:
     try:
         print(json.dumps(what), flush=True)
     except BrokenPipeError:
@@ -47,7 +48,7 @@ def main() -> int:
             _say(ready=config.name)
             return 0
         with Node(config) as node:
-            _say(ready=config.name)
+            _say(ready=config.name, manifest=node.manifest.model_dump(mode="json"))
             node.serve()
     except ZenostatError as error:
         _say(**to_wire(error))

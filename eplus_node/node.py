@@ -30,6 +30,7 @@ from eplus_node.link import EngineLink, Run
 from eplus_node.outlets import Outlets
 from models import energyplus
 from models.episode import Draw, Draws, Episodes, Source, series
+from models.scenario import dump
 from models.weather import find_column
 from topics import VERSION, codec, errors, keys
 from topics.errors import NameTaken, SimulatorError
@@ -44,6 +45,7 @@ from topics.messages import (
     Mode,
     Policy,
     Reset,
+    ScenarioText,
     State,
     Status,
     Stop,
@@ -155,6 +157,8 @@ class Node:
         inlets.watch(keys.CONTROLLER_TOKEN, lambda who: self._tell(self.exchange.left(who)))
         inlets.answer(keys.MANIFEST, lambda: codec.encode(self.manifest))
         inlets.answer(keys.SAMPLE, lambda: self._latest)
+        scenario = codec.encode(ScenarioText(text=dump(self.plan.scenario)))
+        inlets.answer(keys.SCENARIO, lambda: scenario)
         inlets.answer(keys.STATUS, lambda: codec.encode(self.status()))
         inlets.request(keys.CLAIM, Claim, self._claim)
         inlets.request(keys.RESET, Reset, self._reset)
@@ -377,7 +381,13 @@ class Node:
             self._prepare()
         # The answer goes out before the start, which takes seconds in large buildings.
         self._inlets.shelve(lambda: self._restart(ready=ready, source=reset.controller))
-        return Accepted(episode=self.exchange.episode, fresh=ready, weather=self._source.name, drawn=self._files.drawn)
+        return Accepted(
+            episode=self.exchange.episode,
+            fresh=ready,
+            weather=self._source.name,
+            drawn=self._files.drawn,
+            outputs=str(self._files.model.parent) if self.config.keep else "",
+        )
 
     def _next_draw(self, seed: int | None) -> Draw:
         """The weather of the next episode; that of the first one is drawn already, unless a seed begins anew."""

@@ -5,7 +5,7 @@ Each field is also an argument of `gym.make("zenostat/Scenario-v1", ...)` and of
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -77,6 +77,23 @@ class ChoiceSpec(_Part):
     values: Annotated[tuple[tuple[Number, ...], ...], Field(min_length=1)]
 
 
+class LimitSpec(_Part):
+    """Ends an episode when one of the points has been outside the range for `for_h` hours without a break."""
+
+    points: Annotated[tuple[SafeName, ...], Field(min_length=1)]
+    low: Number | None = None
+    high: Number | None = None
+    for_h: Annotated[float, Field(ge=0, strict=True)] = 0.0
+
+    @model_validator(mode="after")
+    def _a_range(self) -> LimitSpec:
+        if self.low is None and self.high is None:
+            raise ValueError("a limit needs a low or a high")
+        if self.low is not None and self.high is not None and not self.low < self.high:
+            raise ValueError(f"low {self.low:g} is not below high {self.high:g}")
+        return self
+
+
 def _listed(form: type[_Part]) -> BeforeValidator:
     """Takes a list in the order of the fields as well: `[Zone Air Temperature, Core_ZN]`."""
     names = list(form.model_fields)
@@ -136,6 +153,8 @@ class Scenario(_Part):
             discrete; `building`: one pair of setpoints for all thermostats.
         discrete: choices, or the number of equal steps from the widest to the tightest setpoints; None: continuous.
         reward: its kind and parameters; None: 0.
+        terminate: limits that end an episode before its time.
+        wrappers: of the environment, by name with their arguments, the innermost first.
     """
 
     id: str = ""
@@ -158,6 +177,8 @@ class Scenario(_Part):
     control: Control = "point"
     discrete: Discrete | None = None
     reward: dict[str, Any] | None = Field(default_factory=lambda: {"kind": "linear"})
+    terminate: tuple[LimitSpec, ...] = ()
+    wrappers: tuple[dict[str, Any], ...] = ()
 
     @model_validator(mode="after")
     def _time_fields_once(self) -> Scenario:
@@ -194,10 +215,10 @@ def load_scenario(path: Path) -> Scenario:
 
 
 def beside(given: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """`given` with the paths of its building and weather made absolute; they are relative to `folder`."""
+    """`given` with the paths of its files made absolute; they are relative to `folder`."""
 
     def found(text: Any) -> Any:
-        if not isinstance(text, str) or Path(text).suffix.lower() not in (*MODEL_SUFFIXES, *WEATHER_SUFFIXES):
+        if not isinstance(text, str) or Path(text).suffix.lower() not in (*MODEL_SUFFIXES, *WEATHER_SUFFIXES, ".csv"):
             return text
         try:
             return str((folder / Path(text).expanduser()).resolve())
@@ -210,7 +231,14 @@ def beside(given: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     if "weather" in result:
         weather = result["weather"]
         result["weather"] = [found(w) for w in weather] if isinstance(weather, list | tuple) else found(weather)
+    if isinstance(reward := result.get("reward"), Mapping):
+        result["reward"] = {name: _signal(value, found) for name, value in reward.items()}
     return result
+
+
+def _signal(value: Any, found: Callable[[Any], Any]) -> Any:
+    """A price or an intensity from a file, with its path."""
+    return {**value, "csv": found(value["csv"])} if isinstance(value, Mapping) and "csv" in value else value
 
 
 def dump(scenario: Scenario) -> str:

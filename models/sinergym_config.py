@@ -16,6 +16,7 @@ from models.fields import Fields
 from models.literals import Box, Space, Table, space
 from models.scenario import ActionSpec, ActuatorSpec, ChoiceSpec, Scenario, SensorSpec, read_scenario
 from models.sinergym_choices import choice_specs
+from models.sinergym_rewards import RewardReader
 from models.variability import Noise
 from models.weather import find_column
 from topics.codec import explain
@@ -35,15 +36,6 @@ OPTIONAL = ("actuators", "meters", "context", "time_variables", "building_config
 IGNORED = ("max_ep_store", "initial_context")
 """How many folders Sinergym keeps, and values for actuators that no action sets: settings of its program."""
 
-LINEAR = "sinergym.utils.rewards:LinearReward"
-_REWARD_NAMES = {"temperature_variables": "temperatures", "energy_variables": "power"}
-_REWARD_BANDS = {"range_comfort_winter": "winter", "range_comfort_summer": "summer"}
-_REWARD_DAYS = {"summer_start": ("summer_begin", [6, 1]), "summer_final": ("summer_end", [9, 30])}
-_REWARD_NUMBERS = {
-    "energy_weight": ("weight", 0.5),
-    "lambda_energy": ("lambda_energy", 1.0),
-    "lambda_temperature": ("lambda_temperature", 1.0),
-}
 _RUN_PERIOD = "[day, month, year, day, month, year]"
 
 
@@ -366,42 +358,4 @@ class Reader(Fields):
         return found
 
     def _reward(self) -> dict[str, Any]:
-        kind = self.given.get("reward")
-        if kind is not None and kind != LINEAR:
-            self.fault(f"reward: {kind!r} is not known here; what is known: {LINEAR!r}")
-        given = self.mapping("reward_kwargs")
-        if kind != LINEAR or self.given.get("reward_kwargs") is None:
-            return {}
-        self.known(given, (*_REWARD_NAMES, *_REWARD_BANDS, *_REWARD_DAYS, *_REWARD_NUMBERS), "reward_kwargs: ")
-        found: dict[str, Any] = {"kind": "linear"}
-        for name, (ours, default) in _REWARD_NUMBERS.items():
-            found[ours] = self.number(given.get(name, default), f"reward_kwargs.{name}")
-        if not 0 <= found["weight"] <= 1:
-            self.fault(f"reward_kwargs.energy_weight: 0 to 1 expected, got {found['weight']:g}")
-        for name, ours in _REWARD_BANDS.items():
-            low, high = self.pair(given.get(name), f"reward_kwargs.{name}")
-            found[ours] = [low, high]
-            if not low < high:
-                self.fault(f"reward_kwargs.{name}: [low, high] expected, got [{low:g}, {high:g}]")
-        for name, (ours, usual) in _REWARD_DAYS.items():
-            found[ours] = self._month_day(given.get(name, usual), f"reward_kwargs.{name}")
-        for name, ours in _REWARD_NAMES.items():
-            found[ours] = self._observed(given.get(name), f"reward_kwargs.{name}")
-        return found
-
-    def _month_day(self, given: Any, where: str) -> list[int]:
-        try:
-            month, day = given
-            date(2000, month, day)
-        except (TypeError, ValueError) as error:
-            self.fault(f"{where}: [month, day] expected, got {given!r} ({error})")
-            return [1, 1]
-        return [month, day]
-
-    def _observed(self, given: Any, where: str) -> list[str]:
-        """Names of observations, as they are called here."""
-        names = self.texts(given, where)
-        for name in names:
-            if name not in self.renamed:
-                self.fault(f"{where}: no variable or meter is called {name!r}; {near(name, self.renamed)}")
-        return [self.renamed.get(name, name) for name in names]
+        return RewardReader(self, self.path, self.renamed, PACK).read()

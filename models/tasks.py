@@ -11,7 +11,7 @@ from models.points import THERMOSTAT, Points
 from models.scenario import Scenario
 from topics.errors import InvalidConfig, near
 from topics.keys import check_name, safe
-from topics.messages import Action, Actuator, Choice, Task
+from topics.messages import Action, Actuator, Choice, Limit, Task
 
 T = TypeVar("T")
 
@@ -35,9 +35,25 @@ def task_of(scenario: Scenario, points: Points) -> Task:
         choices = tuple(Choice(actions=c.actions, values=c.values) for c in scenario.discrete)
         faulty = set(scenario.actions or ()) - {a.name for a in actions}
         faults += _choice_faults(choices, actions, faulty)
+    names = [sensor.name for sensor in points.sensors] + [meter.name for meter in points.meters]
+    for number, limit in enumerate(scenario.terminate):
+        for name in limit.points:
+            if name not in names:
+                faults.append(f"terminate.{number}: there is no sensor or meter {name!r}; {near(name, names)}")
     if faults:
         raise InvalidConfig("\n".join(faults))
-    return Task(scenario=scenario.id, time=scenario.time, actions=actions, choices=choices, reward=scenario.reward)
+    return Task(
+        scenario=scenario.id,
+        time=scenario.time,
+        actions=actions,
+        choices=choices,
+        reward=scenario.reward,
+        terminate=tuple(
+            Limit(points=limit.points, low=limit.low, high=limit.high, for_s=3600.0 * limit.for_h)
+            for limit in scenario.terminate
+        ),
+        wrappers=scenario.wrappers,
+    )
 
 
 def _found(scenario: Scenario, actuators: Sequence[Actuator], faults: list[str]) -> tuple[Action, ...]:

@@ -91,7 +91,7 @@ class NodeProgram:
         said = json.loads(line)
         if "error" in said:
             raise from_wire(said)
-        assert said == {"ready": self.name}
+        assert said["ready"] == self.name
 
     def __enter__(self) -> NodeProgram:
         return self

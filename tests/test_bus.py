@@ -242,6 +242,7 @@ def test_a_higher_level_rules_until_it_is_released(bus: agent_sdk.Bus, second_bu
 
 
 def test_a_second_claim_of_a_level_names_the_holder(bus: agent_sdk.Bus, second_bus: agent_sdk.Bus) -> None:
+    until(lambda: bus.controllers() == [], "those of other tests have gone")
     with bus.controller("office", name="holder") as holder:
         with pytest.raises(Refused, match=f"level 10 of .* is claimed by '{holder.name}'; claim another level"):
             second_bus.controller("office", name="late")

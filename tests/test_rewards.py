@@ -56,24 +56,25 @@ def values(north: float, south: float, power_w: float) -> np.ndarray[Any, np.dty
 def test_the_hand_and_the_reward_agree(
     north: float, south: float, power_w: float, begin: datetime, reward: float
 ) -> None:
-    got, _ = LinearReward().bind(NODE)(values(north, south, power_w), begin)
-    assert got == pytest.approx(reward, abs=1e-12)
+    got = LinearReward().bind(NODE)(values(north, south, power_w), begin)
+    assert got.reward == pytest.approx(reward, abs=1e-12)
 
 
-def test_the_terms_say_what_the_reward_is_made_of() -> None:
-    _, terms = LinearReward().bind(NODE)(values(25.0, 18.0, 2000.0), WINTER)
-    assert terms == pytest.approx({"energy": -0.1, "comfort": -1.75, "power_w": 2000.0, "degrees_outside": 3.5})
+def test_terms_and_measures_say_what_the_reward_is_made_of() -> None:
+    got = LinearReward().bind(NODE)(values(25.0, 18.0, 2000.0), WINTER)
+    assert got.terms == pytest.approx({"energy": -0.1, "comfort": -1.75})
+    assert got.measures == pytest.approx({"power_w": 2000.0, "degrees_outside": 3.5})
 
 
 @pytest.mark.parametrize(("weight", "reward"), [(0.0, -3.0), (1.0, -0.1), (0.25, -0.025 - 2.25)])
 def test_the_weight_is_that_of_energy(weight: float, reward: float) -> None:
-    got, _ = LinearReward(weight=weight).bind(NODE)(values(17.0, 22.0, 1000.0), WINTER)
-    assert got == pytest.approx(reward)
+    got = LinearReward(weight=weight).bind(NODE)(values(17.0, 22.0, 1000.0), WINTER)
+    assert got.reward == pytest.approx(reward)
 
 
 def test_the_factors_scale_their_terms() -> None:
     bound = LinearReward(lambda_energy=2e-4, lambda_temperature=3.0).bind(NODE)
-    _, terms = bound(values(19.0, 22.0, 1000.0), WINTER)
+    terms = bound(values(19.0, 22.0, 1000.0), WINTER).terms
     assert (terms["energy"], terms["comfort"]) == pytest.approx((-0.1, -1.5))
 
 
@@ -126,10 +127,10 @@ def test_the_year_and_the_hour_do_not_matter(moment: datetime, spans: bool) -> N
 
 
 def test_one_sample_gives_one_number() -> None:
-    reward, terms = LinearReward().bind(NODE)(values(21.0, 22.0, 1000.0), WINTER)
+    reward, terms, measures = LinearReward().bind(NODE)(values(21.0, 22.0, 1000.0), WINTER)
     assert np.ndim(reward) == 0
     assert isinstance(float(reward), float)
-    assert all(np.ndim(term) == 0 for term in terms.values())
+    assert all(np.ndim(term) == 0 for term in (*terms.values(), *measures.values()))
 
 
 finite = st.floats(-1e6, 1e6)
@@ -141,9 +142,9 @@ def test_the_reward_has_the_leading_shape_and_is_that_of_each_sample(
     batch: np.ndarray[Any, Any], begin: datetime, weight: float
 ) -> None:
     bound = LinearReward(weight=weight).bind(NODE)
-    reward, terms = bound(batch, begin)
+    reward, terms, measures = bound(batch, begin)
     assert reward.shape == batch.shape[:-1]
-    assert all(term.shape == batch.shape[:-1] for term in terms.values())
+    assert all(term.shape == batch.shape[:-1] for term in (*terms.values(), *measures.values()))
     for index in np.ndindex(batch.shape[:-1]):
         assert bound(batch[index], begin)[0] == pytest.approx(reward[index])
 
@@ -152,11 +153,11 @@ def test_the_reward_has_the_leading_shape_and_is_that_of_each_sample(
 def test_the_reward_is_the_sum_of_its_terms_and_none_is_positive(
     north: float, south: float, power_w: float, begin: datetime, weight: float
 ) -> None:
-    reward, terms = LinearReward(weight=weight).bind(NODE)(values(north, south, power_w), begin)
+    reward, terms, measures = LinearReward(weight=weight).bind(NODE)(values(north, south, power_w), begin)
     assert reward == terms["energy"] + terms["comfort"]
     assert terms["energy"] <= 0.0
     assert terms["comfort"] <= 0.0
-    assert terms["degrees_outside"] >= 0.0
+    assert measures["degrees_outside"] >= 0.0
 
 
 @given(finite, st.floats(0, 10))
@@ -178,8 +179,8 @@ def test_several_powers_are_added_up() -> None:
     node = manifest(sensors=[sensor("fans", "Fan Electricity Rate", unit="W"), *NODE.sensors])
     sample = np.array([700.0, *values(21.0, 22.0, 1000.0)[:-1]])
     for named, watts in (("fans", 700.0), (["fans"], 700.0), (("power", "fans"), 1700.0)):
-        reward, terms = LinearReward(power=named).bind(node)(sample, WINTER)
-        assert terms["power_w"] == pytest.approx(watts)
+        reward, _, measures = LinearReward(power=named).bind(node)(sample, WINTER)
+        assert measures["power_w"] == pytest.approx(watts)
         assert reward == pytest.approx(-0.5 * 1e-4 * watts)
 
 

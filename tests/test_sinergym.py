@@ -6,6 +6,7 @@ import ast
 import re
 import textwrap
 import time
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import pytest
 import yaml
 from packs import sinergym
 
+from agent_sdk.rewards import read_reward
 from models import sinergym as reader
 from models.catalog import find_building, find_weather
 from models.literals import Box, Discrete, MultiDiscrete, Offsets, Rows, space, table
@@ -416,7 +418,7 @@ def test_all_faults_of_a_file_are_said_at_once(own, tmp_path, monkeypatch):
         action_space="Box(low=np.array([15]), high=np.array([10]))",
         action_space_discrete="Discrete(0)",
         only_discrete="perhaps",
-        reward="sinergym.utils.rewards:ExpReward",
+        reward="sinergym.utils.rewards:BestReward",
     )
     with pytest.raises(InvalidConfig) as raised:
         scenarios_of(path)
@@ -444,8 +446,8 @@ def test_all_faults_of_a_file_are_said_at_once(own, tmp_path, monkeypatch):
         "action_space: a Box whose low is below its high, not 15 to 10 expected",
         "action_space_discrete: Discrete(n) with a whole number of choices expected, got 'Discrete(0)'",
         "only_discrete: true or false expected, got 'perhaps'",
-        "reward: 'sinergym.utils.rewards:ExpReward' is not known here; what is known: "
-        "'sinergym.utils.rewards:LinearReward'",
+        "reward: 'sinergym.utils.rewards:BestReward' is not known here; what is known: "
+        "'sinergym.utils.rewards:LinearReward', 'sinergym.utils.rewards:ExpReward', ",
     ):
         assert any(expected in fault for fault in faults), (expected, faults)
 
@@ -475,6 +477,114 @@ def test_faults_of_the_reward_are_said_at_once(own):
         "reward_kwargs: unknown setting 'lambda_temprature'; near names: 'lambda_temperature'",
     ):
         assert expected in str(raised.value)
+
+
+# Rewards
+
+ZONES = {
+    "temperature_variables": ["room_1_air_temperature", "attic:north_air_temperature"],
+    "range_comfort_winter": [20, 23.5],
+    "range_comfort_summer": [23, 26],
+}
+ENERGY = {"energy_variables": ["power"]}
+WEIGHTS = {"weight": 0.5, "lambda_energy": 1.0, "lambda_temperature": 1.0}
+SEASONS = {"winter": [20.0, 23.5], "summer": [23.0, 26.0], "summer_begin": [6, 1], "summer_end": [9, 30]}
+ROOMS = ["room_1_air_temperature", "attic_north_air_temperature"]
+BANDED = {**SEASONS, "temperatures": ROOMS, "power": ["power"]}
+REWARDS: dict[str, tuple[str, dict[str, Any], dict[str, Any]]] = {
+    "linear": ("LinearReward", ZONES | ENERGY, {"kind": "linear", **WEIGHTS, **BANDED}),
+    "exponential": (
+        "ExpReward", ZONES | ENERGY | {"energy_weight": 0.25, "lambda_energy": 1e-4, "summer_start": [5, 1]},
+        {"kind": "exponential", **WEIGHTS, "weight": 0.25, "lambda_energy": 1e-4, **BANDED, "summer_begin": [5, 1]},
+    ),
+    "hourly": (
+        "HourlyLinearReward", ZONES | ENERGY,
+        {"kind": "hourly", **WEIGHTS, "weight_outside": 1.0, "hours": [9, 20], **BANDED},
+    ),
+    "hourly to midnight": (
+        "HourlyLinearReward", ZONES | ENERGY | {"default_energy_weight": 0.75, "range_comfort_hours": [7, 23]},
+        {"kind": "hourly", **WEIGHTS, "weight": 0.75, "weight_outside": 1.0, "hours": [7, 24], **BANDED},
+    ),
+    "normalised": (
+        "NormalizedLinearReward", ZONES | ENERGY,
+        {"kind": "normalised", "weight": 0.5, "max_power_w": 8.0, "max_degrees": 12.0, **BANDED},
+    ),
+    "normalised from nothing": (
+        "NormalizedLinearReward", ZONES | ENERGY | {"max_energy_penalty": 0, "max_comfort_penalty": 3},
+        {"kind": "normalised", "weight": 0.5, "max_power_w": None, "max_degrees": 3.0, **BANDED},
+    ),
+    "multi-zone": (
+        "MultiZoneReward",
+        ENERGY | {"temperature_and_setpoints_conf": dict.fromkeys(ZONES["temperature_variables"], "setpoint:1"),
+                  "comfort_threshold": 1},
+        {"kind": "multi_zone", **WEIGHTS, "threshold": 1.0, "zones": dict.fromkeys(ROOMS, "setpoint_1"),
+         "power": ["power"]},
+    ),
+}  # fmt: skip
+SETPOINT = "variables: {Zone Thermostat Heating Setpoint Temperature: {variable_names: ['setpoint:1'], keys: [Room 1]}}"
+
+
+def rewarded(own: Any, kind: str, kwargs: dict[str, Any]) -> Path:
+    """A user's file with this reward, and a setpoint to observe."""
+    variables = yaml.safe_load(textwrap.dedent(OWN))["variables"] | yaml.safe_load(SETPOINT)["variables"]
+    return own(
+        yaml.safe_dump({"variables": variables}), reward=f"sinergym.utils.rewards:{kind}",
+        reward_kwargs=yaml.safe_dump(kwargs),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("kind", "kwargs", "ours"), REWARDS.values(), ids=REWARDS)
+def test_a_reward_of_sinergym_is_one_of_ours(own, kind, kwargs, ours):
+    (scenario,) = scenarios_of(rewarded(own, kind, kwargs)).values()
+    assert scenario.reward == ours
+    read = read_reward(scenario.reward)
+    assert read.kind == ours["kind"]
+
+
+def test_the_cost_of_energy_has_a_file_of_prices(own, tmp_path):
+    (tmp_path / "prices.csv").write_text("value\n")
+    kwargs = ZONES | ENERGY | {"energy_cost_variables": ["energy_cost"], "energy_cost_data_path": "prices.csv"}
+    (scenario,) = scenarios_of(rewarded(own, "EnergyCostLinearReward", kwargs | {"energy_weight": 0.3})).values()
+    price = {"csv": str(tmp_path / "prices.csv"), "column": "value", "unit": "EUR/MWh", "delimiter": ";"}
+    assert scenario.reward == {
+        "kind": "energy_cost", **WEIGHTS, "weight": 0.3, "weight_temperature": 0.4, "lambda_cost": 1.0, "price": price,
+        **SEASONS, "temperatures": ROOMS, "energy": ["power"],
+    }  # fmt: skip
+    assert read_reward(scenario.reward).kind == "energy_cost"
+
+
+def test_the_packs_prices_go_by_their_name(own):
+    name = "PVPC_active_energy_billing_Iberian_Peninsula_2023.csv"
+    path = sinergym() / "sinergym" / "data" / "energy_cost" / name
+    kwargs = ZONES | ENERGY | {"energy_cost_data_path": name}
+    (scenario,) = scenarios_of(rewarded(own, "EnergyCostLinearReward", kwargs)).values()
+    assert scenario.reward["price"]["csv"] == str(path)
+    assert read_reward(scenario.reward).price.at(datetime(2017, 1, 1)) == 41.45
+
+
+WRONG: dict[str, tuple[str, dict[str, Any], str]] = {
+    "no hours": ("HourlyLinearReward", {"range_comfort_hours": [19, 9]}, r"range_comfort_hours: \[first, last\] of"),
+    "half hours": ("HourlyLinearReward", {"range_comfort_hours": [9.5, 19]}, "range_comfort_hours: "),
+    "a weight of linear": ("HourlyLinearReward", {"energy_weight": 0.5}, "near names: 'default_energy_weight'"),
+    "a factor": ("NormalizedLinearReward", {"lambda_energy": 1}, "unknown setting 'lambda_energy'"),
+    "a maximum below 0": ("NormalizedLinearReward", {"max_energy_penalty": -8}, "0 or more expected, got -8"),
+    "weights above 1": ("EnergyCostLinearReward", {"energy_weight": 0.7}, "are above 1 together"),
+    "no prices": ("EnergyCostLinearReward", {}, "energy_cost_data_path: the file of prices .* got None"),
+    "prices that are not there": ("EnergyCostLinearReward", {"energy_cost_data_path": "p.csv"}, "no file 'p.csv' besi"),
+    "no such variable": ("ExpReward", {"energy_variables": ["powr"]}, "called 'powr'; near names: 'power'"),
+    "a band upside down": ("ExpReward", {"range_comfort_winter": [24, 20]}, r"\[low, high\] expected"),
+    "no zones": ("MultiZoneReward", {}, "temperature_and_setpoints_conf: temperatures and their setpoints expected"),
+    "no such setpoint": ("MultiZoneReward", {"temperature_and_setpoints_conf": {"room_1_air_temperature": "setpont"}},
+                         "called 'setpont'; near names: 'setpoint:1'"),
+    "a threshold below 0": ("MultiZoneReward", {"comfort_threshold": -1}, "comfort_threshold: 0 or more expected"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("kind", "wrong", "words"), WRONG.values(), ids=WRONG)
+def test_a_reward_of_sinergym_that_cannot_be(own, kind, wrong, words):
+    kwargs = (ENERGY if kind == "MultiZoneReward" else ZONES | ENERGY) | wrong
+    with pytest.raises(InvalidConfig, match=words):
+        scenarios_of(rewarded(own, kind, kwargs))
 
 
 def test_an_empty_file_lacks_all_that_is_needed(tmp_path):

@@ -22,6 +22,7 @@ from topics.messages import (
     PointValue,
     Reset,
     Sample,
+    ScenarioText,
     Status,
     Stop,
     WeatherQuery,
@@ -77,6 +78,7 @@ CLAIM = Topic("rpc/claim", Role.CONTROLLER, Claim, Delivery.QUERY, reply=Accepte
 RESET = Topic("rpc/reset", Role.CONTROLLER, Reset, Delivery.QUERY, reply=Accepted)
 STOP = Topic("rpc/stop", Role.CONTROLLER, Stop, Delivery.QUERY, reply=Accepted)
 STATUS = Topic("rpc/status", Role.ANYONE, Ask, Delivery.QUERY, reply=Status)
+SCENARIO = Topic("rpc/scenario", Role.ANYONE, Ask, Delivery.QUERY, reply=ScenarioText)
 WEATHER = Topic("rpc/weather", Role.ANYONE, WeatherQuery, Delivery.QUERY, reply=WeatherSeries)
 NODE_TOKEN = Topic("@live/node/{name}", Role.NODE, None, Delivery.TOKEN)
 CONTROLLER_TOKEN = Topic("@live/controller/{name}", Role.CONTROLLER, None, Delivery.TOKEN)
@@ -93,6 +95,7 @@ TOPICS = (
     RESET,
     STOP,
     STATUS,
+    SCENARIO,
     WEATHER,
     NODE_TOKEN,
     CONTROLLER_TOKEN,

@@ -154,11 +154,21 @@ class Choice(Message):
     values: Annotated[tuple[tuple[float, ...], ...], Field(min_length=1)]
 
 
+class Limit(Message):
+    """An episode is terminated when one of the points has been outside the range for `for_s` without a break."""
+
+    points: Annotated[tuple[SafeName, ...], Field(min_length=1)]
+    low: float | None = None
+    high: float | None = None
+    for_s: Annotated[float, Field(ge=0)] = 0.0
+
+
 class Task(Message):
     """What an agent of this node observes besides its points, what it decides, and what it is rewarded for.
 
     With `choices` the action is discrete: one number for each of them. Without, it is a value for each of
-    `actions`. `reward` is a kind and its parameters, as `agent_sdk.rewards` reads them.
+    `actions`. `reward` is a kind and its parameters, as `agent_sdk.rewards` reads them; `wrappers` are names and
+    arguments, the innermost first, as `agent_sdk.wrappers` reads them.
     """
 
     scenario: str = ""
@@ -166,6 +176,8 @@ class Task(Message):
     actions: tuple[Action, ...] = ()
     choices: tuple[Choice, ...] = ()
     reward: dict[str, Any] | None = None
+    terminate: tuple[Limit, ...] = ()
+    wrappers: tuple[dict[str, Any], ...] = ()
 
 
 class Versions(Message):
@@ -337,21 +349,28 @@ class WeatherSeries(Message):
     values: bytes
 
 
+class ScenarioText(Message):
+    """The scenario that a node simulates, as a scenario file (YAML)."""
+
+    text: str
+
+
 class Ask(Message):
-    """A question without parameters (status)."""
+    """A question without parameters (status, scenario)."""
 
 
 class Accepted(Message):
     """The node took a request. `episode` is the one that is running or starting now.
 
-    After a reset, `weather` is the episode's weather file, and `drawn` the parameters of its variability, by
-    column (`dry_bulb_temperature.sigma`).
+    After a reset, `weather` is the episode's weather file, `drawn` the parameters of its variability, by
+    column (`dry_bulb_temperature.sigma`), and `outputs` the folder of EnergyPlus's own files, if they are kept.
     """
 
     episode: list[Count]
     fresh: bool = False
     weather: str = ""
     drawn: dict[str, float] = Field(default_factory=dict)
+    outputs: str = ""
 
 
 class Denied(Message):

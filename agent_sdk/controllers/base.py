@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from typing import Protocol
 
 from agent_sdk.sample import SampleView
 from topics.messages import Manifest
@@ -11,11 +12,18 @@ Values = dict[str, float | None]
 """Actuator to value in its unit; None releases it; one that is not named stays as it is."""
 
 
+class Acts(Protocol):
+    """All that a class of anybody's needs to be a controller; it is made with the node's manifest."""
+
+    def act(self, sample: SampleView) -> Values:
+        """The answer to a sample; it rules the next timestep."""
+
+
 class Controller(ABC):
     """A controller of one node.
 
     Args:
-        manifest: the node's points.
+        manifest: the node's points and task.
 
     Raises:
         InvalidConfig: the node lacks what this controller needs.
@@ -23,6 +31,9 @@ class Controller(ABC):
 
     def __init__(self, manifest: Manifest) -> None:
         self.manifest = manifest
+
+    def begin(self, sample: SampleView) -> None:  # noqa: B027  # most controllers remember nothing
+        """An episode begins at `sample`, or this controller joins it there: what was remembered is forgotten."""
 
     @abstractmethod
     def act(self, sample: SampleView) -> Values:

@@ -1,96 +1,101 @@
-"""Rules on comfort bands, for any building whose zones have thermostats."""
+"""Rules on comfort bands, for any building."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from datetime import datetime, timedelta
 
+import numpy as np
+from numpy.typing import NDArray
+
 from agent_sdk.controllers.base import Controller, Values
-from agent_sdk.rewards import LinearReward
+from agent_sdk.controllers.comfort import comfort_bands
+from agent_sdk.controllers.parameters import number
+from agent_sdk.controllers.parts import SETPOINTS, Part, Role, parts_of
+from agent_sdk.controllers.plant import PlantRules
 from agent_sdk.sample import SampleView
 from topics.errors import InvalidConfig
-from topics.messages import Actuator, Manifest
+from topics.messages import Manifest
 
-THERMOSTAT = "zone temperature control"
-OCCUPANTS = "zone people occupant count"
-
-MARGIN_K = 0.3
-SETBACK_K = 6.0
-LEAD = timedelta(hours=1)
 OPEN_HOURS = range(6, 22)
 
 
-@dataclass(frozen=True, slots=True)
-class _Zone:
-    """A zone's thermostat and, where it is measured, its occupancy."""
-
-    heating: Actuator | None
-    cooling: Actuator | None
-    occupants: str | None
-
-
 class ComfortBandRules(Controller):
-    """Keeps zones within the season's comfort band while they are in use, and sets them back else.
+    """Keeps zones within the day's comfort band while they are in use, and sets them back else.
 
-    In use, the setpoints are the ends of the band, 0.3 K inside; else they lie 6 K outside, as far as the
-    actuators' bounds allow. A zone is in use while people are in it, or (where that is not measured) from 6 to 22
-    o'clock; it is brought back an hour before the hour at which people came the day before.
+    In use, the setpoints are the ends of the band, `margin` inside; else they lie `setback` outside, as far as the
+    actions' bounds allow. Zones are in use while people are in one of them; those whose people are not measured
+    follow the other zones; where nobody's are, all are always in use. Zones are brought back `lead` before the hour
+    at which people came the day before; until people were seen the first time, from 6 to 22 o'clock.
 
-    The bands are those of `LinearReward`: 20 to 23.5 degC, and 23 to 26 degC from 1 June to 30 September.
+    Water temperatures, availabilities and storage: see `PlantRules`. Actions that are nothing of that stay as they
+    are.
+
+    Args:
+        manifest: of the node.
+        low: lower end of the comfort band, degC; None: that of the task's reward, or of `LinearReward`.
+        high: its upper end.
+        margin: K.
+        setback: K.
+        lead: h, 0 to 23.
+
+    Raises:
+        InvalidConfig: nothing in the task that these rules know, or a parameter that cannot be.
     """
 
-    def __init__(self, manifest: Manifest) -> None:
+    def __init__(
+        self,
+        manifest: Manifest,
+        *,
+        low: float | None = None,
+        high: float | None = None,
+        margin: float = 0.3,
+        setback: float = 6.0,
+        lead: float = 1.0,
+    ) -> None:
         super().__init__(manifest)
-        self._band = LinearReward().band
-        self._zones = _zones(manifest)
-        self._came: list[datetime | None] = [None] * len(self._zones)
+        self._band = comfort_bands(manifest, low, high)
+        self._margin_k = number("margin", margin, least=0.0)
+        self._setback_k = number("setback", setback, least=0.0)
+        self._lead = timedelta(hours=number("lead", lead, least=0.0, most=23.0))
+        self._parts = tuple(p for p in parts_of(manifest) if p.role is not Role.OTHER)
+        if not self._parts:
+            raise InvalidConfig(
+                f"the rule-based controller needs an action that sets a heating or cooling setpoint, a water "
+                f"temperature, an availability or a storage; node {manifest.node!r} has none"
+            )
         self._step = timedelta(hours=1 / manifest.steps_per_hour)
+        self._plant = PlantRules(self._margin_k)
+        self._came: dict[tuple[int, ...], datetime] = {}
+
+    def begin(self, sample: SampleView) -> None:  # noqa: ARG002
+        """Forgets when people came, and which switches are on."""
+        self._came.clear()
+        self._plant.begin()
 
     def act(self, sample: SampleView) -> Values:
-        """Setpoints for the timestep that begins at `sample.time`."""
-        now = sample.time
-        low, high = self._band(now)
+        """Values for the timestep that begins at `sample.time`."""
+        now, measured = sample.time, sample.values
+        band = self._band(now)
+        low, high = band
+        margin = min(self._margin_k, (high - low) / 2)
         values: Values = {}
-        for index, zone in enumerate(self._zones):
-            shift = MARGIN_K if self._in_use(index, zone, sample, now) else -SETBACK_K
-            if zone.heating:
-                values[zone.heating.name] = _within(zone.heating, low + shift)
-            if zone.cooling:
-                values[zone.cooling.name] = _within(zone.cooling, high - shift)
+        for part in self._parts:
+            if part.role in SETPOINTS:
+                shift = margin if self._in_use(part, measured, now) else -self._setback_k
+                values |= part.at(low + shift if part.role is Role.HEATING else high - shift)
+            else:
+                values |= self._plant.act(part, measured, band)
         return values
 
-    def _in_use(self, index: int, zone: _Zone, sample: SampleView, now: datetime) -> bool:
-        if zone.occupants is None:
-            return now.hour in OPEN_HOURS
-        if sample[zone.occupants] > 0.0:
-            came = self._came[index]
-            if came is None or came.date() != now.date():
-                self._came[index] = now - self._step
+    def _in_use(self, part: Part, measured: NDArray[np.float64], now: datetime) -> bool:
+        if not part.people:
             return True
-        came = self._came[index]
+        came = self._came.get(part.people)
+        if measured[list(part.people)].max() > 0.0:
+            if came is None or came.date() != now.date():
+                self._came[part.people] = now - self._step
+            return True
         if came is None:
             return now.hour in OPEN_HOURS  # nobody has been seen yet: comfort first
         back = came.replace(year=now.year, month=now.month, day=now.day)
-        return back - LEAD <= now < back + self._step and now.date() != came.date()
-
-
-def _within(actuator: Actuator, value: float) -> float:
-    low = value if actuator.low is None else max(value, actuator.low)
-    return low if actuator.high is None else min(low, actuator.high)
-
-
-def _zones(manifest: Manifest) -> list[_Zone]:
-    occupants = {s.key.casefold(): s.name for s in manifest.sensors if s.variable.casefold() == OCCUPANTS}
-    pairs: dict[str, dict[str, Actuator]] = {}
-    for actuator in manifest.actuators:
-        if actuator.component_type.casefold() == THERMOSTAT:
-            pairs.setdefault(actuator.key.casefold(), {})[actuator.control_type.casefold()] = actuator
-    if not pairs:
-        raise InvalidConfig(
-            f"the rule-based controller needs thermostat setpoints ('Zone Temperature Control'); node "
-            f"{manifest.node!r} has none among its actuators"
-        )
-    return [
-        _Zone(pair.get("heating setpoint"), pair.get("cooling setpoint"), occupants.get(key))
-        for key, pair in pairs.items()
-    ]
+        return back - self._lead <= now < back + self._step and now.date() != came.date()

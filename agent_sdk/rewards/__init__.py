@@ -3,27 +3,74 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, cast
 
 from pydantic import ValidationError
 
-from agent_sdk.rewards.base import BoundReward, Reward
+from agent_sdk.rewards.base import BoundReward, Outcome, Reward
+from agent_sdk.rewards.carbon import CarbonReward
+from agent_sdk.rewards.energy_cost import EnergyCostReward, TariffReward
+from agent_sdk.rewards.exponential import ExponentialReward
+from agent_sdk.rewards.hourly import HourlyReward
+from agent_sdk.rewards.kind import Kind
 from agent_sdk.rewards.linear import LinearReward
+from agent_sdk.rewards.multi_zone import MultiZoneReward
+from agent_sdk.rewards.normalised import NormalisedReward
+from agent_sdk.rewards.occupied import OccupiedReward
+from agent_sdk.rewards.own import RewardFunction, made, of_function
+from agent_sdk.rewards.peak import PeakReward
+from agent_sdk.rewards.thermal_sensation import ThermalSensationReward
 from topics.codec import explain
 from topics.errors import InvalidConfig, near
 
-__all__ = ["REWARDS", "BoundReward", "LinearReward", "Reward", "read_reward"]
+__all__ = [
+    "REWARDS", "AnyReward", "BoundReward", "CarbonReward", "EnergyCostReward", "ExponentialReward", "HourlyReward",
+    "Kind", "LinearReward", "MultiZoneReward", "NormalisedReward", "OccupiedReward", "Outcome", "PeakReward", "Reward",
+    "RewardFunction", "TariffReward", "ThermalSensationReward", "of_function", "read_reward",
+]  # fmt: skip
 
-REWARDS: dict[str, type[LinearReward]] = {"linear": LinearReward}
+REWARDS: dict[str, type[Kind]] = {
+    "linear": LinearReward,
+    "exponential": ExponentialReward,
+    "hourly": HourlyReward,
+    "normalised": NormalisedReward,
+    "multi_zone": MultiZoneReward,
+    "energy_cost": EnergyCostReward,
+    "tariff": TariffReward,
+    "carbon": CarbonReward,
+    "peak": PeakReward,
+    "occupied": OccupiedReward,
+    "thermal_sensation": ThermalSensationReward,
+}
 """By the `kind` that a scenario names."""
 
+AnyReward = Reward | RewardFunction | type | Mapping[str, Any] | str
+"""What `read_reward` takes."""
 
-def read_reward(given: Mapping[str, Any] | str) -> Reward:
-    """The reward of a scenario: its kind alone, or `{"kind": "linear", "weight": 0.3}`.
+
+def read_reward(given: AnyReward) -> Reward:
+    """What a user or a scenario names, as a reward.
+
+    Args:
+        given: a kind alone, or one with its parameters (`{"kind": "linear", "weight": 0.3}`); an object that can be
+            bound, which is taken as it is; a function or a class of the user's, see `of_function`.
 
     Raises:
-        InvalidConfig: no such kind, or parameters that cannot be; all faults at once.
+        InvalidConfig: no such kind, or parameters that cannot be, all faults at once; or nothing of all that.
     """
+    if isinstance(given, str | Mapping):
+        return _read(given)
+    if hasattr(given, "bind"):
+        return cast("Reward", made(given) if isinstance(given, type) else given)
+    if callable(given):
+        return of_function(given)
+    raise InvalidConfig(
+        f"reward: a kind ({', '.join(REWARDS)}), a kind with its parameters, an object that can be bound or a function "
+        f"of (values, begin) expected, got {given!r}"
+    )
+
+
+def _read(given: Mapping[str, Any] | str) -> Reward:
     parameters = {"kind": given} if isinstance(given, str) else dict(given)
     kind = parameters.get("kind")
     if not isinstance(kind, str) or kind not in REWARDS:

@@ -1,0 +1,72 @@
+"""The same values all the time."""
+
+from __future__ import annotations
+
+from agent_sdk.controllers.base import Controller, Values
+from agent_sdk.controllers.comfort import Band, comfort_bands
+from agent_sdk.controllers.parameters import named
+from agent_sdk.controllers.parts import Part, Role, parts_of
+from agent_sdk.sample import SampleView
+from topics.errors import InvalidConfig
+from topics.messages import Manifest
+
+
+class FixedSetpoints(Controller):
+    """One value for each action.
+
+    Args:
+        manifest: of the node.
+        values: by the name of an action or an actuator, in its unit. What is not named: setpoints are the ends of
+            the day's comfort band (that of the task's reward, or of `LinearReward`) within the action's bounds,
+            availabilities are on, water temperatures stand in the middle of their bounds, storage is idle, and
+            other actions stay as they are.
+
+    Raises:
+        InvalidConfig: no such action or actuator, a value out of bounds, or a heating setpoint above the cooling
+            setpoint of the same zones.
+    """
+
+    def __init__(self, manifest: Manifest, **values: float) -> None:
+        super().__init__(manifest)
+        self._band = comfort_bands(manifest)
+        self._named = named(manifest, values)
+        self._parts = parts_of(manifest)
+        self._check_pairs()
+
+    def _check_pairs(self) -> None:
+        said: dict[Role, list[tuple[Part, float]]] = {Role.HEATING: [], Role.COOLING: []}
+        for part in self._parts:
+            if part.role in said:
+                found = [self._named[a] for a in part.action.actuators if a in self._named]
+                said[part.role] += [(part, max(found) if part.role is Role.HEATING else min(found))] if found else []
+        for heated, heating in said[Role.HEATING]:
+            for cooled, cooling in said[Role.COOLING]:
+                if heating > cooling and set(heated.temperatures) & set(cooled.temperatures):
+                    raise InvalidConfig(
+                        f"{heated.action.name} = {heating:g} lies above {cooled.action.name} = {cooling:g}; "
+                        f"EnergyPlus ends a run on that, so set the heating below the cooling"
+                    )
+
+    def act(self, sample: SampleView) -> Values:
+        """The values, and those of the day's band for the rest."""
+        band = self._band(sample.time)
+        values: Values = {}
+        for part in self._parts:
+            values |= default(part, band)
+        return values | self._named
+
+
+def default(part: Part, band: Band) -> Values:
+    """What an action is set to while nobody says otherwise; nothing if that is not known."""
+    low, high = part.action.low, part.action.high
+    if part.role is Role.HEATING:
+        return part.at(band[0])
+    if part.role is Role.COOLING:
+        return part.at(band[1])
+    if part.role is Role.SWITCH:
+        return part.at(1.0)
+    if part.role is Role.STORAGE:
+        return part.at(0.0)
+    if part.role in (Role.HOT_WATER, Role.COLD_WATER) and low is not None and high is not None:
+        return part.at((low + high) / 2)
+    return {}

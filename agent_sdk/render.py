@@ -1,0 +1,67 @@
+"""A picture of an environment's last day."""
+
+from __future__ import annotations
+
+from collections import deque
+from datetime import datetime, timedelta
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topics.errors import InvalidConfig
+from topics.messages import Manifest
+
+_DAY = timedelta(days=1)
+_SIZE_IN, _DPI = (9.6, 6.4), 100
+_MOST_LINES = 12
+
+
+class History:
+    """The samples of the last day, and their picture."""
+
+    def __init__(self, manifest: Manifest) -> None:
+        try:
+            import matplotlib.figure  # noqa: F401
+        except ImportError:
+            raise InvalidConfig("render_mode='rgb_array' needs matplotlib: pip install 'zenostat[plots]'") from None
+        self._manifest = manifest
+        units = [sensor.unit for sensor in manifest.sensors]
+        self._panels = {
+            "degC": [i for i, unit in enumerate(units) if unit == "degC"],
+            "W": [i for i, unit in enumerate(units) if unit == "W"],
+        }
+        self._rows: deque[tuple[datetime, NDArray[np.float64]]] = deque()
+
+    def clear(self) -> None:
+        """An episode begins."""
+        self._rows.clear()
+
+    def add(self, time: datetime, values: NDArray[np.float64]) -> None:
+        """A sample; those older than a day are let go."""
+        self._rows.append((time, values))
+        while time - self._rows[0][0] > _DAY:
+            self._rows.popleft()
+
+    def picture(self) -> NDArray[np.uint8]:
+        """Temperatures and powers over the last day, shape (640, 960, 3), 0 to 255."""
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+
+        figure = Figure(_SIZE_IN, _DPI, layout="constrained")
+        canvas: Any = FigureCanvasAgg(figure)
+        shown = {unit: columns for unit, columns in self._panels.items() if columns}
+        axes: Any = figure.subplots(max(len(shown), 1), 1, sharex=True, squeeze=False)
+        times = [time for time, _ in self._rows]
+        table = np.array([values for _, values in self._rows]).reshape(len(times), -1)
+        for (unit, columns), axis in zip(shown.items(), axes[:, 0], strict=False):
+            for column in columns[:_MOST_LINES]:
+                axis.plot(times, table[:, column], label=self._manifest.sensors[column].name, linewidth=1.2)
+            axis.set_ylabel(unit)
+            axis.grid(visible=True, alpha=0.3)
+            axis.legend(fontsize="x-small", loc="upper left", bbox_to_anchor=(1.0, 1.0))
+        title = f"{self._manifest.building}, {self._manifest.location}"
+        figure.suptitle(f"{title}: {times[-1]:%Y-%m-%d %H:%M}" if times else title, fontsize="medium")
+        figure.autofmt_xdate()
+        canvas.draw()
+        return np.asarray(canvas.buffer_rgba())[..., :3].copy()

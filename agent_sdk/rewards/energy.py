@@ -1,0 +1,111 @@
+"""The energy that a timestep used, and rewards on what it costs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from agent_sdk.rewards.kind import Names
+from agent_sdk.rewards.points import HVAC_POWER, indices, of_variables
+from agent_sdk.rewards.season import Banded, BandedBound
+from topics.errors import InvalidConfig, near
+from topics.messages import Manifest, Meter, Reading, Sensor
+
+J_PER_KWH = 3.6e6
+METERS = ("electricity:facility", "electricity:hvac")
+"""Those that are taken where nobody names one, the first that is there."""
+
+
+class Energy:
+    """The energy of a timestep in kWh.
+
+    Meters (and sensors of energy) in J are exact. A sensor in W counts as its value for the whole timestep: exact
+    where it reads the timestep's mean, an approximation where it is instant.
+
+    Args:
+        kind: the reward's.
+        names: meters and sensors, added up; None: the meter Electricity:Facility, else Electricity:HVAC, else the
+            sensor of the HVAC's electricity demand.
+        manifest: of the node.
+
+    Raises:
+        InvalidConfig: none of these, or something that is no energy.
+    """
+
+    def __init__(self, kind: str, names: Sequence[str] | None, manifest: Manifest) -> None:
+        found = _default(kind, manifest) if names is None else [_index(kind, name, manifest) for name in names]
+        units = [p.unit for p in _points(manifest)]
+        per_step = {"J": 1.0 / J_PER_KWH, "W": 1e-3 / manifest.steps_per_hour}
+        self._indices = indices(found)
+        self._kwh = np.array([per_step[units[i]] for i in found])
+        self.kw_per_kwh = float(manifest.steps_per_hour)
+        """Mean power in kW of a timestep that used 1 kWh."""
+
+    def kwh(self, values: NDArray[np.float64]) -> Any:
+        """Used in the timestep, kWh; of the leading shape of `values`."""
+        return np.add.reduce(values.take(self._indices, axis=-1) * self._kwh, axis=-1)
+
+
+def _points(manifest: Manifest) -> list[Sensor | Meter]:
+    return [*manifest.sensors, *manifest.meters]
+
+
+def _default(kind: str, manifest: Manifest) -> list[int]:
+    meters = {m.meter.casefold(): len(manifest.sensors) + i for i, m in enumerate(manifest.meters)}
+    for meter in METERS:
+        if meter in meters:
+            return [meters[meter]]
+    found = of_variables(manifest, HVAC_POWER.casefold())[:1]
+    if not found:
+        raise InvalidConfig(
+            f"the {kind} reward needs the energy that is used: name the meter 'Electricity:Facility' in meters=, or "
+            "name other meters (J) or power sensors (W) as the reward's `energy`"
+        )
+    return found
+
+
+def _index(kind: str, name: str, manifest: Manifest) -> int:
+    points = _points(manifest)
+    fit = [p.name for p in points if p.unit in ("J", "W")]
+    if name not in manifest.names:
+        raise InvalidConfig(f"the {kind} reward names {name!r}, which the node does not have; {near(name, fit)}")
+    place = manifest.names.index(name)
+    if name not in fit:
+        raise InvalidConfig(
+            f"the {kind} reward needs energy in J or power in W, which {name!r} is not ({points[place].unit}); "
+            f"{near(name, fit)}"
+        )
+    if place < len(manifest.sensors):
+        sensor = manifest.sensors[place]
+        if sensor.unit == "J" and sensor.reading is not Reading.SUM:
+            raise InvalidConfig(
+                f"the {kind} reward needs the energy of the whole timestep, and {name!r} reads {sensor.reading!s}: "
+                f"({sensor.variable!r}, {sensor.key!r}, 'sum') in sensors= reads all of it"
+            )
+    return place
+
+
+class Metered(Banded):
+    """Weighs something that goes by energy against comfort.
+
+    Attributes:
+        weight: w, that of the energy, 0 to 1.
+        lambda_temperature: 1/K.
+        energy: name or names of meters (J) or power sensors (W); see `Energy` for what is taken without.
+    """
+
+    weight: float = Field(0.5, ge=0.0, le=1.0)
+    lambda_temperature: float = Field(1.0, ge=0.0)
+    energy: Names | None = None
+
+
+class MeteredBound(BandedBound):
+    """Measures the energy as well."""
+
+    def __init__(self, of: Metered, manifest: Manifest) -> None:
+        super().__init__(of, manifest)
+        self._energy = Energy(of.kind, of.energy, manifest)

@@ -1,0 +1,129 @@
+"""Rewards on the energy bill."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, field_validator, model_validator
+
+from agent_sdk.rewards.base import Begin, BoundReward, Outcome
+from agent_sdk.rewards.energy import Metered, MeteredBound
+from agent_sdk.signals import AnySignal, HourTable, Number, Period, Price, Unit, per_kwh
+from topics.messages import Manifest
+
+
+class EnergyCostReward(Metered):
+    """Power, degrees outside the comfort band, and what the energy costs.
+
+        r = -w * lambda_energy * P - w_T * lambda_temperature * D - (1 - w - w_T) * lambda_cost * E * price
+        D = sum_z max(low - T_z, T_z - high, 0)
+
+    E is the timestep's energy in kWh, P its mean power in W, and the price that of the hour in which the timestep
+    began, in money per kWh. A price below zero gives a cost term above zero; all else is zero or below.
+
+    Source: Sinergym's `EnergyCostLinearReward`, whose cost is the price alone, whatever was used.
+
+    Terms: energy, comfort, cost. Measures: power_w, degrees_outside, energy_kwh, cost (in the price's money).
+
+    Attributes:
+        price: see `agent_sdk.signals`.
+        weight_temperature: w_T, 0 to 1; `weight` and it together are at most 1.
+        lambda_energy: 1/W.
+        lambda_cost: per unit of money.
+    """
+
+    kind: Literal["energy_cost"] = "energy_cost"
+    price: Price
+    weight: float = Field(0.4, ge=0.0, le=1.0)
+    weight_temperature: float = Field(0.4, ge=0.0, le=1.0)
+    lambda_energy: float = Field(1e-4, ge=0.0)
+    lambda_cost: float = Field(1.0, ge=0.0)
+
+    @model_validator(mode="after")
+    def _weights_fit(self) -> EnergyCostReward:
+        if self.weight + self.weight_temperature > 1.0 + 1e-9:
+            raise ValueError(f"weight and weight_temperature are {self.weight} and {self.weight_temperature}: above 1")
+        return self
+
+    def bind(self, manifest: Manifest) -> BoundReward:
+        """See `Reward.bind`."""
+        return _ThreeTerms(self, manifest)
+
+
+class _ThreeTerms(MeteredBound):
+    def __init__(self, of: EnergyCostReward, manifest: Manifest) -> None:
+        super().__init__(of, manifest)
+        self._price = _PerKwh(of.price)
+        self._of_power = -of.weight * of.lambda_energy
+        self._of_comfort = -of.weight_temperature * of.lambda_temperature
+        self._of_cost = -max(1.0 - of.weight - of.weight_temperature, 0.0) * of.lambda_cost
+
+    def __call__(self, values: NDArray[np.float64], begin: Begin) -> Outcome:
+        outside, kwh = self._degrees(values, begin), self._energy.kwh(values)
+        power_w, cost = kwh * self._energy.kw_per_kwh * 1e3, kwh * self._price.at(begin)
+        energy, comfort, money = self._of_power * power_w, self._of_comfort * outside, self._of_cost * cost
+        measures = {"power_w": power_w, "degrees_outside": outside, "energy_kwh": kwh, "cost": cost}
+        return Outcome(energy + comfort + money, {"energy": energy, "comfort": comfort, "cost": money}, measures)
+
+
+class TariffReward(Metered):
+    """The energy bill under a tariff by the time of use, and degrees outside the comfort band.
+
+        r = -w * lambda_cost * E * price - (1 - w) * lambda_temperature * sum_z max(low - T_z, T_z - high, 0)
+
+    E is the timestep's energy in kWh; the price is that of the first period that holds in the hour in which the
+    timestep began, else `otherwise`. Weekdays are those of simulated time.
+
+    Terms: cost, comfort. Measures: degrees_outside, energy_kwh, cost (in the price's money).
+
+    Attributes:
+        periods: of dearer or cheaper hours; see `agent_sdk.signals.Period`.
+        otherwise: the price in all other hours.
+        unit: of all these prices, as EUR/kWh.
+        lambda_cost: per unit of money.
+    """
+
+    kind: Literal["tariff"] = "tariff"
+    periods: Annotated[tuple[Period, ...], Field(min_length=1)]
+    otherwise: Number
+    unit: Unit
+    lambda_cost: float = Field(1.0, ge=0.0)
+
+    @field_validator("unit")
+    @classmethod
+    def _is_a_price(cls, unit: str) -> str:
+        per_kwh(unit)
+        return unit
+
+    def bind(self, manifest: Manifest) -> BoundReward:
+        """See `Reward.bind`."""
+        return _TwoTerms(self, manifest)
+
+
+class _TwoTerms(MeteredBound):
+    def __init__(self, of: TariffReward, manifest: Manifest) -> None:
+        super().__init__(of, manifest)
+        self._price = _PerKwh(HourTable(table=of.periods, otherwise=of.otherwise, unit=of.unit))
+        self._of_cost = -of.weight * of.lambda_cost
+        self._of_comfort = -(1.0 - of.weight) * of.lambda_temperature
+
+    def __call__(self, values: NDArray[np.float64], begin: Begin) -> Outcome:
+        outside, kwh = self._degrees(values, begin), self._energy.kwh(values)
+        cost = kwh * self._price.at(begin)
+        money, comfort = self._of_cost * cost, self._of_comfort * outside
+        measures = {"degrees_outside": outside, "energy_kwh": kwh, "cost": cost}
+        return Outcome(money + comfort, {"cost": money, "comfort": comfort}, measures)
+
+
+class _PerKwh:
+    """A price in money per kWh."""
+
+    def __init__(self, price: AnySignal) -> None:
+        price.load()
+        self._signal, self._factor = price, per_kwh(price.unit)
+
+    def at(self, begin: Begin) -> float | NDArray[np.float64]:
+        price: float | NDArray[np.float64] = self._signal.at(begin) * self._factor
+        return price

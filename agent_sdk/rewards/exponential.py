@@ -1,0 +1,45 @@
+"""A reward on which the far outside weighs much more than the near outside."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent_sdk.rewards.base import Begin, BoundReward, Outcome
+from agent_sdk.rewards.linear import Weighted, WeightedBound
+from agent_sdk.rewards.points import total
+from topics.messages import Manifest
+
+MOST_K = 100.0
+"""What lies further outside counts as this far: e^100 is a number yet."""
+
+
+class ExponentialReward(Weighted):
+    """As `LinearReward`, with the exponential of the degrees outside.
+
+    Source: Sinergym's `ExpReward`.
+
+        r = -w * lambda_energy * P - (1 - w) * lambda_temperature * sum_{z: v_z > 0} exp(v_z)
+        v_z = max(low - T_z, T_z - high, 0), at most 100 K
+
+    A zone within the band (its ends included) adds 0, and one just outside adds 1: being outside at all has a
+    price. Terms: energy, comfort. Measures: power_w, degrees_outside.
+    """
+
+    kind: Literal["exponential"] = "exponential"
+
+    def bind(self, manifest: Manifest) -> BoundReward:
+        """See `Reward.bind`."""
+        return _Bound(self, manifest)
+
+
+class _Bound(WeightedBound):
+    def __call__(self, values: NDArray[np.float64], begin: Begin) -> Outcome:
+        outside = self._outside(values, begin)
+        price = np.where(outside > 0.0, np.exp(np.minimum(outside, MOST_K)), 0.0).sum(axis=-1)
+        power_w = total(values, self._powers)
+        energy, comfort = self._energy * power_w, self._comfort * price
+        terms = {"energy": energy, "comfort": comfort}
+        return Outcome(energy + comfort, terms, {"power_w": power_w, "degrees_outside": outside.sum(axis=-1)})

@@ -1,0 +1,102 @@
+"""A reward on how well each zone keeps its own setpoints."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, field_validator
+
+from agent_sdk.rewards.base import Begin, BoundReward, Outcome
+from agent_sdk.rewards.kind import Kind, Names
+from agent_sdk.rewards.points import ZONE_TEMPERATURES, Indices, beside, indices, named, of_variables, powers, total
+from topics.errors import InvalidConfig
+from topics.messages import Manifest
+
+HEATING = "Zone Thermostat Heating Setpoint Temperature"
+COOLING = "Zone Thermostat Cooling Setpoint Temperature"
+
+
+class MultiZoneReward(Kind):
+    """Power, and degrees outside each zone's own band: its measured setpoints, and a threshold around them.
+
+    Source: Sinergym's `MultiZoneReward`, with one setpoint a zone.
+
+        r = -w * lambda_energy * P - (1 - w) * lambda_temperature * sum_z max(h_z - d - T_z, T_z - c_z - d, 0)
+
+    h_z and c_z are the heating and cooling setpoint of zone z in degC (the same where there is one), d the
+    threshold. Terms: energy, comfort. Measures: power_w, degrees_outside.
+
+    Attributes:
+        zones: the sensor of a zone's air temperature to that of its setpoint, or to [heating, cooling]; None: the
+            sensors of 'Zone Air Temperature' with those of 'Zone Thermostat Heating Setpoint Temperature' and
+            '... Cooling ...' that have the same key. A thermostat without one of the two reports 0 for it: name
+            the other alone.
+        threshold: d, K.
+        weight, lambda_energy, lambda_temperature, power: as in `LinearReward`.
+    """
+
+    kind: Literal["multi_zone"] = "multi_zone"
+    zones: dict[str, Names] | None = None
+    threshold: float = Field(0.5, ge=0.0)
+    weight: float = Field(0.5, ge=0.0, le=1.0)
+    lambda_energy: float = Field(1e-4, ge=0.0)
+    lambda_temperature: float = Field(1.0, ge=0.0)
+    power: Names | None = None
+
+    @field_validator("zones")
+    @classmethod
+    def _one_or_two(cls, zones: dict[str, tuple[str, ...]] | None) -> dict[str, tuple[str, ...]] | None:
+        if zones is not None and not zones:
+            raise ValueError("at least one zone expected")
+        for zone, setpoints in (zones or {}).items():
+            if len(setpoints) not in (1, 2):
+                raise ValueError(f"{zone}: a setpoint, or [heating, cooling] expected")
+        return zones
+
+    def bind(self, manifest: Manifest) -> BoundReward:
+        """See `Reward.bind`."""
+        return _Bound(self, manifest)
+
+    def _points(self, manifest: Manifest) -> list[tuple[int, int, int]]:
+        """For each zone its air temperature, heating and cooling setpoint."""
+        if self.zones is not None:
+            rows = []
+            for zone, setpoints in self.zones.items():
+                found = [named(self.kind, name, manifest, ["degC"]) for name in (zone, *setpoints)]
+                rows.append((found[0], found[1], found[-1]))
+            return rows
+        air = of_variables(manifest, *ZONE_TEMPERATURES)
+        both = zip(air, beside(air, HEATING, manifest), beside(air, COOLING, manifest), strict=True)
+        rows = [(zone, heat, cool) for zone, heat, cool in both if heat is not None and cool is not None]
+        if not rows:
+            raise InvalidConfig(
+                f"the {self.kind} reward needs sensors of 'Zone Air Temperature', '{HEATING}' and '{COOLING}' with the "
+                "same key: name them in sensors=, or name others as the reward's `zones`: {temperature: setpoint}"
+            )
+        return rows
+
+
+class _Bound(BoundReward):
+    def __init__(self, of: MultiZoneReward, manifest: Manifest) -> None:
+        self._powers = powers(of.kind, of.power, manifest)
+        self._air, self._heat, self._cool = _columns(of._points(manifest))  # noqa: SLF001
+        self._threshold_k = of.threshold
+        self._energy = -of.weight * of.lambda_energy
+        self._comfort = -(1.0 - of.weight) * of.lambda_temperature
+
+    def __call__(self, values: NDArray[np.float64], begin: Begin) -> Outcome:  # noqa: ARG002
+        air = values.take(self._air, axis=-1)
+        cold = values.take(self._heat, axis=-1) - self._threshold_k - air
+        warm = air - values.take(self._cool, axis=-1) - self._threshold_k
+        outside = np.maximum(np.maximum(cold, warm), 0.0).sum(axis=-1)
+        power_w = total(values, self._powers)
+        energy, comfort = self._energy * power_w, self._comfort * outside
+        terms = {"energy": energy, "comfort": comfort}
+        return Outcome(energy + comfort, terms, {"power_w": power_w, "degrees_outside": outside})
+
+
+def _columns(rows: list[tuple[int, int, int]]) -> tuple[Indices, Indices, Indices]:
+    air, heat, cool = zip(*rows, strict=True)
+    return indices(air), indices(heat), indices(cool)

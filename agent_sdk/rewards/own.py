@@ -1,0 +1,111 @@
+"""A user's own reward: a function, or a class of a few lines."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent_sdk.rewards.base import Begin, BoundReward, Outcome, Reward, Terms
+from topics.errors import InvalidConfig
+from topics.messages import Manifest
+
+RewardFunction = Callable[[Mapping[str, Any], Any], Mapping[str, Any] | float]
+"""`(values, begin)`: values by the names of sensors and meters, and when the timestep began; gives the reward or its
+terms by name."""
+
+
+def of_function(function: RewardFunction | type) -> Reward:
+    """A function as a reward.
+
+    Args:
+        function: called once a timestep with the values by name (floats; arrays of the leading shape where there are
+            several slots) and the time at which it began. It gives the reward, or terms by name of which the reward is
+            the sum. An object that can be called may have `reset(slots)`, `state()` and `restore(state)` as well; see
+            `BoundReward`. A class is made anew, without arguments, for each environment.
+
+    Raises:
+        InvalidConfig: it cannot be called with two things; later, it gave something that is no reward.
+    """
+    fault = _misfit(function)
+    if fault is not None:
+        raise InvalidConfig(f"reward: {_name(function)} should take (values, begin): {fault}")
+    return _OfFunction(function)
+
+
+def _misfit(function: RewardFunction | type) -> str | None:
+    """Why it cannot be called with values and a time; None if it can, or does not tell."""
+    if isinstance(function, type) and not any("__call__" in vars(base) for base in function.__mro__):
+        return "it has no __call__"
+    called: Any = function.__call__ if isinstance(function, type) else function
+    itself = [None] if isinstance(function, type) else []
+    try:
+        inspect.signature(called).bind(*itself, None, None)
+    except TypeError as error:
+        return str(error)
+    except ValueError:  # some builtins have no signature
+        return None
+    return None
+
+
+class _OfFunction:
+    def __init__(self, function: RewardFunction | type) -> None:
+        self._function = function
+
+    def bind(self, manifest: Manifest) -> BoundReward:
+        """See `Reward.bind`."""
+        return _Bound(made(self._function) if isinstance(self._function, type) else self._function, manifest)
+
+
+def made(kind: type) -> Any:
+    """An object of a class that takes no arguments; `InvalidConfig` if it wants some."""
+    try:
+        return kind()
+    except (TypeError, ValueError) as error:
+        raise InvalidConfig(
+            f"reward: {kind.__name__} cannot be made without arguments ({error}); give an object of it"
+        ) from None
+
+
+class _Bound(BoundReward):
+    def __init__(self, function: RewardFunction, manifest: Manifest) -> None:
+        self._function, self._names = function, manifest.names
+
+    def __call__(self, values: NDArray[np.float64], begin: Begin) -> Outcome:
+        columns = values.tolist() if values.ndim == 1 else np.moveaxis(values, -1, 0)
+        given = self._function(dict(zip(self._names, columns, strict=True)), begin)
+        said = given if isinstance(given, Mapping) else {"reward": given}
+        terms: Terms = {str(name): self._term(name, term, values.shape[:-1]) for name, term in said.items()}
+        total = sum(terms.values(), np.zeros(values.shape[:-1])[()])
+        return Outcome(total, terms, {})
+
+    def _term(self, name: object, term: Any, shape: tuple[int, ...]) -> Any:
+        try:
+            array = np.broadcast_to(np.asarray(term, np.float64), shape)
+        except (TypeError, ValueError):
+            array = None
+        if array is None or not np.isfinite(array).all():
+            raise InvalidConfig(
+                f"reward: {_name(self._function)} gave {name!r}: {term!r}; a finite number expected"
+                + (f", or an array of shape {shape}" if shape else "")
+            )
+        return float(array) if not shape else array
+
+    def reset(self, slots: Sequence[int] | None = None) -> None:
+        if callable(begin := getattr(self._function, "reset", None)):
+            begin(slots)
+
+    def state(self) -> dict[str, Any]:
+        remembered = getattr(self._function, "state", None)
+        return dict(remembered()) if callable(remembered) else {}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        if callable(again := getattr(self._function, "restore", None)):
+            again(state)
+
+
+def _name(function: Any) -> str:
+    return str(getattr(function, "__name__", type(function).__name__))

@@ -1,0 +1,188 @@
+"""A reward on how warm people feel."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Sequence
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from agent_sdk.rewards.base import Begin, BoundReward, Outcome
+from agent_sdk.rewards.kind import Names
+from agent_sdk.rewards.points import Indices, beside, indices, named, of_variables, powers, temperatures, total
+from agent_sdk.rewards.season import Dated
+from topics.errors import InvalidConfig
+from topics.messages import Manifest
+
+PMV, PPD = "Zone Thermal Comfort Fanger Model PMV", "Zone Thermal Comfort Fanger Model PPD"
+RADIANT, HUMIDITY = "Zone Mean Radiant Temperature", "Zone Air Relative Humidity"
+
+Votes = Callable[[NDArray[np.float64], Begin], NDArray[np.float64]]
+"""The values of a timestep to the predicted mean vote or the dissatisfied in percent, by zone."""
+
+
+class ThermalSensationReward(Dated):
+    """Power, and how far the predicted mean vote (PMV) or the dissatisfied (PPD) leave what is comfortable.
+
+        by pmv: r = -w * lambda_energy * P - (1 - w) * lambda_sensation * sum_z max(|PMV_z| - limit, 0)
+        by ppd: r = -w * lambda_energy * P - (1 - w) * lambda_sensation * sum_z max(PPD_z - limit, 0) / 100
+
+    Source: Fanger's model in ISO 7730; its category B is |PMV| < 0.5, PPD < 10 %. PPD is 100 - 95 * exp(-0.03353 *
+    PMV^4 - 0.2179 * PMV^2) percent.
+
+    The votes are EnergyPlus's own, where the node has sensors of 'Zone Thermal Comfort Fanger Model PMV' (or '... PPD'
+    for `by: ppd`), with people, clothing and air speed as the model says. Else they are computed by the library
+    pythermalcomfort (`pip install 'zenostat[comfort]'`) from each zone's air temperature, mean radiant temperature and
+    relative humidity, with `met`, clothing and `air_speed` of this object.
+
+    Terms: energy, comfort. Measures: power_w, beyond_limit (the sum over the zones), and pmv_mean or ppd_mean (over
+    the zones).
+
+    Attributes:
+        by: `pmv` or `ppd`.
+        limit: of |PMV| (None: 0.5) or PPD in percent (None: 10).
+        weight, lambda_energy, power: as in `LinearReward`.
+        lambda_sensation: the comfort term's factor.
+        pmv, ppd: names of sensors of these; None is all that are there.
+        temperatures, radiant, humidities: names of sensors in the same order of zones; None is each zone's.
+        met: metabolic rate, met, 0.8 to 4.
+        clo_winter, clo_summer: clothing, clo, 0 to 2.
+        air_speed: relative to the body, m/s, 0 to 1.
+    """
+
+    kind: Literal["thermal_sensation"] = "thermal_sensation"
+    by: Literal["pmv", "ppd"] = "pmv"
+    limit: float | None = Field(None, ge=0.0)
+    weight: float = Field(0.5, ge=0.0, le=1.0)
+    lambda_energy: float = Field(1e-4, ge=0.0)
+    lambda_sensation: float = Field(1.0, ge=0.0)
+    power: Names | None = None
+    pmv: Names | None = None
+    ppd: Names | None = None
+    temperatures: Names | None = None
+    radiant: Names | None = None
+    humidities: Names | None = None
+    met: float = Field(1.2, ge=0.8, le=4.0)
+    clo_winter: float = Field(1.0, ge=0.0, le=2.0)
+    clo_summer: float = Field(0.5, ge=0.0, le=2.0)
+    air_speed: float = Field(0.1, ge=0.0, le=1.0)
+
+    def bind(self, manifest: Manifest) -> BoundReward:
+        """See `Reward.bind`."""
+        return _Bound(self, manifest)
+
+    def _votes(self, manifest: Manifest) -> Votes:
+        """PMV by zone, from the best that is there."""
+        if self._computes():
+            return self._computed(manifest)
+        found = _sensors(self.kind, self.pmv, PMV, "1", manifest)
+        return _read(found) if found is not None else self._computed(manifest)
+
+    def _dissatisfied(self, manifest: Manifest) -> Votes:
+        """PPD by zone, in percent."""
+        if not self._computes() and self.pmv is None:
+            found = _sensors(self.kind, self.ppd, PPD, "percent", manifest)
+            if found is not None:
+                return _read(found)
+        votes = self._votes(manifest)
+        return lambda values, begin: dissatisfied(votes(values, begin))
+
+    def _computes(self) -> bool:
+        """Whether sensors are named to compute from, and none to read."""
+        sources = (self.temperatures, self.radiant, self.humidities)
+        return self.pmv is None and self.ppd is None and any(names is not None for names in sources)
+
+    def _computed(self, manifest: Manifest) -> Votes:
+        air = temperatures(self.kind, self.temperatures, manifest)
+        zones = air.tolist()
+        radiant = self._of_zones(zones, self.radiant, RADIANT, "radiant", "degC", manifest)
+        humid = self._of_zones(zones, self.humidities, HUMIDITY, "humidities", "percent", manifest)
+        clothing = self._seasons((self.clo_winter,), (self.clo_summer,), manifest)
+        pmv_ppd = _library(self.kind)
+
+        def votes(values: NDArray[np.float64], begin: Begin) -> NDArray[np.float64]:
+            (clo,) = clothing.columns(begin)
+            found = pmv_ppd(
+                tdb=values.take(air, axis=-1), tr=values.take(radiant, axis=-1), rh=values.take(humid, axis=-1),
+                vr=self.air_speed, met=self.met, clo=clo, model="7730-2005", limit_inputs=False, round_output=False,
+            )  # fmt: skip
+            return np.asarray(found.pmv, np.float64)
+
+        return votes
+
+    def _of_zones(
+        self, zones: list[int], names: Sequence[str] | None, variable: str, field: str, unit: str, manifest: Manifest
+    ) -> Indices:
+        """A sensor for each zone: those that are named, else those with the zones' keys."""
+        if names is not None:
+            if len(names) != len(zones):
+                raise InvalidConfig(f"the {self.kind} reward names {len(names)} {field} for {len(zones)} temperatures")
+            return indices([named(self.kind, name, manifest, [unit]) for name in names])
+        found = []
+        for zone, other in zip(zones, beside(zones, variable, manifest), strict=True):
+            if other is None:
+                air = manifest.sensors[zone]
+                raise InvalidConfig(
+                    f"the {self.kind} reward needs ({variable!r}, {air.key!r}) beside {air.name!r}: name it in "
+                    f"sensors=, or name others as the reward's `{field}`, or sensors of {PMV!r}"
+                )
+            found.append(other)
+        return indices(found)
+
+
+class _Bound(BoundReward):
+    def __init__(self, of: ThermalSensationReward, manifest: Manifest) -> None:
+        self._powers = powers(of.kind, of.power, manifest)
+        self._percent = of.by == "ppd"
+        self._votes = of._dissatisfied(manifest) if self._percent else of._votes(manifest)  # noqa: SLF001
+        usual = 10.0 if self._percent else 0.5
+        self._limit = usual if of.limit is None else of.limit
+        self._energy = -of.weight * of.lambda_energy
+        self._comfort = -(1.0 - of.weight) * of.lambda_sensation * (0.01 if self._percent else 1.0)
+
+    def __call__(self, values: NDArray[np.float64], begin: Begin) -> Outcome:
+        votes = self._votes(values, begin)
+        beyond = np.maximum(np.abs(votes) - self._limit, 0.0).sum(axis=-1)
+        power_w = total(values, self._powers)
+        energy, comfort = self._energy * power_w, self._comfort * beyond
+        measures = {
+            "power_w": power_w,
+            "beyond_limit": beyond,
+            "ppd_mean" if self._percent else "pmv_mean": votes.mean(axis=-1),
+        }
+        return Outcome(energy + comfort, {"energy": energy, "comfort": comfort}, measures)
+
+
+def dissatisfied(pmv: NDArray[np.float64]) -> NDArray[np.float64]:
+    """PPD in percent (5 to 100) of a predicted mean vote; ISO 7730, equation 5."""
+    squared = np.square(pmv)
+    found: NDArray[np.float64] = 100.0 - 95.0 * np.exp(-0.03353 * np.square(squared) - 0.2179 * squared)
+    return found
+
+
+def _read(points: Indices) -> Votes:
+    return lambda values, begin: values.take(points, axis=-1)  # noqa: ARG005
+
+
+def _sensors(kind: str, names: Sequence[str] | None, variable: str, unit: str, manifest: Manifest) -> Indices | None:
+    """Those that are named, else those of the variable; None if there are none."""
+    if names is not None:
+        return indices([named(kind, name, manifest, [unit]) for name in names])
+    found = of_variables(manifest, variable.casefold())
+    return indices(found) if found else None
+
+
+def _library(kind: str) -> Callable[..., Any]:
+    """Fanger's model; the library takes a second to import, so only when it is wanted."""
+    try:
+        models = importlib.import_module("pythermalcomfort.models")
+    except ImportError:
+        raise InvalidConfig(
+            f"the {kind} reward needs the library pythermalcomfort to compute votes: pip install 'zenostat[comfort]'; "
+            f"or name sensors of {PMV!r} in sensors="
+        ) from None
+    found: Callable[..., Any] = models.pmv_ppd_iso
+    return found

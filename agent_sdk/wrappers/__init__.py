@@ -1,0 +1,43 @@
+"""Wrappers for buildings, where Gymnasium has none; `agent_sdk.wrappers.vector` has the same for vectors."""
+
+from agent_sdk.wrappers.data import GYMNASIUMS, apply_wrappers, wrappers_of
+from agent_sdk.wrappers.names import action_names_of, names_of
+from agent_sdk.wrappers.single import (
+    ChangingContext,
+    CyclicTime,
+    DiscreteIncrementalAction,
+    EpisodeLog,
+    IncrementalAction,
+    PreviousObservation,
+    ReducedObservation,
+    RewardVector,
+    SetpointDifference,
+    Signals,
+    TensorBoardLog,
+    WeatherForecast,
+    WeightsAndBiasesLog,
+)
+from agent_sdk.wrappers.state import restore_wrappers, save_wrappers
+
+__all__ = [
+    "GYMNASIUMS",
+    "ChangingContext",
+    "CyclicTime",
+    "DiscreteIncrementalAction",
+    "EpisodeLog",
+    "IncrementalAction",
+    "PreviousObservation",
+    "ReducedObservation",
+    "RewardVector",
+    "SetpointDifference",
+    "Signals",
+    "TensorBoardLog",
+    "WeatherForecast",
+    "WeightsAndBiasesLog",
+    "action_names_of",
+    "apply_wrappers",
+    "names_of",
+    "restore_wrappers",
+    "save_wrappers",
+    "wrappers_of",
+]

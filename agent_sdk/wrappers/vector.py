@@ -1,0 +1,95 @@
+"""The wrappers around a vector of environments, under the same names."""
+
+from agent_sdk.wrappers import (
+    changing_context,
+    cyclic_time,
+    discrete_incremental_action,
+    episode_log,
+    incremental_action,
+    metrics,
+    previous_observation,
+    reduced_observation,
+    reward_vector,
+    setpoint_difference,
+    signals,
+    weather_forecast,
+)
+from agent_sdk.wrappers.around import Vector
+
+
+class CyclicTime(Vector):
+    """A `cyclic_time.CyclicTime`, which documents it."""
+
+    core = cyclic_time.CyclicTime
+
+
+class PreviousObservation(Vector):
+    """A `previous_observation.PreviousObservation`, which documents it."""
+
+    core = previous_observation.PreviousObservation
+
+
+class WeatherForecast(Vector):
+    """A `weather_forecast.WeatherForecast`, which documents it."""
+
+    core = weather_forecast.WeatherForecast
+
+
+class Signals(Vector):
+    """A `signals.Signals`, which documents it."""
+
+    core = signals.Signals
+
+
+class SetpointDifference(Vector):
+    """A `setpoint_difference.SetpointDifference`, which documents it."""
+
+    core = setpoint_difference.SetpointDifference
+
+
+class ReducedObservation(Vector):
+    """A `reduced_observation.ReducedObservation`, which documents it."""
+
+    core = reduced_observation.ReducedObservation
+
+
+class IncrementalAction(Vector):
+    """A `incremental_action.IncrementalAction`, which documents it."""
+
+    core = incremental_action.IncrementalAction
+
+
+class DiscreteIncrementalAction(Vector):
+    """A `discrete_incremental_action.DiscreteIncrementalAction`, which documents it."""
+
+    core = discrete_incremental_action.DiscreteIncrementalAction
+
+
+class RewardVector(Vector):
+    """A `reward_vector.RewardVector`, which documents it."""
+
+    core = reward_vector.RewardVector
+
+
+class ChangingContext(Vector):
+    """A `changing_context.ChangingContext`, which documents it."""
+
+    core = changing_context.ChangingContext
+
+
+class EpisodeLog(Vector):
+    """A `episode_log.EpisodeLog`, which documents it."""
+
+    core = episode_log.EpisodeLog
+
+
+class TensorBoardLog(Vector):
+    """A `metrics.TensorBoardLog`, which documents it."""
+
+    core = metrics.TensorBoardLog
+
+
+class WeightsAndBiasesLog(Vector):
+    """A `metrics.WeightsAndBiasesLog`, which documents it."""
+
+    core = metrics.WeightsAndBiasesLog

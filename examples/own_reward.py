@@ -1,0 +1,58 @@
+"""A reward of one's own: a function, and a class that remembers something. Two days of a small office under each.
+
+Run it: `python examples/own_reward.py`
+"""
+
+from collections.abc import Mapping, Sequence
+from datetime import datetime
+
+import gymnasium as gym
+import numpy as np
+
+import agent_sdk  # registers the environments
+
+
+def cool_and_cheap(values: Mapping[str, float], begin: datetime) -> dict[str, float]:
+    """Terms by name; the reward is their sum. `values` has the sensors and meters of the node by name."""
+    too_warm = max(values["core_temperature"] - 24.0, 0.0) if 8 <= begin.hour < 18 else 0.0
+    return {"energy": -values["electricity"] / 3.6e6, "comfort": -too_warm}
+
+
+class Steady:
+    """Asks for temperatures that stay as they are. Each environment makes its own."""
+
+    before: float | None = None
+
+    def reset(self, slots: Sequence[int] | None) -> None:  # noqa: ARG002
+        """An episode begins (in all slots: an environment has one)."""
+        self.before = None
+
+    def __call__(self, values: Mapping[str, float], begin: datetime) -> float:  # noqa: ARG002
+        """The reward alone."""
+        now = values["core_temperature"]
+        change, self.before = 0.0 if self.before is None else abs(now - self.before), now
+        return -change
+
+
+for reward in (cool_and_cheap, Steady):
+    env = gym.make(
+        "zenostat/Building-v1",
+        building="office-small",
+        weather="USA_CO_Denver",
+        begin="07-01",
+        end="07-02",
+        steps_per_hour=4,
+        sensors={"core_temperature": ("Zone Air Temperature", "Core_ZN")},
+        meters={"electricity": "Electricity:Facility"},
+        actuators={"core_cooling": ("Zone Temperature Control", "Cooling Setpoint", "Core_ZN", 22.5, 30.0)},
+        reward=reward,
+    )
+    env.reset(seed=0)
+    sums, truncated = {}, False
+    while not truncated:
+        _, _, _, truncated, info = env.step(np.array([24.0], np.float32))
+        for name, term in info["reward_terms"].items():
+            sums[name] = sums.get(name, 0.0) + term
+    env.close()
+    print(f"{reward.__name__}: " + ", ".join(f"{name} {total:.2f}" for name, total in sums.items()))
+assert agent_sdk

@@ -1,0 +1,851 @@
+"""The fake building against theory and hand calculation; the conformance kit against good things and mutants."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import random
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from datetime import datetime, timedelta
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from agent_sdk.controllers import (
+    BuildingControl,
+    ComfortBandRules,
+    Controller,
+    FixedSetpoints,
+    RandomControl,
+    ScheduledSetback,
+)
+from agent_sdk.rewards import BoundReward, LinearReward, Outcome
+from agent_sdk.testing import (
+    Climate,
+    ConformanceError,
+    FakeBuilding,
+    FakeEnv,
+    FakeLink,
+    Rooms,
+    Zone,
+    check_controller,
+    check_environment,
+    check_reward,
+)
+from agent_sdk.testing.controllers import CONTROLLER_CHECKS
+from agent_sdk.testing.environments import ENVIRONMENT_CHECKS
+from agent_sdk.testing.rewards import REWARD_CHECKS
+from topics.errors import (
+    EpisodeChanged,
+    InvalidAction,
+    InvalidConfig,
+    ModelRefused,
+    PeerError,
+    Refused,
+    UnknownName,
+)
+
+CALM = Climate(noise_k=0.0)
+OFF = (np.array([-1e9]), np.array([1e9]))
+"""Setpoints that no room reaches."""
+
+ROOM = Zone("room", capacity_j_per_k=3.6e6, resistance_k_per_w=0.01, heating_w=5000.0, cooling_w=5000.0)
+"""Its time constant is 36,000 s: ten hours."""
+
+temps = st.floats(-30, 50)
+watts = st.floats(0, 5000)
+
+
+def column(*values: float) -> Any:
+    return np.array(values, float)
+
+
+# The room against the closed form
+
+
+def test_an_hour_of_a_free_room_by_hand() -> None:
+    """From 20 degC towards 0 + 0.01 * 1000 = 10 degC: 10 + 10 e^-0.1, and its mean 10 + 10 * 10 (1 - e^-0.1)."""
+    flow = Rooms([ROOM]).step(column(20), 0.0, column(1000), *OFF, 3600.0)
+    assert flow.end_degc[0] == pytest.approx(19.0483742, abs=1e-7)
+    assert flow.mean_degc[0] == pytest.approx(19.5162582, abs=1e-7)
+    assert flow.heat_w[0] == 0.0
+
+
+def test_what_holds_a_room_is_what_it_loses() -> None:
+    """At 20 degC it loses 20 / 0.01 = 2000 W outdoors at 0 degC: 1000 W of gains leave 1000 W to the heating."""
+    flow = Rooms([ROOM]).step(column(20), 0.0, column(1000), column(20), column(25), 3600.0)
+    assert flow.heat_w[0] == pytest.approx(1000.0)
+    assert flow.end_degc[0] == pytest.approx(20.0)
+    warm = Rooms([ROOM]).step(column(25), 35.0, column(500), column(20), column(25), 3600.0)
+    assert warm.heat_w[0] == pytest.approx(-(10.0 / 0.01 + 500.0))
+
+
+def test_a_thermostat_gives_no_more_than_it_can() -> None:
+    """5000 W for ever would end at -10 + 0.01 * 5000 = 40 degC; an hour brings 10 degC to 40 - 30 e^-0.1."""
+    flow = Rooms([ROOM]).step(column(10), -10.0, column(0), column(22), column(25), 3600.0)
+    assert flow.heat_w[0] == 5000.0
+    assert flow.end_degc[0] == pytest.approx(40.0 - 30.0 * math.exp(-0.1))
+    hot = Rooms([ROOM]).step(column(40), 40.0, column(0), column(20), column(24), 3600.0)
+    assert hot.heat_w[0] == -5000.0
+
+
+@given(start=temps, outdoor=temps, gains=watts, parts=st.integers(2, 60))
+def test_many_short_timesteps_are_one_long_one(start: float, outdoor: float, gains: float, parts: int) -> None:
+    rooms, now = Rooms([ROOM]), column(start)
+    for _ in range(parts):
+        now = rooms.step(now, outdoor, column(gains), *OFF, 7200.0 / parts).end_degc
+    calm = outdoor + 0.01 * gains
+    assert now[0] == pytest.approx(calm + (start - calm) * math.exp(-0.2), abs=1e-9)
+
+
+@given(start=temps, outdoor=temps, gains=watts, heating=st.floats(15, 22.5), cooling=st.floats(22.5, 30))
+def test_heat_that_comes_is_stored_or_goes(
+    start: float, outdoor: float, gains: float, heating: float, cooling: float
+) -> None:
+    flow = Rooms([ROOM]).step(column(start), outdoor, column(gains), column(heating), column(cooling), 900.0)
+    stored_w = 3.6e6 * (flow.end_degc[0] - start) / 900.0
+    through_wall_w = (outdoor - flow.mean_degc[0]) / 0.01
+    assert stored_w == pytest.approx(through_wall_w + gains + flow.heat_w[0], rel=1e-9, abs=1e-5)
+    if abs(flow.heat_w[0]) < 5000.0:
+        assert heating - 1e-9 <= flow.end_degc[0] <= cooling + 1e-9
+
+
+# The building
+
+
+def run(building: FakeBuilding, seed: int = 0) -> list[dict[str, float]]:
+    """An episode under the building's own control."""
+    names = building.manifest.names
+    rows = [building.reset(seed)]
+    nobody = np.full(len(building.manifest.actuators), np.nan)
+    rows += [building.advance(nobody)[0] for _ in range(building.manifest.steps)]
+    return [dict(zip(names, row.tolist(), strict=True)) for row in rows]
+
+
+def test_each_timestep_of_a_building_keeps_its_energy() -> None:
+    building = FakeBuilding(2, cop=2.5)
+    nobody = np.full(4, np.nan)
+    building.reset(seed=3)
+    before, heats = building.flow.end_degc, []
+    sun = np.frombuffer(building.weather(["global_horizontal_radiation"]).values)
+    for step in range(96):
+        row, _ = building.advance(nobody)
+        values = dict(zip(building.manifest.names, row.tolist(), strict=True))
+        flow = building.flow
+        inside_w = 4 * 100.0 + 600.0 if 32 <= step < 72 else 60.0
+        assert building.gains_w.tolist() == pytest.approx([inside_w + 0.5 * sun[step], inside_w + 1.0 * sun[step]])
+        gained = 900.0 * ((values["outdoor_temperature"] - flow.mean_degc) / 0.01 + building.gains_w + flow.heat_w)
+        assert gained == pytest.approx(5e6 * (flow.end_degc - before), abs=1e-3)
+        assert [values["zone_1_air_temperature"], values["zone_2_air_temperature"]] == flow.end_degc.tolist()
+        power_w = np.abs(flow.heat_w).sum() / 2.5
+        assert values["hvac_electricity_power"] == pytest.approx(power_w)
+        assert values["electricity_hvac"] == pytest.approx(900.0 * power_w)
+        before = flow.end_degc
+        heats.append(flow.heat_w.sum())
+    assert min(heats) < 0.0, "a July day wants cooling"
+
+
+def test_electricity_of_the_equipment_and_people_by_the_clock() -> None:
+    """Two zones of 600 W and 4 people: open on Monday 8 to 18 o'clock, at a tenth and empty else."""
+    rows = run(FakeBuilding(2))
+    begins = [datetime(2017, 7, 3) + timedelta(minutes=15 * k) for k in range(96)]
+    for begin, row in zip(begins, rows[1:], strict=True):
+        opened = 8 <= begin.hour < 18
+        equipment_j = row["electricity_facility"] - row["electricity_hvac"]
+        assert equipment_j == pytest.approx(1200.0 * 900.0 * (1.0 if opened else 0.1))
+        assert row["zone_1_occupants"] == (4.0 if opened else 0.0)
+    assert rows[0]["electricity_facility"] == 0.0
+    sunday = run(FakeBuilding(2, begin="07-02"))
+    assert {row["zone_2_occupants"] for row in sunday} == {0.0}
+
+
+def test_weather_is_the_sines_that_it_says() -> None:
+    """16 July is 182 days after 15 January: half a year but half a day; 15 o'clock is the day's warmest hour."""
+    day = [row["outdoor_temperature"] for row in run(FakeBuilding(1, climate=CALM, begin="07-16"))]
+    assert max(day) == day[60]
+    assert day[60] == pytest.approx(11.0 + 12.0 + 5.0, abs=0.01)
+    assert day[12] == pytest.approx(11.0 + 12.0 - 5.0, abs=0.01)
+    winter = [row["outdoor_temperature"] for row in run(FakeBuilding(1, climate=CALM, begin="01-16"))]
+    assert winter[36] == pytest.approx(11.0 - 12.0, abs=0.01)
+
+
+def test_the_forecast_is_the_weather_that_comes() -> None:
+    building = FakeBuilding(1)
+    outdoor = [row["outdoor_temperature"] for row in run(building, seed=5)]
+    series = building.weather(["dry_bulb_temperature", "global_horizontal_radiation"])
+    table = np.frombuffer(series.values).reshape(-1, 2)
+    assert (series.step_s, series.units, series.episode) == (900.0, ["C", "Wh/m2"], 0)
+    assert table[:96, 0].tolist() == outdoor[1:]
+    assert len(table) == 96 + 7 * 96
+    assert table[47, 1] == pytest.approx(600.0)  # noon
+    assert table[95, 1] == 0.0
+    with pytest.raises(UnknownName, match="no column 'dry_bulb'; near names: 'dry_bulb_temperature'"):
+        building.weather(["dry_bulb"])
+
+
+def test_noise_has_the_deviation_and_the_memory_that_it_says() -> None:
+    climate = Climate(season_k=0.0, day_k=0.0, noise_k=2.0, noise_tau_h=1.0)
+    series, _ = climate.series(datetime(2017, 1, 1), 200_000, 900.0, np.random.default_rng(1))
+    noise = series - climate.mean_degc
+    assert noise.std() == pytest.approx(2.0, rel=0.03)
+    assert noise.mean() == pytest.approx(0.0, abs=0.05)
+    assert np.corrcoef(noise[:-1], noise[1:])[0, 1] == pytest.approx(math.exp(-0.25), abs=0.01)
+
+
+def test_a_seed_rules_the_weather_and_without_one_it_goes_on() -> None:
+    building, other = FakeBuilding(2), FakeBuilding(2)
+
+    def first(of: FakeBuilding, seed: int | None) -> float:
+        return float(of.reset(seed)[0])
+
+    sequence = [first(building, 7), first(building, None), first(building, None)]
+    assert len(set(sequence)) == 3
+    assert [first(other, 7), first(other, None), first(other, None)] == sequence
+    assert first(building, 7) == sequence[0]
+    assert first(building, 8) != sequence[0]
+    assert run(building, 3) == run(other, 3)
+
+
+def test_a_heating_setpoint_above_the_cooling_setpoint_is_refused() -> None:
+    building = FakeBuilding(1)
+    building.reset(0)
+    with pytest.raises(ModelRefused, match=r"zone 'zone_1': heating setpoint 24 lies above cooling setpoint 23"):
+        building.advance(column(24, 23))
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ({"zones": 0}, "zones: at least one"),
+        ({"zones": [Zone("a"), Zone("A")]}, "a name of its own"),
+        ({"begin": "13-01"}, "begin = '13-01'; MM-DD or YYYY-MM-DD expected"),
+        ({"begin": "07-02", "end": "07-01"}, "lies before begin"),
+        ({"steps_per_hour": 7}, "steps_per_hour = 7; a divisor of 60 expected"),
+        ({"control": "room"}, "control = 'room'; 'point', 'zone' or 'building' expected"),
+        ({"discrete": 1}, "discrete = 1; at least 2 steps expected"),
+        ({"actions": {"a": ["zone_9_heating_setpoint"]}}, "no actuator 'zone_9_heating_setpoint'; near names"),
+        ({"actions": {"a": ["zone_1_heating_setpoint"], "b": ["zone_1_heating_setpoint"]}}, "another action already"),
+        ({"terminate": [{"points": ["zone_9"], "high": 30.0}]}, "no sensor or meter 'zone_9'"),
+        ({"time": ["century"]}, "time.0"),
+        ({"cop": 0.0}, "cop = 0.0; more than 0 expected"),
+    ],
+)
+def test_a_building_that_cannot_be(given: dict[str, Any], says: str) -> None:
+    with pytest.raises(InvalidConfig, match=says):
+        FakeBuilding(**given)
+
+
+def test_a_zone_that_cannot_be() -> None:
+    with pytest.raises(InvalidConfig, match=r"zone 'x': capacity_j_per_k = 0.0; more than 0 expected"):
+        Zone("x", capacity_j_per_k=0.0)
+    with pytest.raises(InvalidConfig, match=r"zone 'x': people = -1.0; at least 0 expected"):
+        Zone("x", people=-1.0)
+
+
+# The link
+
+
+def test_commands_set_keep_and_release() -> None:
+    link = FakeLink(FakeBuilding(1), name="me")
+    first = link.reset(seed=0)
+    assert first.applied.tolist() == [16.0, 28.0], "Monday at midnight: the building's own setback"
+    link.send({"zone_1_heating_setpoint": 21.0})
+    sample = link.receive()
+    assert sample.applied.tolist() == [21.0, 28.0]
+    assert sample.ruled_by == {"zone_1_heating_setpoint": "me", "zone_1_cooling_setpoint": ""}
+    link.send()
+    assert link.receive().applied.tolist() == [21.0, 28.0], "what is not named is kept"
+    link.send({"zone_1_heating_setpoint": None})
+    released = link.receive()
+    assert released.applied.tolist() == [16.0, 28.0]
+    assert set(released.ruled_by.values()) == {""}
+    link.send(column(20, 24))
+    assert link.receive().applied.tolist() == [20.0, 24.0]
+    anew = link.reset()
+    assert set(anew.ruled_by.values()) == {""}, "a new episode begins with the building's own control"
+    link.send()
+    assert link.receive().applied.tolist() == [16.0, 28.0]
+
+
+def test_what_a_node_refuses_a_fake_refuses() -> None:
+    link = FakeLink(FakeBuilding(1))
+    with pytest.raises(PeerError, match=r"call reset\(\) first"):
+        link.send({})
+    sample = link.reset(seed=0)
+    with pytest.raises(PeerError, match=r"call send\(\) before receive\(\)"):
+        link.receive()
+    with pytest.raises(InvalidAction, match="no actuator 'heating'; near names: 'zone_1_heating_setpoint'"):
+        sample.send({"heating": 20.0})
+    with pytest.raises(InvalidAction, match="zone_1_heating_setpoint = nan"):
+        sample.send({"zone_1_heating_setpoint": float("nan")})
+    with pytest.raises(InvalidAction, match=r"shape \(1,\); \(2,\) expected"):
+        link.send(column(20))
+    link.send({"zone_1_heating_setpoint": 23.0})
+    with pytest.raises(Refused, match=r"zone_1_heating_setpoint = 23 degC; its bounds are 15.0 to 22.5"):
+        link.receive()
+    link.send({"zone_1_heating_setpoint": 22.5})
+    assert link.receive().step == 1
+
+
+def test_a_controllers_loop_runs_on_it() -> None:
+    link = FakeLink(FakeBuilding(2))
+    rules = ComfortBandRules(link.manifest)
+    steps = []
+    for sample in link:
+        steps.append(sample.step)
+        if not sample.truncated:
+            sample.send(rules.act(sample))
+    assert steps == list(range(97))
+    with pytest.raises(EpisodeChanged, match=r"the episode is over; call reset\(\)"):
+        link.receive()
+
+
+# The environment
+
+
+def test_it_has_the_spaces_of_its_manifest() -> None:
+    env = FakeEnv(2, time=["month", "hour"])
+    assert env.observation_names == (
+        "month", "hour", "outdoor_temperature", "hvac_electricity_power", "zone_1_air_temperature", "zone_1_occupants",
+        "zone_2_air_temperature", "zone_2_occupants", "electricity_facility", "electricity_hvac",
+    )  # fmt: skip
+    assert env.action_space == gym.spaces.Box(np.float32([15, 22.5] * 2), np.float32([22.5, 30] * 2))
+    both = FakeEnv(2, control="building")
+    assert both.action_names == ("heating_setpoint", "cooling_setpoint")
+    both.reset(seed=0)
+    *_, info = both.step(np.float32([20, 24]))
+    assert info["applied"].tolist() == [20.0, 24.0, 20.0, 24.0]
+
+
+@pytest.mark.parametrize(
+    ("control", "space"),
+    [
+        ("building", gym.spaces.Discrete(3)),
+        ("zone", gym.spaces.MultiDiscrete([3, 3])),
+        ("point", gym.spaces.MultiDiscrete([3] * 4)),
+    ],
+)
+def test_discrete_steps_go_from_the_widest_to_the_tightest(control: str, space: Any) -> None:
+    env = FakeEnv(2, control=control, discrete=3)
+    assert env.action_space == space
+    env.reset(seed=0)
+    middle = 1 if isinstance(space, gym.spaces.Discrete) else np.ones(space.shape, int)
+    assert env.step(middle)[-1]["applied"].tolist() == [18.75, 26.25] * 2
+
+
+def test_context_weather_reward_and_limits_are_those_of_a_real_environment() -> None:
+    env = FakeEnv(
+        1,
+        dimming=True,
+        climate=CALM,
+        actions={"cooling": ["zone_1_cooling_setpoint"]},
+        terminate=[{"points": ["outdoor_temperature"], "high": 20.0}],
+        reward=LinearReward(weight=1.0, lambda_energy=1.0),
+    )
+    _, info = env.reset(seed=0)
+    assert (info["weather"], info["weather_noise"]) == ("fake", {})
+    env.set_context({"equipment": 0.0})
+    observation, reward, *_, info = env.step(np.float32([24]))
+    assert info["ruled_by"] == ("", "agent", "agent")
+    values = env.observation_dict(observation)
+    assert values["electricity_facility"] == values["electricity_hvac"], "the equipment is off"
+    assert reward == pytest.approx(-values["hvac_electricity_power"])
+    assert env.weather(["dry_bulb_temperature"]).columns == ["dry_bulb_temperature"]
+    steps = 1
+    terminated = False
+    while not terminated:
+        observation, _, terminated, truncated, info = env.step(np.float32([24]))
+        assert not truncated
+        steps += 1
+    outdoor = [row["outdoor_temperature"] for row in run(FakeBuilding(1, climate=CALM))]
+    assert steps == next(k for k, degc in enumerate(outdoor) if degc > 20.0)
+    assert "outdoor_temperature" in info["terminated_by"]
+
+
+def test_a_fake_building_is_on_no_bus() -> None:
+    with pytest.raises(InvalidConfig, match="render_mode 'rerun' shows a bus"):
+        FakeEnv(1, render_mode="rerun")
+
+
+def test_noise_is_told_and_drawn_by_seed() -> None:
+    env = FakeEnv(1)
+    observation, info = env.reset(seed=4)
+    assert info["weather_noise"] == {
+        "dry_bulb_temperature.sigma": 1.0, "dry_bulb_temperature.mu": 0.0, "dry_bulb_temperature.tau_h": 24.0
+    }  # fmt: skip
+    assert env.reset(seed=5)[0].tobytes() != observation.tobytes()
+    assert env.reset(seed=4)[0].tobytes() == observation.tobytes()
+
+
+# The kit: what is good passes
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        BuildingControl,
+        ComfortBandRules,
+        ScheduledSetback,
+        lambda manifest: FixedSetpoints(manifest, zone_1_heating_setpoint=20.5),
+    ],
+)
+def test_controllers_of_the_house_conform(make: Callable[..., Any]) -> None:
+    report = check_controller(make)
+    assert report.passed == tuple(CONTROLLER_CHECKS)
+
+
+def test_one_that_draws_conforms_but_for_what_it_says_of_itself() -> None:
+    with pytest.raises(ConformanceError) as unseeded:
+        check_controller(RandomControl)
+    assert "the same samples get the same answers" in unseeded.value.report.failed
+    report = check_controller(lambda m: RandomControl(m, seed=1), skip=["forgets at an episode's begin"])
+    assert report.skipped == ("forgets at an episode's begin",)
+    assert len(report.passed) == len(CONTROLLER_CHECKS) - 1
+    assert "skipped  forgets at an episode's begin\n         as asked" in str(report)
+
+
+@pytest.mark.parametrize(
+    "reward", [LinearReward(), "exponential", "hourly", {"kind": "occupied", "by": "people"}, "peak"]
+)
+def test_rewards_of_the_house_conform(reward: Any) -> None:
+    assert not check_reward(reward).failed
+
+
+@pytest.mark.parametrize("given", [{}, {"control": "building", "discrete": 4}, {"time": ["hour"], "reward": None}])
+def test_environments_of_the_house_conform(given: dict[str, Any]) -> None:
+    env = FakeEnv(2, **given)
+    assert len(check_environment(env).passed) == 11
+
+
+def test_a_manifest_of_ones_own() -> None:
+    manifest = FakeBuilding([Zone("hall"), Zone("attic")], dimming=True).manifest
+    report = check_controller(lambda m: FixedSetpoints(m, equipment=0.5), manifest)
+    assert report.passed == tuple(CONTROLLER_CHECKS)[:-1], "nothing of the kind can be simulated"
+    assert not check_reward("linear", manifest).failed
+    with pytest.raises(ConformanceError, match="equipment"):
+        check_controller(lambda m: FixedSetpoints(m, equipment=0.5))
+
+
+# The kit: each fault is named
+
+HEAT, COOL = "zone_1_heating_setpoint", "zone_1_cooling_setpoint"
+
+
+class Good(Controller):
+    """Counts its samples, and forgets them when an episode begins."""
+
+    def begin(self, sample: Any) -> None:
+        self.count = 0
+
+    def act(self, sample: Any) -> Any:
+        self.count += 1
+        return {HEAT: 18.0 + 0.1 * (self.count % 10), COOL: None if self.count % 7 else 26.0}
+
+
+class Remembers(Good):
+    def __init__(self, manifest: Any) -> None:
+        super().__init__(manifest)
+        self.count = 0
+
+    def begin(self, sample: Any) -> None:
+        pass
+
+
+class SharesItsCount(Good):
+    counts: list[int] = []  # noqa: RUF012
+
+    def begin(self, sample: Any) -> None:
+        self.counts.clear()
+
+    def act(self, sample: Any) -> Any:
+        self.counts.append(1)
+        return {HEAT: 18.0 + 0.1 * (len(self.counts) % 10)}
+
+
+class Answers(Good):
+    """Answers with what a function of the sample gives."""
+
+    answer: Callable[[Any], Any]
+
+    def act(self, sample: Any) -> Any:
+        return type(self).answer(sample)
+
+
+def answering(function: Callable[[Any], Any]) -> type:
+    return type("Answering", (Answers,), {"answer": staticmethod(function)})
+
+
+def lengthens(sample: Any) -> Any:
+    sample.wire.rulers.append("me")
+    return {}
+
+
+class ChangesTheManifest(Good):
+    def __init__(self, manifest: Any) -> None:
+        super().__init__(manifest)
+        manifest.task.reward["weight"] = len(manifest.task.reward) / 100
+
+
+class OnlyFromTheStart(Good):
+    def begin(self, sample: Any) -> None:
+        super().begin(sample)
+        assert sample.step == 0, "an episode begins at sample 0"
+
+
+numbers = itertools.count()
+REFUSED = "controls a fake building to the episode's end"
+
+CONTROLLER_MUTANTS: dict[str, tuple[Any, dict[str, Any]]] = {
+    "no act": (lambda manifest: object(), {"is made from a manifest": "has no method act"}),
+    "cannot be made": (lambda: None, {"is made from a manifest": "raised TypeError"}),
+    "raises": (
+        answering(lambda s: {HEAT: [20.0, 20.0, 20.0][s.step]}),
+        {"answers each sample": r"act raised IndexError: .*at sample 3; at 196 of 199", REFUSED: None},
+    ),
+    "no dictionary": (
+        answering(lambda s: [20.0, 25.0]),
+        {"answers each sample": r"act gave \[20.0, 25.0\] at sample 0", REFUSED: None},
+    ),
+    "unknown": (
+        answering(lambda s: {"heating": 20.0}),
+        {"names only actuators of the node": "no actuator 'heating'", REFUSED: "InvalidAction"},
+    ),
+    "not finite": (
+        answering(lambda s: {HEAT: float("nan"), COOL: 25.0}),
+        {"values are finite": f"{HEAT} = nan at sample 0", REFUSED: "InvalidAction"},
+    ),
+    "out of bounds": (
+        answering(lambda s: {COOL: 31.0 if s.step == 9 else 24.0}),
+        {"values are within bounds": f"{COOL} = 31 at sample 9; its bounds are 22.5 to 30.0", REFUSED: "Refused"},
+    ),
+    "crossing": (
+        answering(lambda s: {HEAT: 24.0} if s.step == 5 else {COOL: 23.0} if s.step == 2 else {}),
+        {
+            "heating stays below cooling": f"{HEAT} = 24 lies above {COOL} = 23 at sample 5",
+            "values are within bounds": f"{HEAT} = 24",
+            REFUSED: "Refused",
+        },
+    ),
+    "changes the sample": (answering(lengthens), {"changes neither sample nor manifest": "changed sample 0"}),
+    "changes the manifest": (ChangesTheManifest, {"changes neither sample nor manifest": "changed the manifest"}),
+    "remembers": (Remembers, {"forgets at an episode's begin": "after another episode it answered differently"}),
+    "shares": (SharesItsCount, {"shares nothing with others of its kind": "answered differently: at sample"}),
+    "draws unseeded": (
+        answering(lambda s: {HEAT: 15.0 + next(numbers) % 7}),
+        {
+            "the same samples get the same answers": "a second one, made alike",
+            "forgets at an episode's begin": None,
+            "shares nothing with others of its kind": None,
+        },
+    ),
+    "joins not": (OnlyFromTheStart, {"can join amid an episode": "joining at sample 100 raised AssertionError"}),
+    "global generators": (
+        answering(lambda s: {HEAT: 20.0} if random.random() + np.random.rand() >= 0.0 else {}),
+        {"leaves the global random generators alone": "Python's global generator"},
+    ),
+}
+
+
+def test_the_mutants_are_all_that_is_wrong_and_no_check_is_without_one() -> None:
+    assert not check_controller(Good).failed
+    assert not check_reward(OfMine()).failed
+    assert not check_environment(Changed(FakeEnv(1), with_())).failed
+    for checks, mutants in (
+        (CONTROLLER_CHECKS, CONTROLLER_MUTANTS),
+        (REWARD_CHECKS, REWARD_MUTANTS),
+        (ENVIRONMENT_CHECKS, ENVIRONMENT_MUTANTS),
+    ):
+        named = {name for _, faults in mutants.values() for name in faults}
+        assert named == set(checks)
+
+
+@pytest.mark.parametrize("mutant", CONTROLLER_MUTANTS)
+def test_a_bad_controllers_faults_are_named(mutant: str) -> None:
+    make, faults = CONTROLLER_MUTANTS[mutant]
+    with pytest.raises(ConformanceError) as error:
+        check_controller(make)
+    report = error.value.report
+    said = {result.name: " ".join(result.faults) for result in report.results if result.faults}
+    assert set(said) == set(faults)
+    for name, words in faults.items():
+        assert words is None or re.search(words, said[name]), said[name]
+    if "is made from a manifest" in faults:
+        assert len(report.skipped) == len(CONTROLLER_CHECKS) - 1
+
+
+def test_all_failures_are_one_error_in_plain_words() -> None:
+    with pytest.raises(AssertionError) as error:
+        check_controller(answering(lambda s: {"heating": 20.0, HEAT: float("inf"), COOL: 40.0}))
+    lines = str(error.value).splitlines()
+    assert lines[0] == "Answering fails 4 of 13 checks"
+    assert "FAILED   names only actuators of the node" in lines
+    assert "         the node has no actuator 'heating'" in lines
+    assert f"         {COOL} = 40 at sample 0; its bounds are 22.5 to 30.0" in lines
+    with pytest.raises(InvalidConfig, match="no check 'finite'; near names: 'values are finite'"):
+        check_controller(Good, skip="finite")
+
+
+class Bound(BoundReward):
+    """A good one that remembers: the mean of the power so far, and the degrees above 24."""
+
+    def __init__(self, power: int, zone: int) -> None:
+        self.power, self.zone = power, zone
+        self.sums: Any = None
+
+    def reset(self, slots: Any = None) -> None:
+        if slots is None or self.sums is None:
+            self.sums = None
+        else:
+            self.sums[:, list(slots)] = 0.0
+
+    def __call__(self, values: Any, begin: Any) -> Outcome:
+        shape = values.shape[:-1]
+        if self.sums is None:
+            self.sums = np.zeros((2, *shape))
+        self.sums = self.sums + np.stack([values[..., self.power], np.ones(shape)])
+        energy = -1e-4 * self.sums[0] / self.sums[1]
+        comfort = -np.maximum(values[..., self.zone] - 24.0, 0.0)
+        terms = {"energy": self.as_said(energy), "comfort": self.as_said(comfort)}
+        return Outcome(self.as_said(energy + comfort), terms, {})
+
+    def as_said(self, value: Any) -> Any:
+        return float(value) if np.ndim(value) == 0 else value
+
+    def state(self) -> dict[str, Any]:
+        return {} if self.sums is None else {"sums": self.sums.tolist()}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        self.sums = np.array(state["sums"]) if state else None
+
+
+class OfMine:
+    """Binds it, or a mutant of it."""
+
+    def __init__(self, kind: type[Bound] = Bound) -> None:
+        self.kind = kind
+
+    def bind(self, manifest: Any) -> Any:
+        names = manifest.names
+        if not {"hvac_electricity_power", "zone_1_air_temperature"} <= set(names):
+            raise InvalidConfig("the power or the first zone is missing")
+        return self.kind(names.index("hvac_electricity_power"), names.index("zone_1_air_temperature"))
+
+
+class LooksAway(OfMine):
+    def bind(self, manifest: Any) -> Any:
+        return self.kind(1, 2)
+
+
+class Trips(OfMine):
+    def bind(self, manifest: Any) -> Any:
+        return self.kind(manifest.names.index("hvac_electricity_power"), 2)
+
+
+def mutant(**methods: Any) -> OfMine:
+    return OfMine(type("Mutant", (Bound,), methods))
+
+
+def changed(change: Callable[[Bound, Any, Any, Outcome], Any]) -> OfMine:
+    return mutant(__call__=lambda self, values, begin: change(self, values, begin, Bound.__call__(self, values, begin)))
+
+
+def only_of_one(self: Bound, values: Any, begin: Any, out: Outcome) -> Outcome:
+    if values.ndim == 1:
+        return out
+    reward = np.full(values.shape[:-1], out.reward[0])
+    return Outcome(reward, {"all": reward}, {})
+
+
+def writes(self: Bound, values: Any, begin: Any, out: Outcome) -> Outcome:
+    values[self.power] = 0.0
+    return out
+
+
+def first_only(self: Bound, values: Any, begin: Any, out: Outcome) -> Outcome:
+    return out._replace(reward=0.0, terms={}) if values.ndim == 1 and self.sums[1] > 50 else out
+
+
+SHAPES = "several buildings at once get what each gets alone"
+ALL_THE_SAME = (
+    "forgets at reset", "the terms add up to the reward", "resets single buildings", "goes on from its state", SHAPES
+)  # fmt: skip
+REWARD_MUTANTS: dict[str, tuple[Any, dict[str, Any]]] = {
+    "no bind of this node": (mutant(__init__=lambda self, a: None), {"binds to a manifest": "raised TypeError"}),
+    "no Outcome": (
+        changed(lambda s, v, b, out: (out.reward, out.terms, {})),
+        {"gives an Outcome of floats": "a tuple"},
+    ),
+    "not the sum": (
+        changed(lambda s, v, b, out: out._replace(terms={"energy": out.reward, "comfort": out.reward})),
+        {"the terms add up to the reward": r"at timestep 0 the reward is -[\d.]+, and its terms add up to -"},
+    ),
+    "not finite": (
+        changed(lambda s, v, b, out: out._replace(measures={"share": np.float64("nan")})),
+        {"all is finite": "share = nan"},
+    ),
+    "another each time": (
+        changed(lambda s, v, b, out: Outcome(*(2 * (next(numbers),)), {})._replace(terms={})),
+        {
+            "the same values get the same reward": "bound a second time it gave another reward",
+            **dict.fromkeys(ALL_THE_SAME),
+        },
+    ),
+    "never forgets": (
+        mutant(reset=lambda self, slots=None: None),
+        {"forgets at reset": "after another episode and reset", "resets single buildings": "does not get what it gets"},
+    ),
+    "forgets all": (
+        mutant(reset=lambda self, slots=None: Bound.reset(self)),
+        {"resets single buildings": "changed the reward of other buildings"},
+    ),
+    "writes": (changed(writes), {"changes neither values nor manifest": "writes into the values"}),
+    "one for all": (changed(only_of_one), {SHAPES: "building 1 of 3 gets", "resets single buildings": None}),
+    "no state": (mutant(state=lambda self: {}), {"goes on from its state": "restored from its state"}),
+    "odd state": (
+        mutant(state=lambda self: {"sums": self.sums}),
+        {"goes on from its state": "other than plain values"},
+    ),
+    "looks away": (LooksAway(), {"a missing point is an InvalidConfig": "without any point it was bound, and"}),
+    "trips": (Trips(), {"a missing point is an InvalidConfig": "ValueError: .*; InvalidConfig expected"}),
+}
+
+
+@pytest.mark.parametrize("name", REWARD_MUTANTS)
+def test_a_bad_rewards_faults_are_named(name: str) -> None:
+    reward, faults = REWARD_MUTANTS[name]
+    with pytest.raises(ConformanceError) as error:
+        check_reward(reward)
+    said = {result.name: " ".join(result.faults) for result in error.value.report.results if result.faults}
+    assert set(said) == set(faults), said
+    for check, words in faults.items():
+        assert words is None or re.search(words, said[check]), said[check]
+
+
+class Changed(gym.Wrapper[Any, Any, Any, Any]):
+    """An environment with a fault."""
+
+    def __init__(self, env: Any, change: Callable[..., Any]) -> None:
+        super().__init__(env)
+        self.change = change
+        self.steps, self.episodes, self.left_at = 0, 0, 0
+
+    def reset(self, *, seed: Any = None, options: Any = None) -> Any:
+        self.left_at = self.steps
+        self.steps, self.episodes = 0, self.episodes + 1
+        observation, info = super().reset(seed=seed, options=options)
+        return self.change(self, observation, 0.0, False, False, info)[::4]
+
+    def step(self, action: Any) -> Any:
+        self.steps += 1
+        return self.change(self, *super().step(action))
+
+
+def with_(**parts: Callable[..., Any]) -> Callable[..., Any]:
+    names = ("observation", "reward", "terminated", "truncated", "info")
+
+    def change(env: Any, *came: Any) -> Any:
+        return tuple(parts[n](env, x) if n in parts else x for n, x in zip(names, came, strict=True))
+
+    return change
+
+
+def renamed(env: Any) -> Any:
+    env.observation_names = (*env.unwrapped.observation_names[:-1], "outdoor_temperature")
+    return env
+
+
+class Sloppy(Changed):
+    """Makes an action out of anything, and goes on after the end."""
+
+    def step(self, action: Any) -> Any:
+        try:
+            return super().step(np.nan_to_num(action, nan=22.5))
+        except EpisodeChanged:
+            super().reset()
+            return super().step(action)
+
+
+ENVIRONMENT_MUTANTS: dict[str, tuple[Any, dict[str, Any]]] = {
+    "raises": (with_(reward=lambda env, r: 1 / 0), {"can be reset and stepped": "raised ZeroDivisionError"}),
+    "ends early": (
+        with_(truncated=lambda env, t: env.steps >= 50),
+        {
+            "an episode has its N timesteps": "truncated after 50 timesteps; 96 expected",
+            "a step after the end is refused": None,
+        },
+    ),
+    "out of space": (
+        with_(observation=lambda env, o: o if env.steps != 40 else np.where(np.arange(len(o)) == 1, np.float32(-1), o)),
+        {
+            "observations are in their space": "sample 40 .*: value 1 is -1, bounds 0 to inf",
+            "gymnasium's own checks": None,
+        },
+    ),
+    "no float": (
+        with_(reward=lambda env, r: np.float32(r)),
+        {"rewards are finite, and the sum of their terms": "the reward of step 1 is"},
+    ),
+    "not the sum": (
+        with_(reward=lambda env, r: r - 1.0),
+        {"rewards are finite, and the sum of their terms": "its reward_terms add up to"},
+    ),
+    "mute": (
+        with_(info=lambda env, i: {k: v for k, v in i.items() if k not in ("applied", "weather")}),
+        {"info has its keys, and counts": "the info of reset lacks applied, weather the info of step lacks applied"},
+    ),
+    "miscounts": (
+        with_(info=lambda env, i: {**i, "step": 2 * i["step"]}),
+        {"info has its keys, and counts": r"counts \[0, 2, 4, 6\]", "an action that is no number is refused": None},
+    ),
+    "keeps a trace": (
+        with_(observation=lambda env, o: o + np.float32(env.left_at == 15) * (o > 0)),
+        {"a reset amid an episode leaves no trace": "in the next: the observation of sample 0 differs"},
+    ),
+    "names": (
+        lambda env, *came: (setattr(env, "observation_names", ("a",)), came)[1],
+        {"observations have names": "has 1 names for an observation of shape"},
+    ),
+    "lax": (
+        with_(),
+        {"an action that is no number is refused": "was taken", "a step after the end is refused": "was taken"},
+    ),
+    "unseeded": (
+        with_(observation=lambda env, o: o + np.float32(1e-3 * env.episodes) * (o > 0)),
+        {
+            "the same seed gives the same episode": "the observation of sample 0 differs",
+            "a reset amid an episode leaves no trace": None,
+            "gymnasium's own checks": None,
+        },
+    ),
+}
+
+
+@pytest.mark.parametrize("name", ENVIRONMENT_MUTANTS)
+def test_a_bad_environments_faults_are_named(name: str) -> None:
+    change, faults = ENVIRONMENT_MUTANTS[name]
+    with pytest.raises(ConformanceError) as error:
+        check_environment((Sloppy if name == "lax" else Changed)(FakeEnv(1), change))
+    said = {result.name: " ".join(result.faults) for result in error.value.report.results if result.faults}
+    assert {k for k in faults if faults[k]} <= set(said) <= set(faults), said
+    for check, words in faults.items():
+        assert words is None or re.search(words, said[check]), said[check]
+
+
+def test_a_name_twice_is_named() -> None:
+    with pytest.raises(ConformanceError) as error:
+        check_environment(renamed(Changed(FakeEnv(1), with_())))
+    assert error.value.report.failed == ("observations have names",)
+    assert "observation_names has a name twice" in str(error.value)
+
+
+def test_the_kit_needs_no_pytest() -> None:
+    text = "import sys, agent_sdk.testing as t; t.check_reward('linear'); print('pytest' in sys.modules)"
+    done = subprocess.run([sys.executable, "-P", "-c", text], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
