@@ -220,7 +220,8 @@ class BuildingEnv(gym.Env[Observation, Any]):
                 remembers.reset()
         sample = self._sample = self.link.reset(seed=seed)
         values, info = sample.values, self._info(sample)
-        info["weather"], info["weather_noise"] = self.link.accepted.weather, self.link.accepted.drawn
+        accepted = self.link.accepted
+        info |= {"weather": accepted.weather, "weather_noise": accepted.drawn, "start": accepted.start}
         if self._history is not None:
             self._history.clear()
             self._history.add(sample.time, values)

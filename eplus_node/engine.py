@@ -6,6 +6,9 @@ forked while it waits. Each frame is an array of native doubles of one fixed len
     to the node:    [kind, step, sensors…, meters…, feedback…]      kind is one of `Said`
     from the node:  [order, step, actuators…]                       order is one of `Order`; NaN releases
 
+A `FORK` order has the length of a JSON text in place of the step; the text follows, and with it the child's
+socket, on which the child says its process id (a native 64-bit integer) and then goes on as any engine.
+
 A `FAILED` frame has the length of a UTF-8 text in place of the step, and the text follows.
 Sample 0 is the state after warm-up. The last sample is sent once EnergyPlus has ended the run by itself,
 so that it stands for a run that was good to its end.
@@ -14,6 +17,7 @@ so that it stands for a run that was good to its end.
 from __future__ import annotations
 
 import ctypes
+import fcntl
 import gc
 import json
 import os
@@ -47,6 +51,7 @@ class Order(IntEnum):
 
     STEP = 1
     FINISH = 2
+    FORK = 3
 
 
 _SAMPLE, _STEP = float(Said.SAMPLE), float(Order.STEP)
@@ -241,18 +246,22 @@ class Engine:
         out, command = self.out, self.command
         out[0], out[1] = _SAMPLE, self.step
         size = len(self.command_bytes)
-        try:
-            written = os.write(self.descriptor, out)
-            if written < self.out_size:
-                self.link.sendall(memoryview(out).cast("B")[written:])
-            got = self.polling.wait(self._try_read, self._read)
-            while got and got < size:
-                more = self.link.recv_into(self.command_bytes[got:])
-                got = got + more if more else 0
-        except ConnectionError:
-            got = 0
-        if not got:
-            leave(0)  # the node has gone or wants no more of this run
+        while True:
+            try:
+                written = os.write(self.descriptor, out)
+                if written < self.out_size:
+                    self.link.sendall(memoryview(out).cast("B")[written:])
+                got = self.polling.wait(self._try_read, self._read)
+                while got and got < size:
+                    more = self.link.recv_into(self.command_bytes[got:])
+                    got = got + more if more else 0
+            except ConnectionError:
+                got = 0
+            if not got:
+                leave(0)  # the node has gone or wants no more of this run
+            if command[0] != Order.FORK:
+                break
+            self._fork()  # both then tell the sample that they stand at: the child its first, the parent again
         if command[0] != _STEP:
             self.finishing = True
             self.api.runtime.stop_simulation(state)
@@ -263,6 +272,22 @@ class Engine:
                 set_actuator(state, handle, value)
             else:
                 self.reset_actuator(state, handle)
+
+    def _fork(self) -> None:
+        """Becomes two: the child goes on with the socket and the folder that the node hands over."""
+        length = int(self.command[1])
+        raw, descriptors, _, _ = socket.recv_fds(self.link, length, 1)
+        spec = json.loads(raw)
+        if clone():
+            os.close(descriptors[0])
+            return
+        self.link.close()
+        self.link = socket.socket(fileno=descriptors[0])
+        self.descriptor = self.link.fileno()
+        self.polling = Polling(enabled=spec["poll"])
+        begin(spec)
+        own_files(spec["folder"])
+        self.link.sendall(struct.pack("=q", os.getpid()))
 
     def _try_read(self) -> int | None:
         try:
@@ -293,19 +318,60 @@ def _die_with_parent(parent: int) -> None:
             leave(0)
 
 
-def main(descriptor: int) -> NoReturn:
-    """Reads the run's description from the socket and simulates."""
+_SYS_CLONE = 56  # x86-64, as the wheel's EnergyPlus
+_CLONE_PARENT = 0x00008000
+
+
+def clone() -> int:
+    """Forks: 0 in the child. The child's parent is the parent's own, the node, which so learns how it ends."""
+    child = ctypes.CDLL(None, use_errno=True).syscall(_SYS_CLONE, _CLONE_PARENT | signal.SIGCHLD, 0, 0, 0, 0)
+    if child < 0:
+        raise OSError(ctypes.get_errno(), "the engine cannot be forked")
+    return int(child)
+
+
+def own_files(folder: str) -> None:
+    """Gives a forked child its own open files: parent and child would move each other's place in them.
+
+    Files that are read are opened anew at the same place; those that are written are copied into `folder`.
+    """
+    for name in os.listdir("/proc/self/fd"):
+        descriptor = int(name)
+        try:
+            path = os.readlink(f"/proc/self/fd/{name}")
+            if not os.path.isfile(path):
+                continue
+            flags = fcntl.fcntl(descriptor, fcntl.F_GETFL)
+            place = os.lseek(descriptor, 0, os.SEEK_CUR)
+        except OSError:
+            continue  # the descriptor of the listing itself
+        if flags & os.O_ACCMODE != os.O_RDONLY:
+            own = os.path.join(folder, os.path.basename(path))
+            shutil.copyfile(path, own)
+            path = own
+        again = os.open(path, flags & ~(os.O_CREAT | os.O_EXCL | os.O_TRUNC))
+        os.lseek(again, place, os.SEEK_SET)
+        os.dup2(again, descriptor)
+        os.close(again)
+
+
+def begin(spec: dict[str, Any]) -> None:
+    """What holds for a process: whose child it is, which folder goes with it, where it runs."""
     global _own_folder
-    link = socket.socket(fileno=descriptor)
-    length = struct.unpack("<I", link.recv(4, socket.MSG_WAITALL))[0]
-    spec = json.loads(link.recv(length, socket.MSG_WAITALL))
-    if not spec["keep"]:
-        _own_folder = spec["folder"]
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the node's to answer
-    signal.signal(signal.SIGTERM, lambda *_: leave(0))
+    _own_folder = "" if spec["keep"] else spec["folder"]
     _die_with_parent(spec["parent"])
     if spec["cpu"] is not None:
         os.sched_setaffinity(0, {spec["cpu"]})
+
+
+def main(descriptor: int) -> NoReturn:
+    """Reads the run's description from the socket and simulates."""
+    link = socket.socket(fileno=descriptor)
+    length = struct.unpack("<I", link.recv(4, socket.MSG_WAITALL))[0]
+    spec = json.loads(link.recv(length, socket.MSG_WAITALL))
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the node's to answer
+    signal.signal(signal.SIGTERM, lambda *_: leave(0))
+    begin(spec)
     gc.disable()  # nothing here makes cycles
     Engine(link, spec).run()
 

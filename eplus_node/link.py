@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import select
 import shutil
 import signal
 import socket
@@ -11,7 +12,7 @@ import struct
 import subprocess
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import psutil
@@ -65,10 +66,95 @@ class Run:
         }
 
 
-class EngineLink:
-    """A running engine. `values`, `step` and `last` are those of its latest frame."""
+class Process(Protocol):
+    """A process of ours."""
 
-    def __init__(self, run: Run) -> None:
+    @property
+    def pid(self) -> int:
+        """Its number."""
+
+    def poll(self) -> int | None:
+        """How it ended (negative: by that signal), None while it runs."""
+
+    def wait(self, timeout: float | None = None) -> int:
+        """Waits for its end; `subprocess.TimeoutExpired`."""
+
+    def kill(self) -> None:
+        """Ends it."""
+
+
+class Forked:
+    """A child that an engine made of itself for this process."""
+
+    def __init__(self, pid: int) -> None:
+        self.pid = pid
+        self._code: int | None = None
+
+    def poll(self) -> int | None:
+        """See `Process`."""
+        return self._reap(os.WNOHANG)
+
+    def wait(self, timeout: float | None = None) -> int:
+        """See `Process`."""
+        if timeout is not None and self._code is None:
+            watch = os.pidfd_open(self.pid)
+            try:
+                if not select.select([watch], [], [], timeout)[0]:
+                    raise subprocess.TimeoutExpired(f"engine {self.pid}", timeout)
+            finally:
+                os.close(watch)
+        code = self._reap(0)
+        assert code is not None
+        return code
+
+    def kill(self) -> None:
+        """See `Process`."""
+        if self.poll() is None:
+            os.kill(self.pid, signal.SIGKILL)
+
+    def _reap(self, how: int) -> int | None:
+        if self._code is None:
+            done, status = os.waitpid(self.pid, how)
+            if done:
+                self._code = os.waitstatus_to_exitcode(status)
+        return self._code
+
+
+def _socket_pair() -> tuple[socket.socket, socket.socket]:
+    pair = socket.socketpair()
+    for end in pair:
+        end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SOCKET_BYTES)
+    return pair
+
+
+def _start(run: Run) -> tuple[socket.socket, Process]:
+    """Starts an engine as a program and tells it what to simulate."""
+    ours, theirs = _socket_pair()
+    try:
+        with (run.folder / "engine.log").open("wb") as log:
+            process = subprocess.Popen(
+                [*ISOLATED, "eplus_node.engine", str(theirs.fileno())],
+                pass_fds=[theirs.fileno()],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=log,
+            )
+    finally:
+        theirs.close()
+    spec = json.dumps(run.spec()).encode()
+    ours.sendall(struct.pack("<I", len(spec)) + spec)
+    return ours, process
+
+
+class EngineLink:
+    """A running engine. `values`, `step` and `last` are those of its latest frame.
+
+    Args:
+        run: what it simulates.
+        forked: the socket and the process of a child that another engine has made of itself; else one is started.
+    """
+
+    def __init__(self, run: Run, forked: tuple[socket.socket, Process] | None = None) -> None:
         self._run = run
         points = run.points
         self._told = [i for i, a in enumerate(points.actuators) if a.feedback]
@@ -78,29 +164,36 @@ class EngineLink:
         self._values_bytes = self._frame_bytes[16 : 16 + 8 * values]
         self._feedback_bytes = self._frame_bytes[16 + 8 * values :]
         self._finish = struct.pack("=dd", Order.FINISH, 0.0) + bytes(8 * len(points.actuators))
+        self._order_bytes = 8 * len(points.actuators)
         self._step = struct.pack("=dd", Order.STEP, 0.0)
         self.values = self._frame[2 : 2 + values]
         self.last = False
-        ours, theirs = socket.socketpair()
-        for end in (ours, theirs):
-            end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SOCKET_BYTES)
-        self._socket = ours
-        self._descriptor = ours.fileno()
+        self._socket, self._process = forked or _start(run)
+        self._descriptor = self._socket.fileno()
         self._frame_buffers = [self._frame_bytes]
         self._polling = Polling(enabled=run.poll)
-        try:
-            with (run.folder / "engine.log").open("wb") as log:
-                self._process = subprocess.Popen(
-                    [*ISOLATED, "eplus_node.engine", str(theirs.fileno())],
-                    pass_fds=[theirs.fileno()],
-                    stdin=subprocess.DEVNULL,
-                    stdout=subprocess.DEVNULL,
-                    stderr=log,
-                )
-        finally:
-            theirs.close()
+
+    def fork(self, run: Run) -> EngineLink:
+        """A child of this engine, which waits: it goes on from the same sample in the folder of `run`, on its own.
+
+        Raises:
+            EngineDied: this engine has ended.
+        """
+        ours, theirs = _socket_pair()
         spec = json.dumps(run.spec()).encode()
-        self._socket.sendall(struct.pack("<I", len(spec)) + spec)
+        order = struct.pack("=dd", Order.FORK, len(spec)) + bytes(self._order_bytes)
+        try:
+            self._socket.sendall(order)
+            socket.send_fds(self._socket, [spec], [theirs.fileno()])
+            theirs.close()
+            said = ours.recv(8, socket.MSG_WAITALL)
+        except OSError:
+            said = b""
+        if len(said) < 8:
+            ours.close()
+            raise EngineDied(self._last_words())
+        self.receive()
+        return EngineLink(run, (ours, Forked(*struct.unpack("=q", said))))
 
     @property
     def pid(self) -> int:

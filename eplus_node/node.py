@@ -140,6 +140,8 @@ class Node:
         self._draws = Draws(len(plan.sources), scenario.weather_order, noisy=bool(scenario.variability))
         self._episodes = Episodes(plan.building, plan.period, plan.sources, scenario.variability, outputs=keep)
         self._draw, self._begun = self._draws.next(), False
+        self._warm: EngineLink | None = None
+        self._warm_draw: Draw | None = None
         self._prepare()
 
     @property
@@ -317,32 +319,66 @@ class Node:
     def _episode_name(self) -> str:
         return f"episode-{self.exchange.episode[0]:04}"
 
+    @property
+    def _can_fork(self) -> bool:
+        """Whether an engine waits at sample 0 of the very episode that begins."""
+        return self._warm is not None and self._warm_draw == self._draw and self._warm.alive
+
     def _start_engine(self) -> None:
-        """A fresh engine, warmed up, at sample 0."""
-        plan, config, files = self.plan, self.config, self._files
-        run = Run(
-            files.model,
-            files.weather,
-            files.model.parent,
-            plan.period.steps,
-            plan.period.steps_per_hour,
-            plan.points,
-            keep=config.keep is not None,
-            cpu=self.engine_cpu,
-            poll=self.engine_cpu != self.cpu,
-        )
-        self._engine = EngineLink(run)
+        """An engine at sample 0: a fork of one that waits there, else a fresh one, warmed up."""
         try:
-            self._engine.receive()
+            self._engine = self._forked() if self._can_fork else self._fresh()
         except SimulatorError:
             if self._stopping:
                 raise _Stopped from None
             raise
         self._ready()
 
+    def _fresh(self) -> EngineLink:
+        """A fresh engine; where each episode begins alike, it stays there and the episode gets a fork of it."""
+        self._close_warm()
+        engine = EngineLink(self._run(self._files.model.parent))
+        try:
+            engine.receive()
+        except BaseException:
+            engine.close()
+            raise
+        if self.config.keep or not self._draws.constant:
+            return engine
+        self._warm, self._warm_draw = engine, self._draw
+        return self._forked()
+
+    def _forked(self) -> EngineLink:
+        assert self._warm is not None
+        folder = self._folder / f"{self._episode_name()}-fork"
+        folder.mkdir()
+        engine = self._warm.fork(self._run(folder))
+        engine.receive()
+        return engine
+
+    def _run(self, folder: Path) -> Run:
+        plan = self.plan
+        return Run(
+            self._files.model,
+            self._files.weather,
+            folder,
+            plan.period.steps,
+            plan.period.steps_per_hour,
+            plan.points,
+            keep=self.config.keep is not None,
+            cpu=self.engine_cpu,
+            poll=self.engine_cpu != self.cpu,
+        )
+
     def _close_engine(self) -> None:
         if hasattr(self, "_engine"):
             self._end_engine()
+        self._close_warm()
+
+    def _close_warm(self) -> None:
+        warm, self._warm = self._warm, None
+        if warm is not None:
+            warm.close()
 
     def _end_engine(self) -> None:
         """Ends the present engine; where its files are kept, EnergyPlus may finish them."""
@@ -377,13 +413,14 @@ class Node:
         former, self._draw = self._draw, self._next_draw(reset.seed)
         ready = untouched and self._draw == former
         self.exchange.reset()
-        if not ready:
+        forked = not ready and self._can_fork
+        if not ready and not forked:
             self._prepare()
         # The answer goes out before the start, which takes seconds in large buildings.
         self._inlets.shelve(lambda: self._restart(ready=ready, source=reset.controller))
         return Accepted(
             episode=self.exchange.episode,
-            fresh=ready,
+            start="ready" if ready else "forked" if forked else "started",
             weather=self._source.name,
             drawn=self._files.drawn,
             outputs=str(self._files.model.parent) if self.config.keep else "",

@@ -50,6 +50,11 @@ class Draws:
         self._sources, self._order, self._noisy = sources, order, noisy
         self.seed(None)
 
+    @property
+    def constant(self) -> bool:
+        """Whether each episode has the same weather."""
+        return self._sources == 1 and not self._noisy
+
     def seed(self, seed: int | None) -> None:
         """Begins anew."""
         which, noise = np.random.SeedSequence(seed).spawn(2)

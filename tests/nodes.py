@@ -124,12 +124,18 @@ class NodeProgram:
             self.process.kill()
 
 
-def engine_of(node_pid: int) -> psutil.Process:
-    """The engine that a node has started."""
+def engines_of(node_pid: int) -> list[psutil.Process]:
+    """The engines of a node, the one that simulates its episode last; before it, one may wait to be forked."""
     children = psutil.Process(node_pid).children()
     engines = [child for child in children if "eplus_node.engine" in child.cmdline()]
-    assert len(engines) == 1, f"one engine expected, found {children}"
-    return engines[0]
+    return sorted(engines, key=lambda engine: (engine.create_time(), engine.pid))
+
+
+def engine_of(node_pid: int) -> psutil.Process:
+    """The engine that simulates a node's episode."""
+    engines = engines_of(node_pid)
+    assert 1 <= len(engines) <= 2, f"an engine, and one that waits at most; found {engines}"
+    return engines[-1]
 
 
 class Program:

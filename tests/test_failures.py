@@ -287,9 +287,9 @@ sys.stdin.readline()
 """
     with Program(text) as program:
         program.line()
-        assert len(programs_of(scratch)) == 3
+        assert len(programs_of(scratch)) == 4  # with the engine that waits to be forked
         program.process.kill()
-        until(lambda: not programs_of(scratch), "node and engine have ended")
+        until(lambda: not programs_of(scratch), "node and engines have ended")
 
 
 def test_the_node_is_stopped_by_a_request(folder: Path) -> None:

@@ -362,12 +362,14 @@ class Ask(Message):
 class Accepted(Message):
     """The node took a request. `episode` is the one that is running or starting now.
 
-    After a reset, `weather` is the episode's weather file, `drawn` the parameters of its variability, by
-    column (`dry_bulb_temperature.sigma`), and `outputs` the folder of EnergyPlus's own files, if they are kept.
+    After a reset, `start` says how its engine came to sample 0: `ready` (it waited there untouched), `forked` (from
+    one that waits there) or `started`; `weather` is the episode's weather file, `drawn` the parameters of its
+    variability, by column (`dry_bulb_temperature.sigma`), and `outputs` the folder of EnergyPlus's own files, if they
+    are kept.
     """
 
     episode: list[Count]
-    fresh: bool = False
+    start: str = ""
     weather: str = ""
     drawn: dict[str, float] = Field(default_factory=dict)
     outputs: str = ""

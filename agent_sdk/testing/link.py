@@ -52,7 +52,7 @@ class FakeLink:
         noise = {"sigma": climate.noise_k, "mu": 0.0, "tau_h": climate.noise_tau_h} if climate.noise_k else {}
         self.accepted = Accepted(
             episode=[self._episode],
-            fresh=True,
+            start="ready",
             weather=self.manifest.weather,
             drawn={f"dry_bulb_temperature.{name}": value for name, value in noise.items()},
         )

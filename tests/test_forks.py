@@ -1,0 +1,139 @@
+"""Episodes that begin as a fork of an engine that waits: the same to the bit, and nothing is left of them."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import packs
+import psutil
+import pytest
+from nodes import engines_of, until
+
+import agent_sdk  # noqa: F401  # registers the environments
+from agent_sdk.environment import BuildingEnv
+from topics.errors import EngineDied
+
+SMALL = "zenostat/ref-small-office-USA_CO_Denver-continuous-v1"
+DAY = {"begin": "07-03", "end": "07-03", "affinity": "off"}
+
+KINDS = {
+    "five zones": "5zone-hot-continuous-v1",
+    "data centre, DX": "datacenter_dx-hot-continuous-v1",
+    "data centre, chilled water": "datacenter_cw-hot-continuous-v1",
+    "medium office with EMS": "office-medium-USA_CO_Denver-continuous-v1",
+    "photovoltaics and battery": "shop-hot-continuous-v1",
+    "battery that is controlled": "officegrid-hot-continuous-v1",
+}
+
+
+def make(name: str, **given: Any) -> BuildingEnv:
+    env = gym.make(name if "/" in name else f"zenostat/{name}", **(DAY | given)).unwrapped
+    assert isinstance(env, BuildingEnv)
+    return env
+
+
+def play(env: BuildingEnv, *, steps: int | None = None) -> tuple[str, np.ndarray]:
+    """How the episode began, and all that came of it under the same actions each time."""
+    observation, info = env.reset()
+    env.action_space.seed(11)
+    rows, ended = [np.append(observation, 0.0)], False
+    while not ended and (steps is None or len(rows) <= steps):
+        observation, reward, _, ended, _ = env.step(env.action_space.sample())
+        rows.append(np.append(observation, reward))
+    return info["start"], np.array(rows)
+
+
+def play_on(env: BuildingEnv) -> None:
+    for _ in range(5):
+        env.step(env.action_space.sample())
+
+
+def engines(env: BuildingEnv) -> list[psutil.Process]:
+    assert env.own_node is not None
+    return engines_of(env.own_node.pid)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_fork_is_a_fresh_start_to_the_bit(kind: str, scratch: Path) -> None:
+    """An environment that keeps EnergyPlus's files starts each episode afresh; the other one forks.
+
+    The second fork is made after the first episode was left in the middle, and while the waiting engine has been
+    waiting through a whole episode.
+    """
+    packs.sinergym()
+    fresh, forking = make(KINDS[kind], keep=scratch / "kept"), make(KINDS[kind])
+    began, expected = play(fresh)
+    again, second = play(fresh)
+    assert (began, again) == ("ready", "started")
+    np.testing.assert_array_equal(expected, second)
+    for start, steps in (("ready", None), ("forked", 40), ("forked", None)):
+        began, rows = play(forking, steps=steps)
+        assert began == start
+        np.testing.assert_array_equal(rows, expected[: len(rows)])
+    assert len(rows) == len(expected)
+    fresh.close()
+    forking.close()
+
+
+def test_many_resets_leave_nothing(scratch: Path) -> None:
+    """No process, descriptor, file or folder more after fifty episodes than after three."""
+    env = make(SMALL)
+    node = psutil.Process(env.own_node.pid)
+
+    def held() -> tuple[int, int, int]:
+        return len(engines(env)), node.num_fds(), len([*scratch.rglob("*")])
+
+    for _ in range(3):
+        play(env, steps=2)
+    before = held()
+    for _ in range(50):
+        assert play(env, steps=2)[0] == "forked"
+    assert held() == before
+    env.close()
+
+
+def test_without_the_waiting_engine_the_next_one_is_started(scratch: Path) -> None:
+    """Its death harms no episode that runs."""
+    env = make(SMALL)
+    _, expected = play(env)
+    env.reset()
+    waiting, running = engines(env)
+    env.action_space.seed(11)
+    env.step(env.action_space.sample())
+    waiting.kill()
+    until(lambda: not waiting.is_running() or waiting.status() == psutil.STATUS_ZOMBIE, "the engine has ended")
+    assert running.is_running()
+    ended = False
+    while not ended:
+        _, _, _, ended, _ = env.step(env.action_space.sample())
+    began, rows = play(env)
+    assert began == "started"
+    np.testing.assert_array_equal(rows, expected)
+    assert play(env, steps=1)[0] == "forked"
+    env.close()
+
+
+def test_a_killed_fork_is_an_error_that_says_so_and_the_next_episode_runs(scratch: Path) -> None:
+    env = make(SMALL)
+    _, expected = play(env)
+    env.reset()
+    env.step(env.action_space.sample())
+    os.kill(engines(env)[-1].pid, signal.SIGKILL)
+    with pytest.raises(EngineDied, match="SIGKILL"):
+        play_on(env)
+    began, rows = play(env)
+    assert began == "forked"
+    np.testing.assert_array_equal(rows, expected)
+    env.close()
+
+
+def test_episodes_with_weather_of_their_own_are_started(scratch: Path) -> None:
+    env = make(SMALL.replace("continuous", "continuous-stochastic"))
+    assert [play(env, steps=2)[0] for _ in range(3)] == ["ready", "started", "started"]
+    assert len(engines(env)) == 1
+    env.close()
