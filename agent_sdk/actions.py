@@ -31,7 +31,8 @@ class Actions:
         self._low = np.array([-np.inf if a.low is None else a.low for a in task.actions])
         self._high = np.array([np.inf if a.high is None else a.high for a in task.actions])
         if isinstance(self.space, spaces.Floats):
-            self._space_low, self._space_high = self.space.low, self.space.high
+            low, high = np.minimum(self.space.low, self._low), np.maximum(self.space.high, self._high)
+            self._least, self._most = low - _slack(low), high + _slack(high)
         action_of = {name: i for i, action in enumerate(task.actions) for name in action.actuators}
         self._fan = np.array([action_of.get(a.name, 0) for a in manifest.actuators], np.intp)
         self._one_each = self._fan.tolist() == list(range(len(task.actions)))
@@ -86,11 +87,9 @@ class Actions:
         return checked
 
     def _inside(self, values: NDArray[np.float64]) -> NDArray[np.bool_]:
-        finite = np.isfinite(values)  # an unbounded action takes any finite value
-        # The space's float32 bounds lie a rounding error inside or outside the actuators' own: both are meant.
-        low, high = np.minimum(self._space_low, self._low), np.maximum(self._space_high, self._high)
-        inside: NDArray[np.bool_] = finite & (values >= low) & (values <= high)
-        return inside
+        # An action that was rescaled in float32 ends a few units in the last place beside a bound: the bound is meant.
+        inside: NDArray[np.bool_] = np.isfinite(values) & (values >= self._least) & (values <= self._most)
+        return inside  # an unbounded action takes any finite value
 
     def _fault(self, values: NDArray[np.float64]) -> str:
         faults = []
@@ -110,6 +109,12 @@ class Actions:
                 raise InvalidAction(f"choice {index} of {', '.join(table.names)}; 0 to {len(table.rows) - 1} expected")
             values[table.columns] = table.rows[index]
         return values
+
+
+def _slack(bound: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Four units in the last place of float32 at a bound."""
+    size: NDArray[np.float64] = np.spacing(np.where(np.isfinite(bound), np.abs(bound), 1.0).astype(np.float32))
+    return 4.0 * size.astype(np.float64)
 
 
 def _array(action: ArrayLike, kind: type[np.float64] | None) -> NDArray[Any]:

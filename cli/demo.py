@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
     from agent_sdk import Bus
-    from agent_sdk.evaluation import Result
+    from agent_sdk.metrics import Result
 
 NODE = "office"
 ZENOSTAT = [sys.executable, "-P", "-m", "cli.main"]
@@ -77,7 +77,7 @@ def _rest(process: subprocess.Popen[str]) -> list[str]:
 
 def _episode(bus: Bus, endpoint: str, controller: str, title: str, bars: Progress) -> tuple[Result, float]:
     """One episode under one controller in a process of its own; its totals and its timesteps per second."""
-    from agent_sdk.evaluation import Tally
+    from agent_sdk.metrics import Tally
 
     manifest = bus.manifest(NODE)
     tally, bar = Tally(manifest), bars.add_task(title, total=manifest.steps, rate="")

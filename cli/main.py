@@ -6,7 +6,7 @@ import sys
 
 import typer
 
-from cli import buildings, demo, monitor, node, packs, points, run, status, weathers
+from cli import buildings, demo, evaluate, monitor, node, packs, points, run, status, weathers
 from cli.console import say_error
 from cli.scenarios import scenarios
 from topics import VERSION
@@ -23,6 +23,7 @@ app = typer.Typer(
 _COMMANDS = (
     node.node,
     run.run,
+    evaluate.evaluate,
     monitor.monitor,
     status.status,
     buildings.buildings,

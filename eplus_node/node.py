@@ -26,10 +26,10 @@ from bridge.lockstep import Exchange, Input
 from bridge.session import open_session
 from eplus_node.config import NodeConfig, Plan, plan
 from eplus_node.inlets import Inlets
-from eplus_node.link import EngineLink, Run
 from eplus_node.outlets import Outlets
+from eplus_node.supply import Supply
 from models import energyplus
-from models.episode import Draw, Draws, Episodes, Source, series
+from models.episode import series
 from models.scenario import dump
 from models.weather import find_column
 from topics import VERSION, codec, errors, keys
@@ -46,6 +46,7 @@ from topics.messages import (
     Policy,
     Reset,
     ScenarioText,
+    Start,
     State,
     Status,
     Stop,
@@ -91,7 +92,8 @@ class Node:
             self._open_bus()
             self.exchange = Exchange(self.plan.points.actuators, mode=self.config.mode)
             self._make_folder()
-            self._plan_episodes()
+            self._supply = Supply(self.plan, self._folder, cpu=self.engine_cpu, poll=self.engine_cpu != self.cpu)
+            self._close.callback(self._supply.close)
             self._close.callback(self._close_engine)
             self._start_engine()
             self._announce()
@@ -134,21 +136,6 @@ class Node:
         self._folder.mkdir(parents=True, exist_ok=True)
         self._close.callback(shutil.rmtree, self._folder, ignore_errors=True)
 
-    def _plan_episodes(self) -> None:
-        plan, keep = self.plan, self.config.keep is not None
-        scenario = plan.scenario
-        self._draws = Draws(len(plan.sources), scenario.weather_order, noisy=bool(scenario.variability))
-        self._episodes = Episodes(plan.building, plan.period, plan.sources, scenario.variability, outputs=keep)
-        self._draw, self._begun = self._draws.next(), False
-        self._warm: EngineLink | None = None
-        self._warm_draw: Draw | None = None
-        self._prepare()
-
-    @property
-    def _source(self) -> Source:
-        """The weather of the present episode."""
-        return self.plan.sources[self._draw.source]
-
     def _announce(self) -> None:
         """Says that the node is there: what it answers first, its presence last."""
         name = self.config.name
@@ -183,10 +170,10 @@ class Node:
             node=config.name,
             instance=self.instance,
             building=plan.building.name,
-            weather=self._source.name,
-            location=self._source.header.place,
-            latitude_deg=self._source.header.latitude_deg,
-            longitude_deg=self._source.header.longitude_deg,
+            weather=self._supply.source.name,
+            location=self._supply.source.header.place,
+            latitude_deg=self._supply.source.header.latitude_deg,
+            longitude_deg=self._supply.source.header.longitude_deg,
             begin=plan.period.time(0).isoformat(),
             end=plan.period.time(plan.period.steps).isoformat(),
             steps_per_hour=plan.period.steps_per_hour,
@@ -305,80 +292,19 @@ class Node:
 
     # The engine
 
-    def _prepare(self) -> None:
-        """Writes the files of the episode that begins. Its weather outlives the engine, which clears its own folder."""
-        keep, name = self.config.keep, self._episode_name()
-        folder = (keep.absolute() if keep else self._folder) / name
-        folder.mkdir(parents=True, exist_ok=True)
-        if not keep:
-            for former in self._folder.glob("*.epw"):
-                former.unlink()
-        weather = folder / "in.epw" if keep else self._folder / f"{name}.epw"
-        self._files = self._episodes.prepare(self._draw, folder, weather)
-
-    def _episode_name(self) -> str:
-        return f"episode-{self.exchange.episode[0]:04}"
-
-    @property
-    def _can_fork(self) -> bool:
-        """Whether an engine waits at sample 0 of the very episode that begins."""
-        return self._warm is not None and self._warm_draw == self._draw and self._warm.alive
-
     def _start_engine(self) -> None:
-        """An engine at sample 0: a fork of one that waits there, else a fresh one, warmed up."""
+        """An engine of the present episode, at sample 0."""
         try:
-            self._engine = self._forked() if self._can_fork else self._fresh()
+            self._engine = self._supply.engine(self.exchange.episode[0])
         except SimulatorError:
             if self._stopping:
                 raise _Stopped from None
             raise
         self._ready()
 
-    def _fresh(self) -> EngineLink:
-        """A fresh engine; where each episode begins alike, it stays there and the episode gets a fork of it."""
-        self._close_warm()
-        engine = EngineLink(self._run(self._files.model.parent))
-        try:
-            engine.receive()
-        except BaseException:
-            engine.close()
-            raise
-        if self.config.keep or not self._draws.constant:
-            return engine
-        self._warm, self._warm_draw = engine, self._draw
-        return self._forked()
-
-    def _forked(self) -> EngineLink:
-        assert self._warm is not None
-        folder = self._folder / f"{self._episode_name()}-fork"
-        folder.mkdir()
-        engine = self._warm.fork(self._run(folder))
-        engine.receive()
-        return engine
-
-    def _run(self, folder: Path) -> Run:
-        plan = self.plan
-        return Run(
-            self._files.model,
-            self._files.weather,
-            folder,
-            plan.period.steps,
-            plan.period.steps_per_hour,
-            plan.points,
-            keep=self.config.keep is not None,
-            cpu=self.engine_cpu,
-            poll=self.engine_cpu != self.cpu,
-        )
-
     def _close_engine(self) -> None:
         if hasattr(self, "_engine"):
             self._end_engine()
-        self._close_warm()
-
-    def _close_warm(self) -> None:
-        warm, self._warm = self._warm, None
-        if warm is not None:
-            warm.close()
 
     def _end_engine(self) -> None:
         """Ends the present engine; where its files are kept, EnergyPlus may finish them."""
@@ -410,29 +336,18 @@ class Node:
         if reset.options:
             raise errors.Refused(f"unknown reset options {sorted(reset.options)}; there are none yet")
         untouched = self.exchange.state is State.WAITING and not self.exchange.touched
-        former, self._draw = self._draw, self._next_draw(reset.seed)
-        ready = untouched and self._draw == former
         self.exchange.reset()
-        forked = not ready and self._can_fork
-        if not ready and not forked:
-            self._prepare()
+        supply, episode = self._supply, self.exchange.episode[0]
+        start = supply.turn(reset.seed, episode, untouched=untouched)
         # The answer goes out before the start, which takes seconds in large buildings.
-        self._inlets.shelve(lambda: self._restart(ready=ready, source=reset.controller))
+        self._inlets.shelve(lambda: self._restart(ready=start is Start.READY, source=reset.controller))
         return Accepted(
             episode=self.exchange.episode,
-            start="ready" if ready else "forked" if forked else "started",
-            weather=self._source.name,
-            drawn=self._files.drawn,
-            outputs=str(self._files.model.parent) if self.config.keep else "",
+            start=start,
+            weather=supply.source.name,
+            drawn=supply.files.drawn,
+            outputs=supply.outputs,
         )
-
-    def _next_draw(self, seed: int | None) -> Draw:
-        """The weather of the next episode; that of the first one is drawn already, unless a seed begins anew."""
-        first, self._begun = not self._begun, True
-        if seed is None:
-            return self._draw if first else self._draws.next()
-        self._draws.seed(seed)
-        return self._draws.next()
 
     def _restart(self, *, ready: bool, source: str) -> None:
         if ready and self._engine.alive:
@@ -444,15 +359,16 @@ class Node:
             except SimulatorError as error:
                 self._fail(error)
                 return
-        if self.manifest.weather != self._source.name:
+        if self.manifest.weather != self._supply.source.name:
             self.manifest = self._manifest()
             self._outlets.manifest(self.manifest)
         self.event(self.exchange.event(EventKind.STARTED, self._begins(), source))
         self._publish()
+        self._supply.look_ahead(self.exchange.episode[0])
 
     def _begins(self) -> str:
         """What the episode simulates, in a line."""
-        source, drawn = self._source, self._files.drawn
+        source, drawn = self._supply.source, self._supply.files.drawn
         parts = [f"episode {self.exchange.episode[0]} of {self.manifest.building} begins", source.name]
         parts += [source.site.source] if source.site is not None else []
         parts += self.plan.building.notes
@@ -460,7 +376,7 @@ class Node:
         return "; ".join(parts)
 
     def _weather(self, query: WeatherQuery) -> Message:
-        values, step_s = series(self._files.weather, self.plan.period, query.columns)
+        values, step_s = series(self._supply.files.weather, self.plan.period, query.columns)
         found = [find_column(name) for name in query.columns]
         return WeatherSeries(
             episode=self.exchange.episode[0],
@@ -498,7 +414,7 @@ class Node:
             node=self.config.name,
             state=exchange.state,
             building=self.plan.building.name,
-            weather=self._source.name,
+            weather=self._supply.source.name,
             mode=exchange.mode,
             episode=exchange.episode,
             step=exchange.step,

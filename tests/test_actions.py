@@ -304,3 +304,13 @@ def test_choices_leave_alone_what_no_action_sets() -> None:
     some = actions(FOUR, COOL, choices=(Choice(actions=("cool",), values=((30.0,), (24.0,))),))
     assert some.values(1)[[1, 3]].tolist() == [24.0, 24.0]
     assert list(some.mask or b"") == [Mask.KEEP, Mask.SET, Mask.KEEP, Mask.SET]
+
+
+def test_an_action_rescaled_in_float32_means_the_bound() -> None:
+    """As Gymnasium's RescaleAction computes it: -1 becomes 14.999999 where the bound is 15."""
+    own = Actions(manifest(actuators=[actuator("a", 15.0, 22.5), actuator("b", 22.5, 30.0)]))
+    beside = np.nextafter(own.space.low, np.float32(-np.inf)), np.nextafter(own.space.high, np.float32(np.inf))
+    assert own.values(beside[0]).tolist() == [15.0, 22.5]
+    assert own.values(beside[1]).tolist() == [22.5, 30.0]
+    with pytest.raises(InvalidAction, match=r"a = 14\.999"):
+        own.values(np.array([14.999, 25.0]))

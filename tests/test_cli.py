@@ -15,7 +15,7 @@ from nodes import SMALL, NodeProgram, free_port, until
 import agent_sdk
 
 ZENOSTAT = [sys.executable, "-P", "-m", "cli.main"]
-COMMANDS = ("node", "run", "monitor", "status", "points", "buildings", "weathers", "demo")
+COMMANDS = ("node", "run", "evaluate", "monitor", "status", "points", "buildings", "weathers", "demo")
 DAY = ["--building", "ref-small-office", "--weather", "USA_CO_Denver", "--begin", "07-03", "--end", "07-03"]
 
 

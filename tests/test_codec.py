@@ -31,6 +31,7 @@ from topics.messages import (
     PointValue,
     Reset,
     Sample,
+    Start,
     State,
     Status,
     Stop,
@@ -52,7 +53,7 @@ texts = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
 levels = st.integers(1, 16)
 
 whatever = st.one_of(
-    st.builds(Accepted, episode=lists, start=st.text(max_size=9)),
+    st.builds(Accepted, episode=lists, start=st.sampled_from(Start)),
     st.builds(Ask),
     st.builds(Claim, controller=names, level=levels, actuators=st.none() | st.lists(texts), required=st.booleans()),
     st.builds(Command, episode=lists, step=lists, mask=st.none() | st.binary(), values=st.binary()),

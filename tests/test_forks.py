@@ -132,8 +132,49 @@ def test_a_killed_fork_is_an_error_that_says_so_and_the_next_episode_runs(scratc
     env.close()
 
 
-def test_episodes_with_weather_of_their_own_are_started(scratch: Path) -> None:
-    env = make(SMALL.replace("continuous", "continuous-stochastic"))
-    assert [play(env, steps=2)[0] for _ in range(3)] == ["ready", "started", "started"]
-    assert len(engines(env)) == 1
+def test_the_engine_of_the_next_weather_is_started_ahead(scratch: Path) -> None:
+    """It is the one that a start at the time would have given; a seed that was not foreseen starts another."""
+    name = SMALL.replace("continuous", "continuous-stochastic")
+    env, plain = make(name), make(name, keep=scratch / "kept")
+
+    def began(one: BuildingEnv, seed: int | None) -> tuple[str, list[list[float]]]:
+        observation, info = one.reset(seed=seed)
+        rows = [observation.tolist()]
+        rows += [one.step([20.0, 25.0])[0].tolist() for _ in range(60)]
+        return info["start"], rows
+
+    for seed, start in ((4, "started"), (None, "ahead"), (None, "ahead"), (4, "started"), (None, "ahead")):
+        got, expected = began(env, seed), began(plain, seed)
+        assert got[0] == start
+        assert got[1] == expected[1]
+    for seed, start in ((5, "started"), (6, "started"), (7, "started"), (None, "started"), (None, "ahead")):
+        assert began(env, seed)[0] == start
+    assert len(engines(env)) == 2
+    assert len([*env.own_node.folder.rglob("*.epw")]) == 2
+    env.close()
+    plain.close()
+
+
+def test_weathers_in_turn_are_started_ahead(scratch: Path) -> None:
+    names = ["USA_CO_Denver", "USA_FL_Miami"]
+    env = make(SMALL, weather=names, weather_order="sequence")
+    seen = []
+    for _ in range(5):
+        _, info = env.reset()
+        env.step([20.0, 25.0])
+        seen.append((info["weather"], info["start"]))
+    assert [weather for weather, _ in seen] == [names[i % 2] for i in range(5)]
+    assert [start for _, start in seen] == ["ready", *["ahead"] * 4]
+    env.close()
+
+
+def test_an_engine_ahead_that_died_is_started_again(scratch: Path) -> None:
+    env = make(SMALL, weather=["USA_CO_Denver", "USA_FL_Miami"], weather_order="sequence")
+    env.reset()
+    env.step([20.0, 25.0])
+    ahead = until(lambda: len(found := engines(env)) == 2 and found[-1], "the next engine is there")
+    ahead.kill()
+    until(lambda: not ahead.is_running() or ahead.status() == psutil.STATUS_ZOMBIE, "it has ended")
+    _, info = env.reset()
+    assert (info["weather"], info["start"]) == ("USA_FL_Miami", "started")
     env.close()

@@ -68,6 +68,20 @@ class State(StrEnum):
     STOPPED = "stopped"
 
 
+class Start(StrEnum):
+    """How the engine of an episode came to sample 0.
+
+    `READY`: it waited there untouched. `FORKED`: from one that waits there. `AHEAD`: it was started while the episode
+    before ran. `STARTED`: afresh.
+    """
+
+    NONE = ""
+    READY = "ready"
+    FORKED = "forked"
+    AHEAD = "ahead"
+    STARTED = "started"
+
+
 class Flag(IntFlag):
     """What a sample says about its episode."""
 
@@ -362,14 +376,13 @@ class Ask(Message):
 class Accepted(Message):
     """The node took a request. `episode` is the one that is running or starting now.
 
-    After a reset, `start` says how its engine came to sample 0: `ready` (it waited there untouched), `forked` (from
-    one that waits there) or `started`; `weather` is the episode's weather file, `drawn` the parameters of its
-    variability, by column (`dry_bulb_temperature.sigma`), and `outputs` the folder of EnergyPlus's own files, if they
-    are kept.
+    After a reset, `start` says how its engine came to sample 0, `weather` is the episode's weather file, `drawn` the
+    parameters of its variability, by column (`dry_bulb_temperature.sigma`), and `outputs` the folder of EnergyPlus's
+    own files, if they are kept.
     """
 
     episode: list[Count]
-    start: str = ""
+    start: Start = Start.NONE
     weather: str = ""
     drawn: dict[str, float] = Field(default_factory=dict)
     outputs: str = ""
