@@ -1,11 +1,11 @@
-# The whole interface: make demo, make test, make check, make bench.
+# The whole interface: make demo, make test, make check, make bench, make docs.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 WORKERS ?= 2
 
-.PHONY: demo test check bench clean
+.PHONY: demo test check bench docs clean
 
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(None if sys.version_info >= (3, 11) else "Zenostat needs Python 3.11 or newer")'
@@ -27,5 +27,8 @@ check: $(READY)  ## Format, lint, types
 bench: $(READY)  ## What a step costs, as ratios within one run; results in bench/results/
 	$(BIN)/python -m bench
 
+docs: $(READY)  ## The documentation as a web site, in site/; any warning is an error
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
 clean:  ## Removes what the others made
-	rm -rf $(VENV) demo bench/results .mypy_cache .ruff_cache .pytest_cache .hypothesis *.egg-info
+	rm -rf $(VENV) demo bench/results site .mypy_cache .ruff_cache .pytest_cache .hypothesis *.egg-info

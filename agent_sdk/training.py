@@ -52,7 +52,7 @@ MakeEnv = Callable[[], gym.Env[Any, Any]]
 class EvaluationCallback(BaseCallback):
     """Evaluates the model every so many steps of training, in an environment of its own.
 
-    model.learn(100_000, callback=EvaluationCallback(make_env, every=10_000, best_model_path="best.zip"))
+        model.learn(100_000, callback=EvaluationCallback(make_env, every=10_000, best_model_path="best.zip"))
 
     Neither the training's environments nor any random state are touched: with it and without it the same seed gives
     the same weights. What the training's wrappers and its `VecNormalize` have learnt is copied for each evaluation.

@@ -18,9 +18,9 @@ from topics.messages import Action, Choice, Manifest
 class Agent:
     """Drives a controller through episodes: begins it at each, and gives its answers as values or as actions.
 
-    agent = Agent(ComfortBandRules(env.unwrapped.manifest))
-    env.reset(seed=0)
-    env.step(agent.action(env.unwrapped.sample))
+        agent = Agent(ComfortBandRules(env.unwrapped.manifest))
+        env.reset(seed=0)
+        env.step(agent.action(env.unwrapped.sample))
 
     Args:
         controller: a `Controller`, or anything that has `act(sample)`; `begin(sample)` is called where it has one.

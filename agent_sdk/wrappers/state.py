@@ -31,10 +31,11 @@ def save_wrappers(env: Any, path: str | Path) -> None:
     """Writes what the wrappers of `env`, single or vector, remember: ours, and Gymnasium's running statistics.
 
     Of a `SyncVectorEnv` also the wrappers of each slot's own environment. The file (YAML) is there whole or not
-    at all. Save between episodes: what the simulation itself is at is not kept.
+    at all, and its folder is made. Save between episodes: what the simulation itself is at is not kept.
     """
     kept = {"wrappers": [{"wrapper": keeper.name, **keeper.get()} for keeper in _keepers(env)]}
     path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
     hidden = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         hidden.write_text(readable.dump(kept), encoding="utf-8")
