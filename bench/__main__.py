@@ -34,6 +34,8 @@ KINDS = {
     "env.step, not placed": ("off", 0),
 }
 REFERENCE = "thread and two queues"
+MORE_RESETS = ("outpatient",)
+"""A building that takes long to its first step."""
 
 
 IMPORT = """
@@ -63,6 +65,15 @@ def measure(kind: str, building: str, days: int, monitors: int) -> tuple[float, 
     return figures["mean_us"], figures["memory_mb"]
 
 
+def measure_resets(building: str) -> dict[str, float]:
+    """Median milliseconds of a reset that forks and of one that starts an engine."""
+    done = subprocess.run([sys.executable, "-m", "bench.resets", building], capture_output=True, text=True, check=False)
+    if done.returncode:
+        sys.exit(f"bench.resets {building} failed:\n{done.stderr[-2000:]}")
+    found: dict[str, float] = json.loads(done.stdout.splitlines()[-1])
+    return found
+
+
 def main() -> None:
     """Measures, prints, writes."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -86,6 +97,8 @@ def main() -> None:
     for building, kinds in results.items():
         console.print(_table(building, kinds))
         console.print(f"node and engine of {building}: {memory[building]:.0f} MB")
+    resets = {building: measure_resets(building) for building in (*buildings, *MORE_RESETS)}
+    console.print(_reset_table(resets))
     seconds, loads = import_time()
     console.print(f"import agent_sdk: {seconds:.2f} s; of Rerun and EnergyPlus it loads {loads}")
     target = Path(__file__).parent / "results"
@@ -95,7 +108,15 @@ def main() -> None:
     about = {"version": VERSION, "python": platform.python_version(), "machine": platform.machine()}
     written.write_text(
         json.dumps(
-            {**about, "days": asked.days, "us_per_step": results, "memory_mb": memory, "import_s": seconds}, indent=1
+            {
+                **about,
+                "days": asked.days,
+                "us_per_step": results,
+                "memory_mb": memory,
+                "reset_ms": resets,
+                "import_s": seconds,
+            },
+            indent=1,
         )
     )
     console.print(f"written to {written.relative_to(Path.cwd())}" if written.is_relative_to(Path.cwd()) else written)
@@ -107,6 +128,14 @@ def _table(building: str, kinds: dict[str, list[float]]) -> Table:
         ratios = [a / b for a, b in zip(figures, kinds[REFERENCE], strict=True)]
         spread = f"{min(ratios):.2f} to {max(ratios):.2f}"
         table.add_row(title, f"{statistics.median(figures):.0f}", f"{statistics.median(ratios):.2f}", spread)
+    return table
+
+
+def _reset_table(resets: dict[str, dict[str, float]]) -> Table:
+    table = Table("", "forked (ms)", "started (ms)", "times", title="env.reset")
+    for building, ms in resets.items():
+        cells = (f"{ms['forked']:.1f}", f"{ms['started']:.0f}", f"{ms['started'] / ms['forked']:.0f}")
+        table.add_row(building, *cells)
     return table
 
 

@@ -18,10 +18,12 @@ from typing import Any
 
 import numpy as np
 
+from models import design_days
 from models.building import prepared, read_building, write
 from models.catalog import find_building, find_weather
 from models.points import Points, choose
 from models.survey import survey
+from models.weather import read_header
 
 WEATHER = "USA_CO_Denver"
 SKIP = 96
@@ -47,7 +49,8 @@ class InProcess:
         period = model.period(*_days(days), STEPS_PER_HOUR)
         self.points: Points = choose(model, survey(model, weather), None, None, None)
         self.steps = period.steps
-        path = write(prepared(model, period), folder)
+        objects = design_days.apply(prepared(model, period), design_days.site(weather, read_header(weather)))
+        path = write(objects, folder)
         self.arguments = ["-w", str(weather), "-d", str(folder), str(path)]
         self.api = EnergyPlusAPI()
         self.state = self.api.state_manager.new_state()

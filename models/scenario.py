@@ -21,15 +21,12 @@ from pydantic import (
 )
 
 from models.catalog import MODEL_SUFFIXES, WEATHER_SUFFIXES
+from models.changes import Changes
 from models.variability import Noise
 from topics import readable
 from topics.codec import explain
 from topics.errors import InvalidConfig, UnknownName
 from topics.messages import Reading, SafeName, TimeField
-
-Changes = dict[str, dict[str, dict[str, Any] | None]]
-"""Object type, object name, fields. A field None is removed, fields None remove the object, the name `*`
-means each object of that type, and a new name a new object."""
 
 Order = Literal["random", "sequence"]
 Control = Literal["point", "zone", "building"]
