@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from bridge.affinity import Affinity
 from bridge.session import DEFAULT_ENDPOINT
-from models import building, catalog, design_days, points, rivals, sinergym, survey, variability, weather
+from models import building, catalog, design_days, points, rivals, survey, variability, weather
 from models.building import Building
 from models.episode import Source
 from models.period import Period
@@ -93,7 +93,9 @@ def read_config(settings: Mapping[str, Any]) -> NodeConfig:
 def read_base(config: NodeConfig) -> Scenario | None:
     """The scenario that the settings name, if they do."""
     if config.config is not None:
-        return sinergym.scenario_of(config.config, config.variant)
+        from models.sinergym import scenario_of as of_sinergym  # few need it, and it takes a while
+
+        return of_sinergym(config.config, config.variant)
     if config.scenario is None:
         return None
     path = Path(config.scenario).expanduser()

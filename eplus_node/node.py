@@ -26,6 +26,7 @@ from bridge.lockstep import Exchange, Input
 from bridge.session import open_session
 from eplus_node.config import NodeConfig, Plan, plan
 from eplus_node.inlets import Inlets
+from eplus_node.link import EngineLink
 from eplus_node.outlets import Outlets
 from eplus_node.supply import Supply
 from models import energyplus
@@ -304,14 +305,14 @@ class Node:
 
     def _close_engine(self) -> None:
         if hasattr(self, "_engine"):
-            self._end_engine()
+            self._end(self._engine)
 
-    def _end_engine(self) -> None:
-        """Ends the present engine; where its files are kept, EnergyPlus may finish them."""
+    def _end(self, engine: EngineLink) -> None:
+        """Ends an engine; where its files are kept, EnergyPlus may finish them."""
         if self.config.keep and self.exchange.state is not State.FAILED:
-            self._engine.finish()
+            engine.finish()
         else:
-            self._engine.close()
+            engine.close()
 
     def _ready(self) -> None:
         self.exchange.ready()
@@ -340,7 +341,7 @@ class Node:
         supply, episode = self._supply, self.exchange.episode[0]
         start = supply.turn(reset.seed, episode, untouched=untouched)
         # The answer goes out before the start, which takes seconds in large buildings.
-        self._inlets.shelve(lambda: self._restart(ready=start is Start.READY, source=reset.controller))
+        self._inlets.shelve(lambda: self._restart(start, reset.controller))
         return Accepted(
             episode=self.exchange.episode,
             start=start,
@@ -349,11 +350,14 @@ class Node:
             outputs=supply.outputs,
         )
 
-    def _restart(self, *, ready: bool, source: str) -> None:
-        if ready and self._engine.alive:
+    def _restart(self, start: Start, source: str) -> None:
+        former = self._engine
+        quick = start in (Start.FORKED, Start.AHEAD)  # the former engine's end, which takes as long, can wait
+        if start is Start.READY and former.alive:
             self._ready()
         else:
-            self._end_engine()
+            if not quick:
+                self._end(former)
             try:
                 self._start_engine()
             except SimulatorError as error:
@@ -364,6 +368,8 @@ class Node:
             self._outlets.manifest(self.manifest)
         self.event(self.exchange.event(EventKind.STARTED, self._begins(), source))
         self._publish()
+        if quick:
+            self._end(former)
         self._supply.look_ahead(self.exchange.episode[0])
 
     def _begins(self) -> str:
