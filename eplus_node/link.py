@@ -180,7 +180,9 @@ class EngineLink:
             EngineDied: this engine has ended.
         """
         ours, theirs = _socket_pair()
-        spec = json.dumps(run.spec()).encode()
+        # Only what differs: a short text comes in one piece, with its socket.
+        told = run.spec()
+        spec = json.dumps({name: told[name] for name in ("folder", "keep", "parent", "cpu", "poll")}).encode()
         order = struct.pack("=dd", Order.FORK, len(spec)) + bytes(self._order_bytes)
         try:
             self._socket.sendall(order)

@@ -28,6 +28,7 @@ KINDS = {
     "medium office with EMS": "office-medium-USA_CO_Denver-continuous-v1",
     "photovoltaics and battery": "shop-hot-continuous-v1",
     "battery that is controlled": "officegrid-hot-continuous-v1",
+    "many zones, whose points fill more than a socket takes at once": "outpatient-USA_FL_Orlando-continuous-v1",
 }
 
 
