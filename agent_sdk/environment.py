@@ -118,7 +118,7 @@ class BuildingEnv(gym.Env[Observation, Any]):
     ) -> None:
         here = locals()
         given = {name: here[name] for name in settings.OF_A_NODE if here[name] is not None}
-        self._close = ExitStack()
+        self._close, self._closed = ExitStack(), False
         with ExitStack() as undo:
             undo.callback(self.close)
             self._check_render(render_mode)
@@ -212,6 +212,7 @@ class BuildingEnv(gym.Env[Observation, Any]):
         seed began. `info["weather"]` says which it is.
         """
         super().reset(seed=seed)
+        self._check_open()
         if options:
             raise InvalidConfig(f"unknown reset options {sorted(options)}; there are none")
         self._context, self._ended = {}, False
@@ -241,7 +242,8 @@ class BuildingEnv(gym.Env[Observation, Any]):
             NodeLost, SimulatorError, Refused, EpisodeChanged: see `ControlLink.receive`.
         """
         previous = self._sample
-        if previous is None or self._ended:
+        if previous is None or self._ended or self._closed:
+            self._check_open()
             raise EpisodeChanged("the episode is over; call reset()" if previous else "call reset() before step()")
         commanded, mask = self._command(action)
         self.link.send(commanded, mask)
@@ -342,4 +344,9 @@ class BuildingEnv(gym.Env[Observation, Any]):
 
     def close(self) -> None:
         """Lets go of the node, and ends it if it is this environment's own; twice is fine."""
+        self._closed = True
         self._close.close()
+
+    def _check_open(self) -> None:
+        if self._closed:
+            raise EpisodeChanged("the environment is closed; make another one")

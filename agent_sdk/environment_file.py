@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from agent_sdk.rewards import Reward
 from agent_sdk.rewards.kind import Kind
 from agent_sdk.wrappers import apply_wrappers, wrappers_of
 from topics import readable
-from topics.errors import InvalidConfig
+from topics.errors import InvalidConfig, near
 
 
 def make(**given: Any) -> gym.Env[Any, Any]:
@@ -22,6 +23,9 @@ def make(**given: Any) -> gym.Env[Any, Any]:
     Raises:
         UsageError, BusError, SimulatorError: see `BuildingEnv`; nothing is left behind.
     """
+    known = list(inspect.signature(BuildingEnv).parameters)
+    if unknown := [name for name in given if name not in known]:
+        raise InvalidConfig("\n".join(f"no argument {name!r}; {near(name, known)}" for name in unknown))
     env = BuildingEnv(**given)
     try:
         wrapped: gym.Env[Any, Any] = apply_wrappers(env, env.manifest.task.wrappers)

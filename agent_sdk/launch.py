@@ -43,23 +43,24 @@ class OwnNode:
             self.folder.rmdir()
             self.folder = Path(tempfile.mkdtemp(prefix="zenostat-", dir="/tmp"))
         # Also at the interpreter's exit, and if the start is interrupted before there is a process.
-        self._clear = weakref.finalize(self, shutil.rmtree, self.folder, ignore_errors=True)
+        self._held: list[subprocess.Popen[bytes]] = []
+        self._let_go = weakref.finalize(self, _let_go, self._held, self.folder)
         self.endpoint = f"unixsock-stream/{self.folder}/bus"
         engine_core, self.core = affinity.pick_cores(placement)
         config = {**settings, "listen": [self.endpoint], "folder": str(self.folder)}
         config |= {"affinity": placement, "cpu": self.core, "engine_cpu": engine_core}
-        self._process: subprocess.Popen[bytes] | None = None
         try:
             # -P: a models.py in the caller's folder must not stand in for the room of that name.
             # A process group of its own: Ctrl-C in the terminal is for the owner, who then ends the node. Not a
             # session of its own: Linux schedules sessions against each other, which costs some 20 us a step.
-            self._process = subprocess.Popen(
+            process = subprocess.Popen(
                 [sys.executable, "-P", "-m", "eplus_node"],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 process_group=0,
             )
-            self._wait_ready(self._process, config)
+            self._held.append(process)
+            self._wait_ready(process, config)
         except BaseException:
             self.close()
             raise
@@ -81,17 +82,16 @@ class OwnNode:
     @property
     def pid(self) -> int:
         """The node's process id."""
-        assert self._process is not None
-        return self._process.pid
+        return self._held[0].pid
 
     def close(self) -> None:
         """Ends the node and clears its folder; twice is fine."""
-        if self._process is not None:
-            self._end(self._process)
-        self._clear()
+        self._let_go()
 
-    @staticmethod
-    def _end(process: subprocess.Popen[bytes]) -> None:
+
+def _let_go(held: list[subprocess.Popen[bytes]], folder: Path) -> None:
+    """Ends a node and clears its folder, in this order: a node that runs may be writing there."""
+    for process in held:
         for pipe in (process.stdin, process.stdout):
             if pipe is not None and not pipe.closed:
                 with contextlib.suppress(BrokenPipeError):
@@ -101,6 +101,7 @@ class OwnNode:
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
+    shutil.rmtree(folder, ignore_errors=True)
 
 
 class Monitor:

@@ -37,7 +37,7 @@ def for_node(given: Mapping[str, Any], name: str) -> dict[str, Any]:
         raise InvalidConfig(f"{' and '.join(sources)} both say what to simulate; name one of them")
     if not sources and not {"building", "weather"} <= set(settings):
         raise InvalidConfig(
-            "name a building and a weather, a scenario, or the bus (connect=) and node of a running one"
+            "name a building and a weather, a scenario, a file (file=), or the bus (connect=) and node of a running one"
         )
     for key in ("sensors", "actuators"):
         if not isinstance(settings.get(key, {}), dict):

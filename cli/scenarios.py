@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.table import Table
 
 from cli.console import err, out
+from cli.points import show as show_table
 from topics.errors import Faults, InvalidConfig, UnknownName
 
 scenarios = typer.Typer(help="Lists scenarios; shows, checks and describes scenario files.", no_args_is_help=False)
@@ -36,14 +36,12 @@ def listing(
         sys.stdout.write("\n")
         return
     shown = found if match else list(pack_ids())
-    table = Table("id", "from", title=f"{len(found)} scenarios")
     packed = set(pack_ids())
-    for name in shown:
-        table.add_row(name, "pack sinergym" if name in packed else "bundled")
+    rows = [(name, "pack sinergym" if name in packed else "bundled") for name in shown]
     if not match:
         form = "BUILDING-WEATHER-{continuous|discrete}[-stochastic]-v1"
-        table.add_row(form, f"bundled, {len(bundled_ids())}: zenostat buildings, zenostat weathers")
-    out.print(table)
+        rows.append((form, f"bundled, {len(bundled_ids())}: zenostat buildings, zenostat weathers"))
+    show_table(f"{len(found)} scenarios", ("id", "from"), rows)
 
 
 @scenarios.command()
@@ -69,7 +67,7 @@ def show(
         found = expanded(planned.scenario, planned.building, planned.points, planned.task)
     sys.stdout.write("# yaml-language-server: $schema=scenario.schema.json\n")
     sys.stdout.write("# (made by `zenostat scenarios schema > scenario.schema.json`)\n")
-    sys.stdout.write(dump(found))
+    sys.stdout.write(dump(found, defaults=not brief))
 
 
 @scenarios.command()

@@ -135,7 +135,9 @@ def plan(config: NodeConfig) -> Plan:
     check_name(config.name, "the node's name")
     scenario = scenario_of(config)
     faults = Faults()
-    model = faults.catch(lambda: _model(scenario))
+    plain = faults.catch(lambda: building.read_building(catalog.find_building(scenario.building)))
+    # What cannot be changed in the model is no reason not to look at the rest.
+    model = faults.catch(lambda: building.varied(plain, scenario.changes)) or plain if plain is not None else None
     sources = tuple(faults.catch(lambda name=name: _source(name, scenario)) for name in scenario.weather)  # type: ignore[misc]
     faults.catch(lambda: variability.checked(scenario.variability))
     if config.keep is not None and config.keep.exists() and not config.keep.is_dir():
@@ -158,10 +160,6 @@ def plan(config: NodeConfig) -> Plan:
     assert task is not None
     warnings = tuple(rivals.rivals(model.objects, chosen.actuators))
     return Plan(config, scenario, model, tuple(found), period, chosen, task, warnings)
-
-
-def _model(scenario: Scenario) -> Building:
-    return building.varied(building.read_building(catalog.find_building(scenario.building)), scenario.changes)
 
 
 def _source(name: str, scenario: Scenario) -> Source:

@@ -77,7 +77,7 @@ class Node:
         self.config = config
         self._observer = observer
         self._close = ExitStack()
-        self._stopping = False
+        self._stopping = self._leaving = False
         self._failure = ""
         self._latest = b""
 
@@ -213,7 +213,13 @@ class Node:
                 signal.signal(number, handler)
 
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
-        raise _Stopped
+        self._leave()
+
+    def _leave(self) -> None:
+        """Ends the loop; told twice (a request, then its owner's end), it goes on ending."""
+        if not self._leaving:
+            self._leaving = True
+            raise _Stopped
 
     def _listen(self, *, wait: bool) -> None:
         came = self._inlets.receive(wait=wait)
@@ -401,9 +407,6 @@ class Node:
     def _stop(self, _: Stop) -> Message:
         self._inlets.shelve(self._leave)
         return Accepted(episode=self.exchange.episode)
-
-    def _leave(self) -> None:
-        raise _Stopped
 
     def _write(self, name: str, payload: bytes, said: str) -> None:
         try:

@@ -43,7 +43,10 @@ def parse_day(text: str, what: str, year: int) -> date:
     try:
         return date(int(match[1] or year), int(match[2]), int(match[3]))
     except ValueError:
-        raise InvalidConfig(f"{what} {text!r} is not in the calendar of {match[1] or year}") from None
+        raise InvalidConfig(
+            f"{what} {text!r} is not in the calendar of {match[1] or year}"
+            + ("" if match[1] else ", the model's year; name another as YYYY-MM-DD")
+        ) from None
 
 
 @dataclass(frozen=True, slots=True)

@@ -189,7 +189,7 @@ def read_scenario(given: Mapping[str, Any], what: str = "the scenario") -> Scena
     try:
         return Scenario.model_validate(dict(given))
     except ValidationError as error:
-        raise InvalidConfig(f"{what}: {explain(error)}") from None
+        raise InvalidConfig(f"{what}: {explain(error, Scenario.model_fields)}") from None
 
 
 def load_yaml(path: Path) -> dict[str, Any]:
@@ -201,6 +201,8 @@ def load_yaml(path: Path) -> dict[str, Any]:
     """
     try:
         text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise UnknownName(f"there is no file {path.absolute()}") from None
     except (OSError, UnicodeDecodeError) as error:
         raise UnknownName(f"cannot read {path.absolute()}: {error}") from None
     return readable.parse(text, str(path))
@@ -238,7 +240,9 @@ def _signal(value: Any, found: Callable[[Any], Any]) -> Any:
     return {**value, "csv": found(value["csv"])} if isinstance(value, Mapping) and "csv" in value else value
 
 
-def dump(scenario: Scenario) -> str:
-    """The scenario as YAML; `load_scenario` gives an equal one."""
-    plain = scenario.model_dump(mode="json", exclude_defaults=True)
+def dump(scenario: Scenario, *, defaults: bool = False) -> str:
+    """The scenario as YAML; `load_scenario` gives an equal one. `defaults`: also what could be left out."""
+    plain = scenario.model_dump(mode="json", exclude_defaults=not defaults, exclude_none=defaults)
+    if scenario.reward is None:
+        plain["reward"] = None
     return readable.dump(plain)

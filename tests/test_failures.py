@@ -6,8 +6,11 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import socket
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -19,7 +22,7 @@ import gymnasium as gym
 import numpy as np
 import psutil
 import pytest
-from nodes import SMALL, WEATHER, NodeProgram, Program, engine_of, free_port, programs_of, until
+from nodes import PATIENCE_S, SMALL, WEATHER, NodeProgram, Program, engine_of, free_port, programs_of, until
 
 import agent_sdk
 from models.building import read_building
@@ -151,7 +154,7 @@ def test_an_unknown_building_and_weather_are_named_at_once() -> None:
             r"sensors.inside.reading: .*'mean', 'sum' or 'instant', got 'avg'",
         ),
         ({"sensors": {"inside": "Zone Air Temperature"}}, r"sensors 'inside': a tuple of EnergyPlus's names expected"),
-        ({"building": None}, r"name a building and a weather, a scenario, or the bus"),
+        ({"building": None}, r"name a building and a weather, a scenario, a file .file=., or the bus"),
     ],
 )
 def test_settings_that_cannot_be(given: dict[str, Any], message: str) -> None:
@@ -500,3 +503,34 @@ gym.make("zenostat/Building-v1", building="office-medium", weather={WEATHER!r}, 
         code, _, said = program.end()
         assert code != 0
         assert said.strip().splitlines()[-1] == "KeyboardInterrupt"
+
+
+def test_an_environment_that_nobody_closes_ends_its_node_in_peace(scratch: Path) -> None:
+    """The next weather's engine is being prepared when the program ends."""
+    text = """
+import gymnasium as gym, agent_sdk
+env = gym.make("zenostat/ref-small-office-USA_CO_Denver-continuous-stochastic-v1", begin="07-03", end="07-03",
+               affinity="off")
+env.reset(seed=0)
+"""
+    done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, timeout=PATIENCE_S)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+def test_a_closed_environment_says_so(scratch: Path) -> None:
+    env = gym.make("zenostat/Building-v1", **SMALL, affinity="off").unwrapped
+    env.reset(seed=0)
+    env.close()
+    for use in (lambda: env.step(env.action_space.low), env.reset):
+        with pytest.raises(EpisodeChanged, match="closed"):
+            use()
+
+
+def test_a_node_that_is_told_twice_to_stop_ends_without_a_word(folder: Path) -> None:
+    """By a request and, at once, by its owner's end."""
+    for number in range(3):
+        with node_and_bus(folder / str(number)) as (node, bus):
+            bus.stop("office")
+            os.kill(node.pid, signal.SIGTERM)
+            node.process.wait(timeout=PATIENCE_S)
+            assert node.process.returncode == 0

@@ -420,7 +420,7 @@ def test_the_report_names_the_file(load: Load, tmp_path: Path) -> None:
 
 
 def test_a_building_and_a_weather_are_needed() -> None:
-    with pytest.raises(InvalidConfig, match=r"building: .*required.*weather: .*required"):
+    with pytest.raises(InvalidConfig, match=r"building: it is missing.*weather: it is missing"):
         read_scenario({})
     with pytest.raises(InvalidConfig, match="weather: "):
         read_scenario({"building": "b", "weather": []})

@@ -107,7 +107,7 @@ def test_one_thing_says_what_to_simulate(named: tuple[str, ...]) -> None:
 
 @pytest.mark.parametrize("given", [{}, {"building": "office-small"}, {"weather": "USA_CO_Denver"}, {"begin": "07-01"}])
 def test_something_says_what_to_simulate(given: dict[str, Any]) -> None:
-    with pytest.raises(InvalidConfig, match="name a building and a weather, a scenario, or the bus"):
+    with pytest.raises(InvalidConfig, match="name a building and a weather, a scenario, a file"):
         for_node(given, "b")
 
 

@@ -6,6 +6,7 @@ stranger that speaks msgpack alone) is checked like any other.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any, TypeVar
 
 import msgpack
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from topics.errors import BadMessage
+from topics.errors import BadMessage, near
 from topics.messages import SCHEMA, Message
 
 M = TypeVar("M", bound=Message)
@@ -76,12 +77,23 @@ def decode(message: type[M], payload: bytes, said: str = "") -> M:
         raise BadMessage(f"{message.__name__}: {explain(error)}") from None
 
 
-def explain(error: ValidationError) -> str:
-    """All faults that pydantic found, in one line: path, what came, what would be right."""
+def explain(error: ValidationError, known: Iterable[str] = ()) -> str:
+    """All faults that pydantic found, in one line: path, what came, what would be right.
+
+    `known`: names of the fields at the top, of which near ones are told.
+    """
     faults = []
     for fault in error.errors(include_url=False):
-        path = ".".join(str(part) for part in fault["loc"] if not str(part).startswith("@")) or "(whole)"
-        faults.append(f"{path}: {fault['msg']}, got {_short(fault['input'])}")
+        loc = [str(part) for part in fault["loc"] if not str(part).startswith("@")]
+        path = ".".join(loc) or "(whole)"
+        if fault["type"] == "missing":
+            faults.append(f"{path}: it is missing")
+        elif fault["type"] == "extra_forbidden":
+            faults.append(
+                f"{path}: there is no such field" + (f"; {near(loc[0], known)}" if len(loc) == 1 and known else "")
+            )
+        else:
+            faults.append(f"{path}: {fault['msg'].removeprefix('Value error, ')}, got {_short(fault['input'])}")
     return "; ".join(faults)
 
 

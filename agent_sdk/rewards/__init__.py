@@ -73,9 +73,11 @@ def read_reward(given: AnyReward) -> Reward:
 def _read(given: Mapping[str, Any] | str) -> Reward:
     parameters = {"kind": given} if isinstance(given, str) else dict(given)
     kind = parameters.get("kind")
+    if kind is None:
+        raise InvalidConfig(f"reward: its kind is missing; there are: {', '.join(REWARDS)}")
     if not isinstance(kind, str) or kind not in REWARDS:
         raise InvalidConfig(f"reward: there is no kind {kind!r}; {near(str(kind), REWARDS)}")
     try:
         return REWARDS[kind].model_validate(parameters)
     except ValidationError as error:
-        raise InvalidConfig(f"reward: {explain(error)}") from None
+        raise InvalidConfig(f"reward: {explain(error, REWARDS[kind].model_fields)}") from None
