@@ -104,7 +104,8 @@ class Supply:
             try:
                 return self._forked(episode)
             except SimulatorError:
-                self._drop_waiting()  # it has died meanwhile
+                self._drop_waiting()  # it has died meanwhile, and its files go with it
+                self.files = self._prepared(self.draw, episode)
         ahead, self._ahead = self._ahead, None
         engine = ahead.engine if ahead is not None and ahead.draw == self.draw else self._begun(self.files, self._cpu)
         try:

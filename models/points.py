@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import isfinite, nan
 from typing import TypeVar
 
 from models.building import Building
 from models.survey import ActuatorPoint, MeterPoint, Survey, Variable, places
-from topics.errors import InvalidConfig, UnknownName, UsageError, near
+from topics.errors import Faults, InvalidConfig, UnknownName, UsageError, near
 from topics.keys import check_name, safe
 from topics.messages import Actuator, Meter, Reading, Sensor
 from topics.units import limits
@@ -100,16 +100,6 @@ class Listed:
     where: str
 
 
-@dataclass(slots=True)
-class _Faults:
-    found: list[UsageError] = field(default_factory=list)
-
-    def raise_all(self) -> None:
-        if self.found:
-            unknown = all(isinstance(fault, UnknownName) for fault in self.found)
-            raise (UnknownName if unknown else InvalidConfig)("\n".join(map(str, self.found)))
-
-
 def choose(
     building: Building,
     survey: Survey,
@@ -130,7 +120,7 @@ def choose(
         UnknownName: points that the model does not have, all of them at once, with near names.
         InvalidConfig: names used twice or unfit for a topic, a reading or bounds that cannot be.
     """
-    faults = _Faults()
+    faults = Faults()
     wanted_sensors = default_sensors(survey) if sensors is None else sensors
     wanted_meters = default_meters(survey) if meters is None else meters
     wanted_actuators = default_actuators(survey) if actuators is None else actuators
@@ -150,7 +140,7 @@ def choose(
     )
 
 
-def _each(wanted: Mapping[str, S], find: Callable[[str, S], T], faults: _Faults) -> list[T]:
+def _each(wanted: Mapping[str, S], find: Callable[[str, S], T], faults: Faults) -> list[T]:
     """Finds each, keeping on after a fault so that all are said at once."""
     found = []
     for name, spec in wanted.items():
