@@ -1,11 +1,12 @@
-# The whole interface: make demo, make test, make check, make bench, make docs.
+# The whole interface: make demo, make test, make check, make bench, make chaos, make docs.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 WORKERS ?= 2
+SECONDS ?= 120
 
-.PHONY: demo test check bench docs clean
+.PHONY: demo test check bench chaos docs clean
 
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(None if sys.version_info >= (3, 11) else "Zenostat needs Python 3.11 or newer")'
@@ -26,6 +27,9 @@ check: $(READY)  ## Format, lint, types
 
 bench: $(READY)  ## What a step costs, as ratios within one run; results in bench/results/
 	$(BIN)/python -m bench
+
+chaos: $(READY)  ## A building troubled at random for SECONDS; SEED=… has the same again, TABLE=… puts the table into a page
+	PYTHONPATH=tests $(BIN)/python -P -m chaos --seconds $(SECONDS) $(if $(SEED),--seed $(SEED)) $(if $(TABLE),--table $(TABLE))
 
 docs: $(READY)  ## The documentation as a web site, in site/; any warning is an error
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from math import isfinite
 from numbers import Real
 from typing import Any
@@ -57,6 +57,24 @@ class Actions:
             return chosen
         return chosen[self._fan] if len(self._actions) else np.zeros(len(self._fan))
 
+    def rows(self, actions: ArrayLike, slots: int, unread: Collection[int] = ()) -> NDArray[np.float64]:
+        """The same of several slots at once: shape (slots, actuators).
+
+        Args:
+            actions: as the batched space has them; shape (slots, actions), or (slots,) of one discrete choice.
+            slots: how many.
+            unread: slots whose actions nobody reads, whatever they are; zeros.
+
+        Raises:
+            InvalidAction: as `values` does; the text names the slot.
+        """
+        chosen = self._chosen_rows(actions, slots, unread) if self._choices else self._checked(actions, slots, unread)
+        if not self._one_each:
+            chosen = chosen[:, self._fan] if len(self._actions) else np.zeros((slots, len(self._fan)))
+        if unread:
+            chosen[list(unread)] = 0.0
+        return chosen
+
     def context(self, values: Mapping[str, float | None]) -> dict[int, float | None]:
         """By position, values of actuators that are in no action.
 
@@ -76,13 +94,20 @@ class Actions:
             found[index] = value
         return found
 
-    def _checked(self, action: ArrayLike) -> NDArray[np.float64]:
+    def _checked(
+        self, action: ArrayLike, slots: int | None = None, unread: Collection[int] = ()
+    ) -> NDArray[np.float64]:
+        """The action, or a row of each slot's."""
         values = _array(action, np.float64)
-        if values.shape != self._low.shape:
+        shape = self._low.shape if slots is None else (slots, *self._low.shape)
+        if values.shape != shape:
             named = ", ".join(self.names) or "the building's own control"
-            raise InvalidAction(f"action of shape {values.shape}; {self._low.shape} expected: {named}")
-        if not self._inside(values).all():
-            raise InvalidAction(self._fault(values))
+            raise InvalidAction(f"action of shape {values.shape}; {shape} expected: {named}")
+        inside = self._inside(values)
+        if unread:
+            inside[list(unread)] = True
+        if not inside.all():
+            raise InvalidAction(self._fault(values, inside))
         checked: NDArray[np.float64] = np.clip(values, self._low, self._high)
         return checked
 
@@ -91,12 +116,12 @@ class Actions:
         inside: NDArray[np.bool_] = np.isfinite(values) & (values >= self._least) & (values <= self._most)
         return inside  # an unbounded action takes any finite value
 
-    def _fault(self, values: NDArray[np.float64]) -> str:
+    def _fault(self, values: NDArray[np.float64], inside: NDArray[np.bool_]) -> str:
         faults = []
-        for index in np.flatnonzero(~self._inside(values)):
+        for *slot, index in np.argwhere(~inside).tolist():
             action = self._actions[index]
             bounds = f"{self._low[index]:g} to {self._high[index]:g} {action.unit}"
-            faults.append(f"{action.name} = {values[index]:g}; its bounds are {bounds}")
+            faults.append(f"{_of(slot)}{action.name} = {values[*slot, index]:g}; its bounds are {bounds}")
         return "; ".join(faults)
 
     def _chosen(self, action: ArrayLike) -> NDArray[np.float64]:
@@ -106,9 +131,31 @@ class Actions:
         values = np.empty(len(self._actions))
         for table, index in zip(self._choices, picked.tolist(), strict=True):
             if not 0 <= index < len(table.rows):
-                raise InvalidAction(f"choice {index} of {', '.join(table.names)}; 0 to {len(table.rows) - 1} expected")
+                raise InvalidAction(table.fault(index))
             values[table.columns] = table.rows[index]
         return values
+
+    def _chosen_rows(self, actions: ArrayLike, slots: int, unread: Collection[int]) -> NDArray[np.float64]:
+        picked = _array(actions, None)
+        shape = (slots, *(self.space.shape or ()))
+        if picked.shape != shape or not np.issubdtype(picked.dtype, np.integer):
+            raise InvalidAction(f"action {actions!r}; {self.space} expected of each of {slots} slots")
+        picked = picked.reshape(slots, len(self._choices))
+        if unread:
+            picked = picked.copy()
+            picked[list(unread)] = 0
+        values = np.empty((slots, len(self._actions)))
+        for table, chosen in zip(self._choices, picked.T, strict=True):
+            wrong = (chosen < 0) | (chosen >= len(table.rows))
+            if wrong.any():
+                slot = int(wrong.argmax())
+                raise InvalidAction(_of([slot]) + table.fault(int(chosen[slot])))
+            values[:, table.columns] = table.rows[chosen]
+        return values
+
+
+def _of(slot: list[int]) -> str:
+    return f"slot {slot[0]}: " if slot else ""
 
 
 def _slack(bound: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -132,3 +179,7 @@ class _Table:
         self.names = choice.actions
         self.columns = np.array([places[name] for name in choice.actions], np.intp)
         self.rows = np.array(choice.values, np.float64)
+
+    def fault(self, index: int) -> str:
+        """What is wrong with a choice that is not there."""
+        return f"choice {index} of {', '.join(self.names)}; 0 to {len(self.rows) - 1} expected"

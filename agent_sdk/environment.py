@@ -2,35 +2,40 @@
 
 from __future__ import annotations
 
-import warnings
+import copy
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from datetime import timedelta
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from zenoh import ZError
 
 from agent_sdk import settings, spaces
 from agent_sdk.actions import Actions
-from agent_sdk.client import connect
+from agent_sdk.client import Bus
 from agent_sdk.clock import clock
-from agent_sdk.launch import Monitor, OwnNode
+from agent_sdk.hold import AGENT, RENDER_MODES, Hold
+from agent_sdk.launch import OwnNode
 from agent_sdk.limits import Limits
-from agent_sdk.link import Link
+from agent_sdk.link import ControlLink, Link
 from agent_sdk.render import History
-from agent_sdk.rewards import AnyReward, Reward, read_reward
+from agent_sdk.rewards import AnyReward
 from agent_sdk.sample import SampleView
+from agent_sdk.snapshot import Snapshot
 from bridge.affinity import Affinity
-from topics.errors import EpisodeChanged, InvalidConfig
-from topics.messages import Mask, WeatherSeries
+from topics.errors import BusError, EpisodeChanged, InvalidConfig
+from topics.messages import MakeBranch, Mask, WeatherSeries
 
 Observation = NDArray[np.float32]
-NAME = "building"
-AGENT = "agent"
-"""What an environment is called in its own `info["ruled_by"]`; its name on the bus differs from run to run."""
+
+
+def _stop(bus: Bus, node: str) -> None:
+    with suppress(BusError, ZError):  # it has ended with its parent, or the bus has been left
+        bus.stop(node)
 
 
 class BuildingEnv(gym.Env[Observation, Any]):
@@ -65,9 +70,14 @@ class BuildingEnv(gym.Env[Observation, Any]):
         reward: an object of `agent_sdk.rewards`, or a kind or a kind with its parameters, or a function or class of
             your own (`agent_sdk.rewards.of_function`); None gives 0.0; left out, the scenario's.
         connect: endpoint of a bus.
+        keys: for a bus over TLS, the folder of certificates that `zenostat keys init` made.
         node: the node's name there.
         level: priority level that this agent commands at, 1 to 16.
         keep: folder in which EnergyPlus's own output files are kept, one folder an episode.
+        baseline: run the building under its own control beside the episode: `info["baseline"]` has its points,
+            `info["baseline_applied"]` what that control set the actuators to.
+        faults: a file of faults that the node injects (YAML); see docs/faults.md.
+        branches: how many snapshots and branches there may be at a time; 64 if left out.
         affinity: see `bridge.affinity`.
         render_mode: `rgb_array`: `render()` gives a picture of the last day (needs matplotlib); `rerun`: a live
             view is opened beside the environment.
@@ -80,7 +90,7 @@ class BuildingEnv(gym.Env[Observation, Any]):
         UserWarning: something in the model works against the scenario's actuators.
     """
 
-    metadata = {"render_modes": ["rgb_array", "rerun"], "render_fps": 4}  # noqa: RUF012  # Gymnasium's own form
+    metadata = {"render_modes": [*RENDER_MODES], "render_fps": 4}  # noqa: RUF012  # Gymnasium's own form
 
     def __init__(
         self,
@@ -112,96 +122,61 @@ class BuildingEnv(gym.Env[Observation, Any]):
         node: str | None = None,
         level: int = 10,
         keep: str | Path | None = None,
+        baseline: bool | None = None,
+        branches: int | None = None,
+        faults: str | Path | None = None,
         affinity: Affinity | str = Affinity.APART,
         render_mode: str | None = None,
+        keys: str | Path | None = None,
         link: Link | None = None,
     ) -> None:
         here = locals()
         given = {name: here[name] for name in settings.OF_A_NODE if here[name] is not None}
-        self._close, self._closed = ExitStack(), False
+        self._hold = Hold(
+            given,
+            reward=reward,
+            connect=connect,
+            node=node,
+            level=level,
+            affinity=affinity,
+            render_mode=render_mode,
+            keys=keys,
+            link=link,
+        )
         with ExitStack() as undo:
             undo.callback(self.close)
-            self._check_render(render_mode)
-            self.own_node: OwnNode | None = None
-            self._link = link
-            if link is not None:
-                if given or connect or render_mode == "rerun":
-                    raise InvalidConfig(
-                        "link= brings a building of its own, and is on no bus; leave out what else decides"
-                    )
-                self._close.callback(link.close)
-                self.manifest = link.manifest
-            else:
-                self._find_node(given, reward, connect, node, level, Affinity(affinity))
-            manifest = self.manifest
+            manifest = self.manifest = self._hold.manifest
             self.observation_space = spaces.observation_space(manifest)
             self._actions = Actions(manifest)
             self.action_space = self._actions.space
-            self.reward = self._rewarding(reward)
+            self.reward = self._hold.reward
             self._reward = self.reward.bind(manifest) if self.reward is not None else None
             self._limits = Limits(manifest) if manifest.task.terminate else None
             self._history = History(manifest) if render_mode == "rgb_array" else None
             if render_mode == "rerun":
-                self._close.callback(Monitor(self._way[0]).close)
+                self._hold.watch()
             undo.pop_all()
-        self.render_mode = render_mode
+        self.render_mode, self._level = render_mode, level
         self._timestep = timedelta(hours=1 / manifest.steps_per_hour)
         self._time = manifest.task.time
         self._values = self._actions.values
         self._sample: SampleView | None = None
         self._context: dict[int, float | None] = {}
         self._ended = False
+        self._outputs = ""
         self._rulers: tuple[bytes, list[str]] = (b"", [])
         self._ruled_by: tuple[str, ...] = ()
-        for warning in manifest.warnings:
-            warnings.warn(f"{manifest.building}: {warning}", stacklevel=3)
-
-    def _find_node(
-        self,
-        given: dict[str, Any],
-        reward: AnyReward | None,
-        endpoint: str | None,
-        node: str | None,
-        level: int,
-        placement: Affinity,
-    ) -> None:
-        """Finds a node elsewhere, or starts one, which tells its manifest before anybody joins its bus."""
-        if endpoint is None:
-            wanted = settings.for_node(given, node or NAME)
-            settings.check_reward(reward, wanted, placement)
-            own = self.own_node = OwnNode(wanted, placement)
-            self._close.callback(own.close)
-            assert own.manifest is not None
-            self.manifest = own.manifest
-            self._way = (own.endpoint, node or NAME, level, placement, own.core)
-            return
-        if given:
-            raise InvalidConfig(f"{', '.join(given)}: the node at {endpoint} has its own; leave out what it decides")
-        if node is None:
-            raise InvalidConfig(f"connect={endpoint!r} needs the node's name: node='office'")
-        self._way = (endpoint, node, level, placement, None)
-        self.manifest = self.link.manifest
+        self._hold.warn(stacklevel=3)
 
     @property
     def link(self) -> Link:
-        """The hold on the node.
+        """The hold on the node; an own node's bus is joined when it is first needed."""
+        return cast("Link", self._hold.link)
 
-        An own node's bus is joined when it is first needed: up to then this process has no threads of Zenoh's and may
-        be forked, as Gymnasium's asynchronous vector environments do it.
-        """
-        if self._link is None:
-            endpoint, node, level, placement, core = self._way
-            bus = self._close.enter_context(connect(endpoint, affinity=placement, core=core))
-            self._link = self._close.enter_context(bus.controller(node, name="env", level=level))
-        return self._link
-
-    def _check_render(self, mode: str | None) -> None:
-        if mode is not None and mode not in self.metadata["render_modes"]:
-            raise InvalidConfig(f"render_mode {mode!r}; there are: {', '.join(self.metadata['render_modes'])}")
-
-    def _rewarding(self, reward: AnyReward | None) -> Reward | None:
-        wanted = self.manifest.task.reward if reward == settings.OF_THE_SCENARIO else reward
-        return None if wanted is None else read_reward(wanted)
+    @property
+    def own_node(self) -> OwnNode | None:
+        """The node that was started; None if it runs elsewhere."""
+        return self._hold.own_node
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -209,24 +184,118 @@ class BuildingEnv(gym.Env[Observation, Any]):
         """Starts an episode: sample 0, the state after warm-up, and its info.
 
         The seed rules which weather is drawn and its noise; without one, the next of the sequence that the last
-        seed began. `info["weather"]` says which it is.
+        seed began. `info["weather"]` says which it is, and `info["start"]` how its engine came to its first sample.
+
+        Where the node injects faults, observations have them; the reward and the limits go by the truth, which is
+        `info["undisturbed"]`.
+
+        `options={"snapshot": snap}` goes back to a snapshot instead: its sample, and what the reward and the limits
+        remembered there.
+
+        Raises:
+            InvalidConfig: an unknown option; a snapshot that is closed, of another node, or of a node that has ended.
+            EngineDied, ForkFailed: the snapshot's engine; the running episode goes on.
         """
         super().reset(seed=seed)
-        self._check_open()
-        if options:
-            raise InvalidConfig(f"unknown reset options {sorted(options)}; there are none")
-        self._context, self._ended = {}, False
-        for remembers in (self._reward, self._limits):
-            if remembers is not None:
-                remembers.reset()
-        sample = self._sample = self.link.reset(seed=seed)
+        self._hold.check_open()
+        snapshot = self._asked(options or {})
+        if snapshot is None:
+            sample = self._sample = self.link.reset(seed=seed)
+            for remembers in (self._reward, self._limits):
+                if remembers is not None:
+                    remembers.reset()
+            self._context = {}
+        else:
+            sample = self._sample = self._forking().reset(seed=seed, snapshot=snapshot.name)
+            self._recall(snapshot.remembered)
+        self._ended = False
         values, info = sample.values, self._info(sample)
-        accepted = self.link.accepted
-        info |= {"weather": accepted.weather, "weather_noise": accepted.drawn, "start": accepted.start}
+        (begun,) = self.link.accepted.begun
+        self._outputs = begun.outputs
+        info |= {"weather": begun.weather, "weather_noise": begun.drawn, "start": begun.start}
         if self._history is not None:
             self._history.clear()
             self._history.add(sample.time, values)
         return self._observed(sample, values, sample.time), info
+
+    def _asked(self, options: Mapping[str, Any]) -> Snapshot | None:
+        snapshot = options.get("snapshot")
+        if unknown := sorted(set(options) - {"snapshot"}):
+            raise InvalidConfig(f"unknown reset options {unknown}; there is: 'snapshot'")
+        if self.manifest.branch_of:
+            raise InvalidConfig("a branch has no sample 0 of its own; close it and make another one")
+        if snapshot is None:
+            return None
+        if not isinstance(snapshot, Snapshot):
+            raise InvalidConfig(f"options['snapshot'] is {snapshot!r}; what env.unwrapped.snapshot() gave is expected")
+        snapshot.check(self.manifest)
+        return snapshot
+
+    def snapshot(self) -> Snapshot:
+        """Keeps where the episode stands, to go back there by `reset(options={"snapshot": snap})` any number of times.
+
+        Raises:
+            EpisodeChanged: no episode runs.
+            Refused: there are as many snapshots and branches as the node allows, or this is a branch.
+            ForkFailed: the system has no memory for a fork; the episode goes on.
+        """
+        link, sample = self._forking(), self._running()
+        taken = link.bus.snapshot(link.manifest.node, link.name)
+        return Snapshot(
+            link.bus, link.manifest.node, link.manifest.instance, taken.snapshot, sample, self._remembered()
+        )
+
+    def branch(self, *, snapshot: Snapshot | None = None, released: bool = False) -> BuildingEnv:
+        """Another environment that goes on from this very step on its own, while this one goes on.
+
+        It is a node of its own on the bus and ends with `close()`, or with this environment. It has one episode: it
+        cannot be reset. `with env.unwrapped.branch() as b: b.step(action)`.
+
+        Args:
+            snapshot: begin there instead.
+            released: what was commanded up to now holds no more; until a step commands it, the building's own control
+                goes on.
+
+        Raises:
+            as for `snapshot`.
+        """
+        link, sample = self._forking(), self._running() if snapshot is None else snapshot.sample
+        if snapshot is not None:
+            snapshot.check(self.manifest)
+        with ExitStack() as undo:
+            asked = MakeBranch(
+                controller=link.name, snapshot=snapshot.name if snapshot is not None else "", released=released
+            )
+            name = link.bus.branch(link.manifest.node, asked)
+            undo.callback(_stop, link.bus, name)
+            hold = undo.enter_context(link.bus.controller(name, name="env", level=self._level))
+            branch = BuildingEnv(link=hold, reward=copy.deepcopy(self.reward))  # it may be an object with a memory
+            branch._sample = hold.stand_at(sample.wire)
+            branch._recall(self._remembered() if snapshot is None else snapshot.remembered)
+            branch._hold.also(undo.pop_all())
+        return branch
+
+    def _forking(self) -> ControlLink:
+        self._hold.check_open()
+        if not isinstance(self.link, ControlLink):
+            raise InvalidConfig("this environment has no node: nothing that could be forked")
+        return self.link
+
+    def _running(self) -> SampleView:
+        if self._sample is None or self._ended:
+            raise EpisodeChanged("no episode runs; call reset() first")
+        return self._sample
+
+    def _remembered(self) -> dict[str, Any]:
+        """What has to be known beside the building's own state to go on from here."""
+        reward = self._reward.state() if self._reward is not None else {}
+        return copy.deepcopy({"reward": reward, "limits": self._limits, "context": self._context})
+
+    def _recall(self, remembered: Mapping[str, Any]) -> None:
+        remembered = copy.deepcopy(dict(remembered))
+        if self._reward is not None:
+            self._reward.restore(remembered["reward"])
+        self._limits, self._context = remembered["limits"], remembered["context"]
 
     def step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Simulates one timestep under `action`.
@@ -242,25 +311,26 @@ class BuildingEnv(gym.Env[Observation, Any]):
             NodeLost, SimulatorError, Refused, EpisodeChanged: see `ControlLink.receive`.
         """
         previous = self._sample
-        if previous is None or self._ended or self._closed:
-            self._check_open()
+        if previous is None or self._ended or self._hold.closed:
+            self._hold.check_open()
             raise EpisodeChanged("the episode is over; call reset()" if previous else "call reset() before step()")
         commanded, mask = self._command(action)
         self.link.send(commanded, mask)
         sample = self._sample = self.link.receive()
         values, info, begin = sample.values, self._info(sample), sample.time - self._timestep
+        truth = sample.truth if sample.wire.undisturbed else values
         info["action"] = commanded
         reward = 0.0
         if self._reward is not None:
-            total, info["reward_terms"], info["reward_measures"] = self._reward(values, begin)
+            total, info["reward_terms"], info["reward_measures"] = self._reward(truth, begin)
             reward = float(total)
-        broken = self._limits.broken(values) if self._limits is not None else ""
+        broken = self._limits.broken(truth) if self._limits is not None else ""
         if broken:
             info["terminated_by"] = broken
         truncated = sample.truncated
         self._ended = truncated or bool(broken)
-        if self._ended and self.link.accepted.outputs:
-            info["outputs"] = self.link.accepted.outputs
+        if self._ended and self._outputs:
+            info["outputs"] = self._outputs
         if self._history is not None:
             self._history.add(sample.time, values)
         return self._observed(sample, values, begin), reward, bool(broken), truncated, info
@@ -325,6 +395,8 @@ class BuildingEnv(gym.Env[Observation, Any]):
             "ruled_by": self._ruled_by,
             "late": wire.late,
             "rejected": wire.rejected,
+            **({"undisturbed": sample.truth} if wire.undisturbed else {}),
+            **({"baseline": sample.baseline, "baseline_applied": sample.baseline_applied} if wire.baseline else {}),
         }
 
     @property
@@ -344,9 +416,4 @@ class BuildingEnv(gym.Env[Observation, Any]):
 
     def close(self) -> None:
         """Lets go of the node, and ends it if it is this environment's own; twice is fine."""
-        self._closed = True
-        self._close.close()
-
-    def _check_open(self) -> None:
-        if self._closed:
-            raise EpisodeChanged("the environment is closed; make another one")
+        self._hold.close()

@@ -107,9 +107,10 @@ def _let_go(held: list[subprocess.Popen[bytes]], folder: Path) -> None:
 class Monitor:
     """A live view of a bus, in a process of its own: Rerun's viewer if there is a display, else its web page."""
 
-    def __init__(self, endpoint: str) -> None:
+    def __init__(self, endpoint: str, keys: Path | None = None) -> None:
         display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
         program = [sys.executable, "-P", "-m", "cli.main", "monitor", "--connect", endpoint]
+        program += ["--keys", str(keys)] if keys is not None else []
         self._process = subprocess.Popen([*program, *([] if display else ["--web"])], stdin=subprocess.DEVNULL)
 
     def close(self) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from types import TracebackType
 from typing import TYPE_CHECKING, Protocol
@@ -37,6 +37,7 @@ from topics.messages import (
     Command,
     Event,
     EventKind,
+    Flag,
     Manifest,
     Mask,
     Reset,
@@ -48,6 +49,8 @@ from topics.messages import (
 if TYPE_CHECKING:
     from agent_sdk.client import Bus
 
+# Plain numbers: what a signal raises while NumPy looks at an enum's member is lost, a Ctrl-C for one.
+_KEEP, _SET, _RELEASE = int(Mask.KEEP), int(Mask.SET), int(Mask.RELEASE)
 _INBOX = 1024
 _MEET_S = 10.0
 
@@ -75,8 +78,15 @@ class Link(Protocol):
         """Lets go; twice is fine."""
 
 
+def _is_after(new: Sample, old: Sample) -> bool:
+    """Whether a slot has gone on; of the same episodes."""
+    return any(step > was for step, was in zip(new.step, old.step, strict=True))
+
+
 class ControlLink:
     """One controller's hold on one node. Iterate over it, or call `receive` and `send` in turn.
+
+    A node of several slots has them all in one sample and one command: see `SampleView.wire`.
 
     Attributes:
         manifest: what the node is.
@@ -95,7 +105,7 @@ class ControlLink:
         self._lost = False
         self._ended: ZenostatError | None = None
         self._latest: SampleView | None = None
-        self._answered = True
+        self._answered, self._over = True, False
         with ExitStack() as undo:
             undo.callback(self.close)
             self.manifest = bus.manifest(node)
@@ -109,7 +119,7 @@ class ControlLink:
         manifest = self.manifest
         self._names = {name: i for i, name in enumerate(manifest.names)}
         self._actuators = {a.name: i for i, a in enumerate(manifest.actuators)}
-        self._shape = (manifest.slots, len(manifest.actuators))
+        self._shape = (manifest.slots, len(manifest.actuators)) if manifest.slots > 1 else (len(manifest.actuators),)
         self._sample_key = keys.SAMPLE.at(manifest.node)
         self._wake_key = keys.wake(manifest.node)
         declare = self._close.enter_context
@@ -153,25 +163,40 @@ class ControlLink:
 
     def close(self) -> None:
         """Lets go of the node; twice is fine."""
+        self._ended = self._ended or EpisodeChanged(f"{self.name} has let go of its node; take control of it again")
         self._wake.close()
         self._close.close()
+        self.bus.forget(self)
 
     # Samples
 
-    def reset(self, *, seed: int | None = None) -> SampleView:
-        """Starts a new episode and waits for its sample 0."""
-        accepted = self.accepted = self.bus.reset(self.manifest.node, Reset(controller=self.name, seed=seed))
+    def reset(
+        self,
+        *,
+        seed: int | list[int | None] | None = None,
+        slots: list[int] | None = None,
+        snapshot: str = "",
+    ) -> SampleView:
+        """Starts a new episode and waits for its first sample.
+
+        Args:
+            seed: see `Reset`.
+            slots: those that begin anew; None is all.
+            snapshot: go back to it in place of sample 0.
+        """
+        request = Reset(controller=self.name, seed=seed, slots=slots, snapshot=snapshot)
+        accepted = self.accepted = self.bus.reset(self.manifest.node, request)
         self._ended = None
         self._answered = True
         self._latest = None
         while True:
             sample = self._next(changes=True)
-            if sample.episode == accepted.episode[0]:
+            if sample.wire.episode == accepted.episode:
                 return self._keep(sample)
 
-    def weather(self, columns: Sequence[str]) -> WeatherSeries:
-        """Columns of the weather file that the present episode reads; `UnknownName` lists them."""
-        return self.bus.weather(self.manifest.node, columns)
+    def weather(self, columns: Sequence[str], slot: int = 0) -> WeatherSeries:
+        """Columns of the weather file that a slot's present episode reads; `UnknownName` lists them."""
+        return self.bus.weather(self.manifest.node, columns, slot)
 
     def scenario(self) -> str:
         """The scenario that the node simulates, as a scenario file (YAML)."""
@@ -181,12 +206,16 @@ class ControlLink:
         """The sample that the node stands at, for a controller that has just come."""
         status = self.bus.status(self.manifest.node)
         if status.state is State.FAILED:
-            raise from_wire({"error": "SimulatorError", "message": status.failure})
+            raise from_wire({"error": status.failure_error, "message": status.failure})
         if status.state is State.ENDED:
             return self.reset()
         if status.state is not State.WAITING:
             return self.receive()  # the present sample is answered already; the next one is on its way
         return self._keep(self._view(self.bus.latest(self.manifest.node)))
+
+    def stand_at(self, sample: Sample) -> SampleView:
+        """Takes a sample for the present one: of a branch, which stands where its parent stood."""
+        return self._keep(self._view(sample))
 
     def receive(self) -> SampleView:
         """Waits for the next sample.
@@ -200,12 +229,17 @@ class ControlLink:
         previous = self._latest
         while True:
             sample = self._next(changes=False)
-            if previous is None or sample.episode != previous.episode or sample.step > previous.step:
+            if previous is None:
                 return self._keep(sample)
+            episode, known = sample.wire.episode, previous.wire.episode
+            if episode == known and _is_after(sample.wire, previous.wire):
+                return self._keep(sample)
+            if any(one > other for one, other in zip(episode, known, strict=True)):
+                raise EpisodeChanged(f"node {self.manifest.node!r} was reset by somebody else{self._where()}")
 
     def _keep(self, sample: SampleView) -> SampleView:
         self._latest = sample
-        self._answered = sample.truncated
+        self._answered = self._over = all(flag & Flag.TRUNCATED for flag in sample.wire.flags)
         return sample
 
     def _next(self, *, changes: bool) -> SampleView:
@@ -231,7 +265,7 @@ class ControlLink:
         if key != keys.EVENT.at(node):
             return
         event = codec.decode(Event, message.payload.to_bytes(), str(message.encoding))
-        if event.kind is EventKind.FAILED:
+        if event.kind is EventKind.FAILED and not (changes and event.episode != self.accepted.episode[0]):
             self._ended = from_wire({"error": event.error, "message": event.text})
             raise self._ended
         if event.kind is EventKind.STOPPED:
@@ -249,14 +283,20 @@ class ControlLink:
     # Commands
 
     def send(
-        self, values: Mapping[str, float | None] | NDArray[np.float64] | None = None, mask: bytes | None = None
+        self,
+        values: Mapping[str, float | None] | NDArray[np.float64] | None = None,
+        mask: bytes | None = None,
+        *,
+        still: Collection[int] = (),
     ) -> None:
         """Answers the present sample. An episode's last sample takes no answer: nothing is sent.
 
         Args:
             values: by actuator name, None releasing it to the building's own control and the others kept
-                as they are; or an array of all actuators in manifest order; or None to keep all.
-            mask: with an array, a `Mask` byte for each actuator; None sets all.
+                as they are; or an array of all actuators in manifest order, shape (actuators,), of several slots
+                (slots, actuators); or None to keep all.
+            mask: with an array, a `Mask` byte for each of its values; None sets all.
+            still: slots that are to stand still while the others go on.
 
         Raises:
             InvalidAction: an unknown actuator, a wrong shape, or a value that is not finite.
@@ -265,22 +305,23 @@ class ControlLink:
             raise PeerError("there is no sample to answer yet; receive one first")
         if self._ended is not None:
             raise self._ended
-        if self._latest.truncated:
+        if self._over:
             return
         wire = self._latest.wire
         raw, mask = self._coded(values, mask)
+        steps = [None if slot in still else step for slot, step in enumerate(wire.step)] if still else wire.step
         self._answered = True
-        self._put_command(codec.pack(episode=wire.episode, step=wire.step, mask=mask, values=raw))
+        self._put_command(codec.pack(episode=wire.episode, step=steps, mask=mask, values=raw))
 
     def _coded(
         self, values: Mapping[str, float | None] | NDArray[np.float64] | None, given: bytes | None
     ) -> tuple[bytes, bytes | None]:
-        count = self._shape[1]
         if isinstance(values, np.ndarray):
-            if values.shape != (count,):
-                raise InvalidAction(f"values of shape {values.shape}; ({count},) expected: one for each actuator")
+            if values.shape != self._shape:
+                raise InvalidAction(f"values of shape {values.shape}; {self._shape} expected: one for each actuator")
             return values.astype("<f8", copy=False).tobytes(), given
-        row, mask = np.zeros(count), np.full(count, Mask.KEEP, np.uint8)
+        slots, count = self.manifest.slots, len(self.manifest.actuators)
+        row, mask = np.zeros(count), np.full(count, _KEEP, np.uint8)
         for name, value in (values or {}).items():
             if name not in self._actuators:
                 raise InvalidAction(
@@ -289,8 +330,8 @@ class ControlLink:
             index = self._actuators[name]
             if value is not None and not np.isfinite(value):
                 raise InvalidAction(f"{name} = {value}; a finite number or None (release) expected")
-            row[index], mask[index] = (0.0, Mask.RELEASE) if value is None else (value, Mask.SET)
-        return row.tobytes(), mask.tobytes()
+            row[index], mask[index] = (0.0, _RELEASE) if value is None else (value, _SET)
+        return row.tobytes() * slots, mask.tobytes() * slots
 
     def __iter__(self) -> Iterator[SampleView]:
         """Samples from the present one to the episode's last; one that was not answered keeps all as it is."""

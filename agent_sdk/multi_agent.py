@@ -12,7 +12,8 @@ from gymnasium.spaces import Box, Discrete, MultiDiscrete, Space
 from numpy.typing import ArrayLike, NDArray
 
 from agent_sdk import settings
-from agent_sdk.environment import AGENT, BuildingEnv, Observation
+from agent_sdk.environment import BuildingEnv, Observation
+from agent_sdk.hold import AGENT
 from agent_sdk.rewards import AnyReward, BoundReward, read_reward
 from agent_sdk.rewards.linear import Weighted
 from agent_sdk.rewards.points import temperatures

@@ -6,7 +6,8 @@ from gymnasium.envs.registration import EnvSpec, registry
 
 from topics.scenario_ids import bundled_ids, pack_ids
 
-_ENTRY = "agent_sdk.environment_file:make"
+_ENTRY, _VECTOR = "agent_sdk.environment_file:make", "agent_sdk.vector:make"
+_FAKE, _FAKE_VECTOR = "agent_sdk.testing.environment:FakeEnv", "agent_sdk.testing.slots:FakeVectorEnv"
 _OPEN = ("Building-v1", "Scenario-v1", "Sinergym-v1")
 
 
@@ -16,9 +17,13 @@ def register() -> None:
     They go into Gymnasium's registry directly: its `register` looks through all names for each new one, which
     would take a quarter of a second.
     """
-    fake = "zenostat/Fake-v1"
-    registry[fake] = EnvSpec(fake, entry_point="agent_sdk.testing.environment:FakeEnv")
+    _put("Fake-v1", _FAKE, _FAKE_VECTOR)
     for name in _OPEN:
-        registry[f"zenostat/{name}"] = EnvSpec(f"zenostat/{name}", entry_point=_ENTRY)
+        _put(name, _ENTRY, _VECTOR)
     for name in (*pack_ids(), *bundled_ids()):
-        registry[f"zenostat/{name}"] = EnvSpec(f"zenostat/{name}", entry_point=_ENTRY, kwargs={"scenario": name})
+        _put(name, _ENTRY, _VECTOR, scenario=name)
+
+
+def _put(name: str, entry: str, vector_entry: str, **given: str) -> None:
+    full = f"zenostat/{name}"
+    registry[full] = EnvSpec(full, entry_point=entry, vector_entry_point=vector_entry, kwargs=given)

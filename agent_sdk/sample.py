@@ -56,6 +56,11 @@ class SampleView:
         return bool(self.wire.flags[self.slot] & Flag.TRUNCATED)
 
     @property
+    def fallback(self) -> bool:
+        """Whether the timestep that this sample closes went on without a command of a required controller."""
+        return bool(self.wire.flags[self.slot] & Flag.FALLBACK)
+
+    @property
     def values(self) -> NDArray[np.float64]:
         """Sensors, then meters, shape (points,), in manifest order and units."""
         manifest = self.manifest
@@ -64,11 +69,32 @@ class SampleView:
         return row
 
     @property
+    def truth(self) -> NDArray[np.float64]:
+        """What EnergyPlus said: `values`, but for the faults that the node injects into them."""
+        manifest, raw = self.manifest, self.wire.undisturbed
+        shape = (manifest.slots, len(manifest.sensors) + len(manifest.meters))
+        return codec.floats(raw, shape, "undisturbed")[self.slot] if raw else self.values
+
+    @property
     def applied(self) -> NDArray[np.float64]:
         """What each actuator really was, shape (actuators,); NaN where EnergyPlus does not tell."""
         shape = (self.manifest.slots, len(self.manifest.actuators))
         row: NDArray[np.float64] = codec.floats(self.wire.applied, shape, "applied")[self.slot]
         return row
+
+    @property
+    def baseline(self) -> NDArray[np.float64] | None:
+        """Like `values`, of the building left to its own control; None unless the node runs it."""
+        manifest = self.manifest
+        shape = (manifest.slots, len(manifest.sensors) + len(manifest.meters))
+        return codec.floats(self.wire.baseline, shape, "baseline")[self.slot] if manifest.baseline else None
+
+    @property
+    def baseline_applied(self) -> NDArray[np.float64] | None:
+        """Like `applied`, what the building's own control sets its actuators to in `baseline`."""
+        shape = (self.manifest.slots, len(self.manifest.actuators))
+        raw = self.wire.baseline_applied
+        return codec.floats(raw, shape, "baseline_applied")[self.slot] if self.manifest.baseline else None
 
     @property
     def ruled_by(self) -> dict[str, str]:

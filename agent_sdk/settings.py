@@ -20,13 +20,13 @@ OF_THE_SCENARIO = "scenario"
 OF_A_NODE = (
     "building", "weather", "scenario", "file", "config", "variant", "sensors", "meters", "actuators", "begin", "end",
     "steps_per_hour", "weather_order", "variability", "sizing", "changes", "time", "reading", "actions", "control",
-    "discrete", "terminate", "keep",
+    "discrete", "terminate", "keep", "baseline", "branches", "faults",
 )  # fmt: skip
 """The arguments that a node decides by."""
 
 
-def for_node(given: Mapping[str, Any], name: str) -> dict[str, Any]:
-    """What the user gave (None left out), as a node's settings.
+def for_node(given: Mapping[str, Any], name: str, slots: int = 1) -> dict[str, Any]:
+    """What the user gave (None left out), as the settings of a node of that many slots.
 
     Raises:
         InvalidConfig: nothing to simulate, or several things; a point that is no list of names.
@@ -48,10 +48,10 @@ def for_node(given: Mapping[str, Any], name: str) -> dict[str, Any]:
     if "file" in settings:
         settings["scenario"] = settings.pop("file")
     # A relative path is the caller's, who may be elsewhere than the node.
-    for key in ("building", "config", "keep", "scenario", "weather"):
+    for key in ("building", "config", "faults", "keep", "scenario", "weather"):
         if key in settings:
-            settings[key] = _absolute(settings[key], always=key in ("config", "keep"))
-    return settings | {"name": name}
+            settings[key] = _absolute(settings[key], always=key in ("config", "faults", "keep"))
+    return settings | {"name": name} | ({"slots": slots} if slots > 1 else {})
 
 
 def _plain(value: Any) -> Any:

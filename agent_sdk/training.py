@@ -208,7 +208,8 @@ def _copy_learnt(training: Any, env: gym.Env[Any, Any]) -> str:
 
     Environments in other processes are not reached: use `VecNormalize` there.
     """
-    envs = getattr(training.unwrapped, "envs", None)
+    base = training.unwrapped  # of slots, the vector environment has the wrappers
+    envs = getattr(base, "envs", None) or [env for env in [getattr(base, "env", None)] if env is not None]
     if not envs:
         return ""
     with TemporaryDirectory(prefix="zenostat-") as folder:

@@ -1,24 +1,33 @@
-"""What a reset costs, forked and started, in one process: prints milliseconds as JSON.
-
-`python -m bench.resets BUILDING`
-"""
+"""Part `resets`: milliseconds of a reset that forks and of one that starts an engine, in one environment."""
 
 from __future__ import annotations
 
 import json
-import statistics
+import subprocess
 import sys
 import time
 from typing import Any
 
-import gymnasium as gym
 import psutil
+from rich.console import Console
+from rich.table import Table
 
-import agent_sdk  # noqa: F401  # registers the environments
+from bench import pace, scenes
 from topics.messages import Start
 
-FORKED, STARTED = 15, 5
-DAY = {"weather": "USA_CO_Denver", "begin": "07-03", "end": "07-03", "steps_per_hour": 4}
+SCENES = ("five-zone", "office-small", "office-medium", "outpatient")
+
+
+def measure(*, quick: bool) -> dict[str, Any]:
+    """Of each building, in a process of its own."""
+    found = {}
+    for scene in SCENES:
+        command = [sys.executable, "-m", "bench.resets", scene, *(("5", "1") if quick else ("25", "5"))]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise RuntimeError(f"{' '.join(command)} failed:\n{done.stderr[-3000:]}")
+        found[scene] = json.loads(done.stdout.splitlines()[-1])
+    return found
 
 
 def _reset_ms(env: Any, expected: Start) -> float:
@@ -41,19 +50,31 @@ def _end_waiting(env: Any) -> None:
 
 
 def main() -> None:
-    """Measures what the command line says."""
-    env = gym.make("zenostat/Building-v1", building=sys.argv[1], **DAY)
+    """Measures what the command line says: a scene, and how often each."""
+    forks, starts = map(int, sys.argv[2:])
+    env = scenes.environment(sys.argv[1])
     try:
         env.reset(seed=0)
         env.step(env.action_space.low)
-        forked = [_reset_ms(env, Start.FORKED) for _ in range(FORKED)]
+        forked = [_reset_ms(env, Start.FORKED) for _ in range(forks)]
         started = []
-        for _ in range(STARTED):
+        for _ in range(starts):
             _end_waiting(env)
             started.append(_reset_ms(env, Start.STARTED))
     finally:
         env.close()
-    print(json.dumps({"forked": statistics.median(forked), "started": statistics.median(started)}))
+    print(json.dumps({"forked": pace.spread(forked), "started": pace.spread(started)}))
+
+
+def show(results: dict[str, Any], console: Console) -> None:
+    """A table."""
+    table = Table("", "forked (ms)", "quartiles", "started (ms)", "times", title="env.reset")
+    for scene, ms in results.items():
+        forked, started = ms["forked"], ms["started"]["median"]
+        quartiles = f"{forked['low']:.1f} to {forked['high']:.1f}"
+        times = f"{started / forked['median']:.0f}"
+        table.add_row(scene, f"{forked['median']:.1f}", quartiles, f"{started:.0f}", times)
+    console.print(table)
 
 
 if __name__ == "__main__":

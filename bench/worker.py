@@ -1,82 +1,69 @@
-"""One measurement in a process of its own: prints microseconds a step as JSON.
+"""One worker: simulates in bursts, as it is told (`bench.pace`).
 
-`python -m bench.worker KIND BUILDING DAYS MONITORS`
+`python -m bench.worker KIND SCENE OPTIONS`
 """
 
 from __future__ import annotations
 
 import json
+import os
 import queue
 import sys
 import tempfile
 import threading
-import time
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from models import design_days
-from models.building import prepared, read_building, write
-from models.catalog import find_building, find_weather
-from models.points import Points, choose
-from models.survey import survey
-from models.weather import read_header
+from bench import scenes
+from bench.listeners import listening
+from bench.pace import Over, Pace
 
-WEATHER = "USA_CO_Denver"
-SKIP = 96
-STEPS_PER_HOUR = 4
-
-
-def _days(days: int) -> tuple[str, str]:
-    return "07-01", f"07-{days:02}"
-
-
-def _action(points: int) -> Any:
-    return np.tile([20.0, 25.0], points // 2)
+WARM_UP = 1000
+"""Steps before the first burst."""
 
 
 class InProcess:
     """EnergyPlus in this process, as peers run it: through the wheel's own Python API."""
 
-    def __init__(self, building: str, days: int, folder: Path) -> None:
+    def __init__(self, found: dict[str, Any], folder: Path) -> None:
         from pyenergyplus.api import EnergyPlusAPI
 
-        model = read_building(find_building(building))
-        weather = find_weather(WEATHER).path
-        period = model.period(*_days(days), STEPS_PER_HOUR)
-        self.points: Points = choose(model, survey(model, weather), None, None, None)
-        self.steps = period.steps
-        objects = design_days.apply(prepared(model, period), design_days.site(weather, read_header(weather)))
-        path = write(objects, folder)
-        self.arguments = ["-w", str(weather), "-d", str(folder), str(path)]
+        checked, files = scenes.prepared(found, folder)
+        self.points = checked.points
+        self.action = scenes.setpoints(self.points.actuators)
+        self.arguments = ["-w", str(files.weather), "-d", str(folder), str(files.model)]
         self.api = EnergyPlusAPI()
         self.state = self.api.state_manager.new_state()
         self.api.runtime.set_console_output_status(self.state, False)
         for sensor in self.points.sensors:
             self.api.exchange.request_variable(self.state, sensor.variable, sensor.key)
-        self.times: list[float] = []
 
-    def run(self, exchange: Callable[[Any], None]) -> None:
+    def run(self, exchange: Callable[[Any], None], tick: Callable[[], None] | None) -> None:
+        """Simulates; `exchange` at the end of each timestep, and `tick` after it."""
         live = False
-        step = 0
+
+        def step(state: Any) -> None:
+            try:
+                exchange(state)
+                if tick is not None:
+                    tick()
+            except Over:
+                os._exit(0)  # the files are in a folder of whoever started this worker
 
         def warm(state: Any) -> None:
             nonlocal live
             if self.api.exchange.kind_of_sim(state) == 3 and not live:
                 live = True
                 self._find(state)
-                exchange(state)
+                step(state)
 
         def end(state: Any) -> None:
-            nonlocal step
             if live:
-                step += 1
-                if step < self.steps:
-                    exchange(state)
-                self.times.append(time.perf_counter())
+                step(state)
 
         self.api.runtime.callback_after_new_environment_warmup_complete(self.state, warm)
         self.api.runtime.callback_end_zone_timestep_after_zone_reporting(self.state, end)
@@ -90,36 +77,48 @@ class InProcess:
         ]
 
     def read(self, state: Any) -> list[float]:
+        """All points, as they are."""
         exchange = self.api.exchange
         values = [exchange.get_variable_value(state, h) for h in self.sensors]
         return values + [exchange.get_meter_value(state, h) for h in self.points.meter_handles]
 
     def set(self, state: Any, values: Any) -> None:
+        """All actuators."""
         for handle, value in zip(self.actuators, values, strict=True):
             self.api.exchange.set_actuator_value(state, handle, value)
 
 
-def bare(run: InProcess) -> list[float]:
+class _FirstTick:
+    """Begins at the first tick, which is sample 0."""
+
+    def __init__(self, pace: Pace) -> None:
+        self._pace, self._begun = pace, False
+
+    def __call__(self) -> None:
+        if self._begun:
+            self._pace.tick()
+        else:
+            self._begun = True
+            self._pace.begin()
+
+
+def bare(run: InProcess, pace: Pace) -> None:
     """EnergyPlus alone, with an empty callback."""
-    run.run(lambda state: None)
-    return run.times
+    run.run(lambda state: None, _FirstTick(pace))
 
 
-def callback(run: InProcess) -> list[float]:
+def callback(run: InProcess, pace: Pace) -> None:
     """A callback in EnergyPlus's own process reads and writes the points."""
-    action = _action(len(run.points.actuators))
 
     def exchange(state: Any) -> None:
         run.read(state)
-        run.set(state, action)
+        run.set(state, run.action)
 
-    run.run(exchange)
-    return run.times
+    run.run(exchange, _FirstTick(pace))
 
 
-def queues(run: InProcess) -> list[float]:
+def queues(run: InProcess, pace: Pace) -> None:
     """EnergyPlus in a thread, two queues of one entry: how peers make an environment of it."""
-    action = _action(len(run.points.actuators))
     observations: queue.Queue[list[float]] = queue.Queue(maxsize=1)
     actions: queue.Queue[Any] = queue.Queue(maxsize=1)
 
@@ -127,61 +126,103 @@ def queues(run: InProcess) -> list[float]:
         observations.put(run.read(state))
         run.set(state, actions.get())
 
-    thread = threading.Thread(target=run.run, args=(exchange,))
-    thread.start()
-    for _ in range(run.steps):
-        np.array(observations.get(), np.float32)
-        actions.put(action)
-    thread.join()
-    return run.times
+    threading.Thread(target=run.run, args=(exchange, None), daemon=True).start()
+    observations.get()
+    try:
+        pace.begin()
+        while True:
+            actions.put(run.action)
+            np.array(observations.get(), np.float32)
+            pace.tick()
+    except Over:
+        os._exit(0)
 
 
-def environment(building: str, days: int, monitors: int, affinity: str) -> tuple[list[float], float]:
-    """`env.step` across processes over Zenoh; also the resident megabytes of node and engine."""
+def _in_turn(step: Callable[[], Any], pace: Pace, **about: Any) -> None:
+    """Steps in bursts, once what a forked engine writes to is its own."""
+    for _ in range(WARM_UP):
+        step()
+    pace.begin(**about)
+    while True:
+        step()
+        pace.tick()
+
+
+def environment(found: dict[str, Any], pace: Pace, *, monitors: int = 0, **more: Any) -> None:
+    """`env.step` across processes over Zenoh."""
     import gymnasium as gym
 
-    import agent_sdk
-    from bench.listeners import listening
+    import agent_sdk  # noqa: F401  # registers the environments
 
-    begin, end = _days(days)
-    times = []
+    identity = found.pop("scenario", "zenostat/Building-v1")
     with ExitStack() as stack:
-        env = gym.make(
-            "zenostat/Building-v1",
-            building=building,
-            weather=WEATHER,
-            begin=begin,
-            end=end,
-            steps_per_hour=STEPS_PER_HOUR,
-            affinity=affinity,
-        )
+        env: Any = gym.make(identity, **found, **more)
         stack.callback(env.close)
         stack.enter_context(listening(env.unwrapped.own_node.endpoint, monitors))
         env.reset(seed=0)
-        action = _action(env.action_space.shape[0]).astype(np.float32)
-        truncated = False
-        while not truncated:
-            truncated = env.step(action)[3]
-            times.append(time.perf_counter())
-            if len(times) == SKIP:
-                status = env.unwrapped.link.bus.status(env.unwrapped.manifest.node)
-    assert agent_sdk
-    return times, (status.node_rss_bytes + status.engine_rss_bytes) / 1e6
+        action = scenes.setpoints(env.unwrapped.manifest.actuators)[: env.action_space.shape[0]].astype(np.float32)
+        status = env.unwrapped.link.bus.status(env.unwrapped.manifest.node)
+        memory_mb = (status.node_rss_bytes + status.engine_rss_bytes) / 1e6
+        _in_turn(lambda: env.step(action), pace, memory_mb=memory_mb)
+
+
+def slots(found: dict[str, Any], pace: Pace, *, count: int, **more: Any) -> None:
+    """Slots of one node, without an environment around them: what the bus and the node take of it."""
+    from agent_sdk.client import connect
+    from agent_sdk.launch import OwnNode
+    from bridge.affinity import Affinity
+
+    placement = Affinity(more.get("affinity", Affinity.APART))
+    node = OwnNode({**found, "slots": count, "name": "bench"}, placement)
+    with ExitStack() as stack:
+        stack.callback(node.close)
+        bus = stack.enter_context(connect(node.endpoint, affinity=placement, core=node.core))
+        link = stack.enter_context(bus.controller("bench"))
+        link.reset(seed=0)
+        values = scenes.setpoints(link.manifest.actuators)
+        if count > 1:
+            values = np.tile(values, (count, 1))
+
+        def step() -> None:
+            link.send(values)
+            link.receive()
+
+        _in_turn(step, pace)
+
+
+def vector(found: dict[str, Any], pace: Pace, *, count: int, mode: str, **more: Any) -> None:
+    """A vector environment: our own (`vector_entry_point`), or Gymnasium's over single environments."""
+    import gymnasium as gym
+
+    import agent_sdk  # noqa: F401  # registers the environments
+
+    identity = found.pop("scenario", "zenostat/Building-v1")
+    kwargs: dict[str, Any] = {"vector_kwargs": {"context": "spawn"}} if mode == "async" else {}
+    envs: Any = gym.make_vec(identity, num_envs=count, vectorization_mode=mode, **kwargs, **found, **more)
+    with ExitStack() as stack:
+        stack.callback(envs.close)
+        envs.reset(seed=0)
+        width = envs.single_action_space.shape[0]
+        action = np.tile([20.0, 25.0], (count, width // 2)).astype(np.float32)
+        _in_turn(lambda: envs.step(action), pace)
+
+
+IN_PROCESS = {"bare": bare, "callback": callback, "queues": queues}
+ACROSS = {"env": environment, "slots": slots, "vector": vector}
 
 
 def main() -> None:
-    """Measures what the command line says."""
-    kind, building, days, monitors = sys.argv[1], sys.argv[2], int(sys.argv[3]), int(sys.argv[4])
-    memory_mb = None
-    in_process = {"bare": bare, "callback": callback, "queues": queues}
-    if kind in in_process:
-        with tempfile.TemporaryDirectory(prefix="zenostat-bench-") as folder:
-            times = in_process[kind](InProcess(building, days, Path(folder)))
-    else:
-        times, memory_mb = environment(building, days, monitors, kind)
-    spans = np.diff(times[SKIP + 1 :])
-    figures = {"mean_us": float(spans.mean() * 1e6), "median_us": float(np.median(spans) * 1e6)}
-    print(json.dumps({**figures, "memory_mb": memory_mb}))
+    """Simulates what the command line says."""
+    kind, scene, options = sys.argv[1], sys.argv[2], json.loads(sys.argv[3])
+    found, core = scenes.settings(scene, options.pop("sensors", None)), options.pop("core", None)
+    if core is not None:
+        os.sched_setaffinity(0, {core})
+    pace = Pace()
+    if kind in IN_PROCESS:
+        IN_PROCESS[kind](InProcess(found, Path(tempfile.mkdtemp())), pace)
+        return
+    with suppress(Over):
+        ACROSS[kind](found, pace, **options)
 
 
 if __name__ == "__main__":

@@ -49,6 +49,11 @@ def host() -> str:
         return socket.gethostname()
 
 
+def allowed() -> tuple[int, ...]:
+    """The cores that the calling thread may use; empty if this system cannot place threads."""
+    return tuple(sorted(os.sched_getaffinity(0))) if supported() else ()
+
+
 def pick_cores(wanted: Affinity) -> tuple[int | None, int | None]:
     """(the engine's, the node's) core of those that this process may use, in turn; None: no choice."""
     if wanted is Affinity.OFF or not supported():

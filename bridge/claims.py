@@ -7,19 +7,36 @@ outlive its claim.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bridge.latencies import Latencies
 from bridge.priority import PriorityArray
 from topics.errors import Refused, near
 from topics.messages import Actuator, Claim
 
 
 @dataclass(slots=True)
+class Record:
+    """How a controller has done: its messages, the timesteps that went on without it, how fast it answers."""
+
+    accepted: int = 0
+    late: int = 0
+    rejected: int = 0
+    duplicate: int = 0
+    missed: int = 0
+    response: Latencies = field(default_factory=Latencies)
+
+
+@dataclass(slots=True)
 class Claimant:
-    """A controller's claim: its level, which actuators, and how it is doing."""
+    """A controller's claim: its level, which actuators, and how it is doing.
+
+    `waived`: it has gone, and the policy goes on without it. `silent`: it missed the deadline, and has not answered
+    since. `joined_s`, `left_s`: when it claimed, and when it had gone (wall time).
+    """
 
     name: str
     level: int
@@ -27,8 +44,12 @@ class Claimant:
     required: bool
     source: int
     whole: bool
+    record: Record
     present: bool = True
-    accepted: int = 0
+    waived: bool = False
+    silent: bool = False
+    joined_s: float = 0.0
+    left_s: float = 0.0
 
 
 class Claims:
@@ -48,7 +69,7 @@ class Claims:
         self._array = array
         self._index = {a.name: i for i, a in enumerate(actuators)}
 
-    def take(self, claim: Claim) -> tuple[Claimant, list[str]]:
+    def take(self, claim: Claim, now_s: float = 0.0) -> tuple[Claimant, list[str]]:
         """Takes or renews a claim; also returns the absent controllers that it replaces.
 
         Raises:
@@ -67,11 +88,17 @@ class Claims:
             claim.level,
             allowed,
             claim.required,
-            self._array.source(claim.controller),
+            self._array.source(claim.controller, self.sources),
             whole=bool(allowed.all()),
-            accepted=old.accepted if old else 0,
+            record=old.record if old else Record(),
+            joined_s=now_s,
         )
         return taken, replaced
+
+    @property
+    def sources(self) -> list[int]:
+        """The claimants' places among the sources."""
+        return [claimant.source for claimant in self.by_name.values()]
 
     def holder(self, level: int, actuator: int) -> Claimant | None:
         """Who has claimed a level of an actuator."""
@@ -82,6 +109,11 @@ class Claims:
         self.by_name = {name: c for name, c in self.by_name.items() if c.present}
         for claimant in self.by_name.values():
             claimant.source = self._array.source(claimant.name)
+            claimant.silent = False
+
+    def release(self, claimant: Claimant) -> None:
+        """Gives back what a claimant has set; it keeps its claim."""
+        self._give_up(claimant, kept=np.zeros_like(claimant.allowed))
 
     def _select(self, names: list[str] | None) -> NDArray[np.bool_]:
         allowed = np.full(len(self._actuators), names is None)

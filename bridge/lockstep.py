@@ -7,9 +7,13 @@ answers sample k and rules timestep k + 1; the last sample needs no answer.
         ▲                  │                                                       │
         └──────reset───────┴───────────────────────────────────────────────reset───┘
 
+Slots are engines that step together, each in an episode of its own. A slot that no required controller answers
+stands still, as does one whose episode is over; the exchange has ended when all of them have.
+
 In lockstep the exchange goes on when each required controller has answered the present sample, and there
-is at least one. In free mode it always goes on. A controller that vanished keeps its claim (policy `wait`):
-the node waits until it is back or another takes its level over.
+is at least one. In free and paced mode it goes on without them. A controller that vanished keeps its claim: by
+policy the node waits until it is back or another takes its level over, or goes on without it, holding or releasing
+what it commanded, or the episode is aborted. So it is with one that does not answer by the deadline.
 
 Three kinds of messages change nothing and are counted and named in an event: `late` (answers a step that is
 over), `duplicate` (answers the present step again), `rejected` (everything else that is wrong).
@@ -17,6 +21,8 @@ over), `duplicate` (answers the present step again), `rejected` (everything else
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 
@@ -26,7 +32,7 @@ from numpy.typing import NDArray
 from bridge.claims import Claimant, Claims
 from bridge.priority import PriorityArray
 from topics import codec
-from topics.errors import BadMessage, near
+from topics.errors import BadMessage, EpisodeAborted, near
 from topics.messages import (
     Actuator,
     Claim,
@@ -36,9 +42,24 @@ from topics.messages import (
     EventKind,
     Mask,
     Mode,
+    Policy,
     State,
     Write,
 )
+
+MOST_A_STEP = 100
+"""Messages of one controller in one step that are looked at, besides its usual commands."""
+
+_STRANGERS = ""  # no controller can have this name
+
+_USUAL = codec.encoding(Command)
+
+MOST_TEXT = 20_000
+MOST_NAME = 128
+"""Characters of an event's text, and of the name of who writes: samples and events repeat it."""
+
+_REMEMBERED = 64
+"""Timesteps of which is known when they went on, to say how late a command is."""
 
 
 class Input(StrEnum):
@@ -78,6 +99,8 @@ class Counts:
     rejected: int = 0
     late: int = 0
     duplicate: int = 0
+    missed: int = 0
+    flooded: int = 0
 
 
 @dataclass(slots=True)
@@ -88,6 +111,18 @@ class _Expiry:
     source: str
 
 
+@dataclass(frozen=True, slots=True)
+class Held:
+    """What was commanded up to a sample and holds on: a part of a snapshot."""
+
+    array: PriorityArray
+    expiries: tuple[_Expiry, ...] = ()
+
+    def of_slot(self, slot: int, slots: int) -> Held:
+        """What holds in one slot, for each of `slots` new ones."""
+        return Held(self.array.of_slot(slot, slots), self.expiries)
+
+
 @dataclass(slots=True)
 class Exchange:
     """The state of one node's exchange.
@@ -96,17 +131,36 @@ class Exchange:
         actuators: in manifest order.
         slots: engines in the node.
         mode: who sets the pace.
+        touched: of each slot, whether it was commanded or has moved since it began.
+        ended: of each slot, whether its episode is over.
+        moving: the slots that the running timestep moves.
+        policy: what happens without a controller that is waited for.
+        deadline_s: how long a step waits; whoever drives the exchange calls `overdue` then.
+        now_s: wall time, by whatever clock; set by whoever drives the exchange before it calls.
+        fallback: whether the running timestep, or the latest, went on without a command of a required controller.
     """
 
     actuators: tuple[Actuator, ...]
     slots: int = 1
     mode: Mode = Mode.LOCKSTEP
+    policy: Policy = Policy.WAIT
+    deadline_s: float | None = None
+    now_s: float = 0.0
     state: State = State.STARTING
     episode: list[int] = field(default_factory=list)
     step: list[int] = field(default_factory=list)
     counts: Counts = field(default_factory=Counts)
     claims: Claims = field(init=False)
-    touched: bool = False
+    touched: list[bool] = field(init=False)
+    ended: list[bool] = field(init=False)
+    moving: Sequence[int] = field(init=False)
+    fallback: bool = False
+    _falls: bool = False
+    _told_s: float = 0.0
+    _overdue_s: float | None = None
+    _went: deque[tuple[list[int], list[int], float]] = field(default_factory=lambda: deque(maxlen=_REMEMBERED))
+    _heard: dict[str, int] = field(default_factory=dict)
+    _answers: set[int] = field(default_factory=set)
     _pending: set[str] = field(default_factory=set)
     _answered: set[str] = field(default_factory=set)
     _expiries: list[_Expiry] = field(default_factory=list)
@@ -116,10 +170,16 @@ class Exchange:
     _array: PriorityArray = field(init=False)
     _index: dict[str, int] = field(init=False)
     _head: bytes = field(init=False, default=b"")
+    _all: range = field(init=False)
+    _moved: list[bool] = field(init=False)
 
     def __post_init__(self) -> None:
         self.episode = self.episode or [0] * self.slots
         self.step = self.step or [0] * self.slots
+        self.touched = [False] * self.slots
+        self.ended = [False] * self.slots
+        self.moving = self._all = range(self.slots)
+        self._moved = [True] * self.slots
         most = float(np.finfo(np.float64).max)  # an unbounded actuator takes any finite value
         low = [-most if a.low is None else a.low for a in self.actuators]
         high = [most if a.high is None else a.high for a in self.actuators]
@@ -153,37 +213,72 @@ class Exchange:
 
     # The engine's side
 
-    def ready(self) -> None:
-        """The engine waits at sample 0."""
+    def ready(self, begun: Mapping[int, int] | None = None) -> None:
+        """The engines wait: those of `begun` (slot to sample; None: all, at sample 0) at an episode's first sample."""
         self.take(Input.READY)
-        self.step = [0] * self.slots
-        self.touched = False
+        self.step, self.touched, self.ended = [*self.step], [*self.touched], [*self.ended]
+        for slot, step in (begun if begun is not None else dict.fromkeys(self._all, 0)).items():
+            self.step[slot] = step
+            self.touched[slot] = step > 0
+            self.ended[slot] = False
         self.listen()
 
-    def sampled(self, *, last: bool) -> None:
-        """The engine has simulated a timestep. Call `listen` once the sample is published."""
-        self.take(Input.ENDED if last else Input.SAMPLED)
-        self.step = [step + 1 for step in self.step]
+    def sampled(self, last: Sequence[bool]) -> None:
+        """The engines have simulated a timestep; `last` of each slot that moved. Call `listen` once it is published."""
+        if self.moving is self._all:
+            steps, ended = [step + 1 for step in self.step], [*last]
+        else:
+            steps, ended = [*self.step], [*self.ended]
+            for slot, over in zip(self.moving, last, strict=True):
+                steps[slot] += 1
+                ended[slot] = over
+        self.take(Input.ENDED if all(ended) else Input.SAMPLED)
+        self.step, self.ended = steps, ended
 
     def listen(self) -> None:
         """Gets ready for the answers to the present sample; apart from `sampled` so that the sample goes first."""
-        self._pending = {c.name for c in self.claims.by_name.values() if c.required}
+        required = [c for c in self.claims.by_name.values() if c.required]
+        self._pending = {c.name for c in required if not c.waived}
+        self._falls = len(self._pending) < len(required)
+        if self._falls and not self._pending and self.deadline_s is not None:
+            self._pending = {c.name for c in required}  # nobody is there: the deadline sets the pace
+        self._told_s, self._overdue_s = self.now_s, None
+        if self._heard:
+            self._heard = {}
         self._answered = set()
-        self._head = codec.command_head(self.episode, self.step, self._size)
+        self._answers = set()
+        self._head = b"" if any(self.ended) else codec.command_head(self.episode, self.step, self._size)
 
-    def reset(self) -> None:
-        """A new episode begins: claims of controllers that are there stay, what was set is released."""
+    def reset(self, slots: Sequence[int] | None = None) -> None:
+        """A new episode begins, in all slots or in some: what was set there is released.
+
+        Claims of controllers that are there stay; those that are gone are forgotten once all slots begin anew.
+        """
         self.take(Input.RESET)
-        self.episode = [episode + 1 for episode in self.episode]
-        self._array.clear()
-        self._expiries.clear()
+        if slots is None or len(set(slots)) == self.slots:
+            self.episode = [episode + 1 for episode in self.episode]
+            self._array.clear()
+            self._expiries.clear()
+            self.claims.begin_episode()
+            return
+        self.episode = [episode + (slot in slots) for slot, episode in enumerate(self.episode)]
+        self._array.release(slots)
+
+    def held(self) -> Held:
+        """What holds at the present sample."""
+        return Held(self._array.copy(), tuple(self._expiries))
+
+    def hold(self, held: Held) -> None:
+        """Has that hold again; between `reset` and `ready`, or at the very beginning."""
+        self._array.restore(held.array)
+        self._expiries = [*held.expiries]
         self.claims.begin_episode()
 
     def due(self) -> bool:
         """Whether the next timestep may be simulated now."""
         if self.state is not State.WAITING:
             return False
-        if self.mode is Mode.FREE:
+        if self.mode is not Mode.LOCKSTEP:
             return True
         return not self._pending and any(c.required for c in self.claims.by_name.values())
 
@@ -194,8 +289,32 @@ class Exchange:
     def go(self) -> tuple[bytes, bytes]:
         """Starts the timestep: the values that rule it (float64, NaN: the building's own) and who set them (uint8)."""
         self.take(Input.GO)
-        self.touched = True
+        self.fallback = self._falls and self._missed()
+        self._went.append((self.episode, self.step, self.now_s))
+        if not self._answers or len(self._answers) == self.slots or self.mode is not Mode.LOCKSTEP:
+            self.moving = self._all
+        else:
+            self.moving = sorted(self._answers)
+        if any(self.ended):
+            self.moving = [slot for slot in self.moving if not self.ended[slot]]
+        if self.moving is self._all:
+            self.touched = self._moved
+        else:
+            self.touched = [was or slot in self.moving for slot, was in enumerate(self.touched)]
         return self._array.resolve()
+
+    def _missed(self) -> bool:
+        """Counts the required controllers without which the timestep goes on; whether there are any."""
+        lockstep = self.mode is Mode.LOCKSTEP
+        missed = [
+            c
+            for c in self.claims.by_name.values()
+            if c.required and (c.name not in self._answered if lockstep else c.waived)
+        ]
+        for claimant in missed:
+            claimant.record.missed += 1
+        self.counts.missed += bool(missed)
+        return bool(missed)
 
     # The controllers' side
 
@@ -206,7 +325,7 @@ class Exchange:
             Refused: unknown actuators, or another present controller holds the level on one of them.
         """
         renewed = claim.controller in self.claims.by_name
-        claimant, gone = self.claims.take(claim)
+        claimant, gone = self.claims.take(claim, self.now_s)
         self._expiries = [e for e in self._expiries if not (e.level == claim.level and claimant.allowed[e.actuator])]
         for name in (*gone, claim.controller):
             self._pending.discard(name)
@@ -222,33 +341,107 @@ class Exchange:
         claimant = self.claims.by_name.get(name)
         if claimant is None or not claimant.present:
             return []
-        claimant.present = False
-        waits = ", the node waits for it" if claimant.required and self.mode is Mode.LOCKSTEP else ""
-        return [self.event(EventKind.LEFT, f"{name} has gone{waits}", name)]
+        claimant.present, claimant.left_s = False, self.now_s
+        waits = claimant.required and self.mode is Mode.LOCKSTEP and self.policy is Policy.WAIT
+        return [self.event(EventKind.LEFT, f"{name} has gone{', the node waits for it' if waits else ''}", name)]
 
-    def take_usual(self, controller: str, payload: bytes) -> bool:
+    def waive(self, name: str, grace_s: float = 0.0) -> list[Event]:
+        """A controller has been gone for the time of grace: the policy goes on without it, unless it is back.
+
+        One that was back and has left again has its time of grace again.
+
+        Raises:
+            EpisodeAborted: that is the policy.
+        """
+        claimant = self.claims.by_name.get(name)
+        if claimant is None or claimant.present or claimant.waived or self.policy is Policy.WAIT:
+            return []
+        if self.now_s - claimant.left_s < grace_s:
+            return []
+        under_way = self.state in (State.WAITING, State.RUNNING)
+        if self.policy is Policy.ABORT and claimant.required and under_way:
+            raise EpisodeAborted(f"{name} has gone, and the policy is to abort the episode then")
+        claimant.waived = True
+        self._falls = self._falls or claimant.required
+        if self.policy is Policy.RELEASE:
+            self._answered.discard(name)  # what it answered is released as well
+        if self.deadline_s is None or any(c.required and not c.waived for c in self.claims.by_name.values()):
+            self._pending.discard(name)
+        event = self._fall_back(claimant, "has gone")
+        return [event] if under_way else []
+
+    def overdue(self) -> list[Event]:
+        """The deadline of the present step is over.
+
+        Raises:
+            EpisodeAborted: that is the policy.
+        """
+        if self.state is not State.WAITING or not self._pending:
+            return []
+        self._head = b""
+        if self._overdue_s is None:
+            self._overdue_s = self.now_s
+        if self.policy is Policy.WAIT:
+            return []
+        names = ", ".join(self.missing())
+        if self.policy is Policy.ABORT:
+            raise EpisodeAborted(f"{names} gave no command within {self.deadline_s:g} s")
+        events = []
+        for name in self.missing():
+            claimant = self.claims.by_name[name]
+            if not claimant.silent and not claimant.waived:
+                claimant.silent = True
+                events.append(self._fall_back(claimant, f"gave no command within {self.deadline_s:g} s"))
+        self._pending.clear()
+        self._answers = set(self._all)
+        self._falls = True
+        return events
+
+    def _fall_back(self, claimant: Claimant, why: str) -> Event:
+        if self.policy is Policy.RELEASE:
+            self.claims.release(claimant)
+        what = "is released" if self.policy is Policy.RELEASE else "holds"
+        return self.event(EventKind.FALLBACK, f"{claimant.name} {why}; what it commanded {what}", claimant.name)
+
+    def take_usual(self, controller: str, payload: bytes, said: str = "") -> bool:
         """Takes the bytes of a usual command: all actuators of one controller, for the present step.
 
-        It is known by its head and needs no decoding; false (and nothing changed) for any other.
+        It is known by its head and needs no decoding; false (and nothing changed) for any other, as for one whose
+        encoding `said` names another class or version.
         """
+        if said != _USUAL and not codec.names(Command, said):
+            return False
         head = self._head
-        if controller in self._pending and len(payload) == len(head) + self._size and payload.startswith(head):
+        if head and controller in self._pending and len(payload) == len(head) + self._size and payload.startswith(head):
             claimant, raw = self.claims.by_name[controller], payload[len(head) :]
-            if claimant.whole and self.state is State.WAITING and self._within(raw):
+            if claimant.whole and not claimant.silent and self.state is State.WAITING and self._within(raw):
                 self._array.put_all(claimant.level, claimant.source, raw)
-                self._took(claimant)
+                self._took(claimant, self._all)
                 return True
         return False
 
     def hear(self, controller: str, payload: bytes, said: str = "") -> Event | None:
-        """Takes the bytes of any command; an event if it was not taken."""
+        """Takes the bytes of any command; an event if there is something to say, above all if it was not taken.
+
+        Of one controller's messages that are no usual commands, only the first hundred of a step are looked at: a
+        flood is counted and passed over. All who have claimed nothing are one in this, whatever they call themselves.
+        """
+        who = controller if controller in self.claims.by_name else _STRANGERS
+        heard = self._heard[who] = self._heard.get(who, 0) + 1
+        if heard > MOST_A_STEP:
+            self.counts.flooded += 1
+            return None
         try:
             return self.command(controller, codec.decode(Command, payload, said))
         except BadMessage as error:
             return self.rejected(str(error), controller)
 
-    def _took(self, claimant: Claimant) -> None:
-        claimant.accepted += 1
+    def _took(self, claimant: Claimant, answered: Sequence[int]) -> None:
+        if claimant.required:
+            self._answers.update(answered)
+        record = claimant.record
+        record.accepted += 1
+        record.response.add(self.now_s - max(self._told_s, claimant.joined_s))
         self.counts.accepted += 1
         self._pending.discard(claimant.name)
         self._answered.add(claimant.name)
@@ -258,36 +451,78 @@ class Exchange:
         claimant = self.claims.by_name.get(controller)
         if claimant is None:
             return self.rejected(f"{controller!r} has claimed nothing; claim first", controller)
-        if command.step != self.step or command.episode != self.episode:
-            return self._wrong_step(controller, command)
+        answered = [slot for slot, step in enumerate(command.step) if step is not None]
+        if not self._for_the_present(command, answered):
+            return self._wrong_step(controller, command, answered)
         if self.state in (State.FAILED, State.STARTING):
             return self.rejected(f"the node is {self.state}", controller)
         if self.state is not State.WAITING or controller in self._answered:
             self.counts.duplicate += 1
+            claimant.record.duplicate += 1
             text = f"step {self.step} was answered already" if self.state is not State.ENDED else "the episode is over"
             return self.event(EventKind.DUPLICATE, text, controller)
+        over = next((slot for slot in answered if self.ended[slot]), None)
+        if over is not None or not answered:
+            what = f"slot {over} is over; reset it, or" if answered else "no slot is answered;"
+            return self.rejected(f"{what} leave out (step None) only those that are to stand still", controller)
         try:
-            self._apply(claimant, command)
+            self._apply(claimant, command, answered)
         except BadMessage as error:
             return self.rejected(str(error), controller)
-        self._took(claimant)
+        self._took(claimant, answered)
+        return self._back_in_time(claimant)
+
+    def _back_in_time(self, claimant: Claimant) -> Event | None:
+        """What is to be said of a command that was taken, but after the deadline, or as the first one again."""
+        if claimant.silent:
+            claimant.silent = False
+            return self.event(EventKind.JOINED, f"{claimant.name} answers again", claimant.name)
+        if self._overdue_s is not None and claimant.joined_s <= self._overdue_s:
+            return self._late(
+                f"was taken, though after the deadline of {self.deadline_s:g} s", claimant.name, self._overdue_s
+            )
         return None
 
-    def _wrong_step(self, controller: str, command: Command) -> Event:
-        came, present = (command.episode, command.step), (self.episode, self.step)
-        text = f"answers episode {came[0]} step {came[1]}; present are episode {present[0]} step {present[1]}"
-        if len(command.step) == len(command.episode) == self.slots and came < present:
-            self.counts.late += 1
-            return self.event(EventKind.LATE, text, controller)
+    def _late(self, text: str, source: str, since_s: float | None) -> Event:
+        self.counts.late += 1
+        claimant = self.claims.by_name.get(source)
+        if claimant is not None:
+            claimant.record.late += 1
+        event = self.event(EventKind.LATE, text, source)
+        return event if since_s is None else event.model_copy(update={"late_s": self.now_s - since_s})
+
+    def _for_the_present(self, command: Command, answered: Sequence[int]) -> bool:
+        if command.step == self.step and command.episode == self.episode:
+            return True
+        return len(command.step) == len(command.episode) == self.slots and all(
+            (command.episode[slot], command.step[slot]) == (self.episode[slot], self.step[slot]) for slot in answered
+        )
+
+    def _wrong_step(self, controller: str, command: Command, answered: Sequence[int]) -> Event:
+        text = f"answers episode {command.episode} step {command.step}; "
+        text += f"present are episode {self.episode} step {self.step}"
+        if len(command.step) == len(command.episode) == self.slots:
+            came = [(command.episode[slot], command.step[slot] or 0) for slot in answered]
+            present = [(self.episode[slot], self.step[slot]) for slot in answered]
+            if all(one <= other for one, other in zip(came, present, strict=True)):
+                return self._late(text, controller, self._went_on(answered[0], came[0]) if came else None)
         return self.rejected(text, controller)
 
-    def _apply(self, claimant: Claimant, command: Command) -> None:
+    def _went_on(self, slot: int, at: tuple[int, int]) -> float | None:
+        """When a slot went on from a step; None if that is forgotten, or it never did."""
+        went = (now for episode, step, now in reversed(self._went) if (episode[slot], step[slot]) == at)
+        return next(went, None)
+
+    def _apply(self, claimant: Claimant, command: Command, answered: Sequence[int]) -> None:
         values = codec.floats(command.values, self.shape, "values")
-        if command.mask is None and claimant.whole:
+        whole = len(answered) == self.slots
+        if command.mask is None and claimant.whole and whole:
             self._check(values)
             self._array.put_all(claimant.level, claimant.source, command.values)
             return
         mask = self._mask(claimant, command)
+        if not whole:
+            mask = np.where(np.isin(np.arange(self.slots), answered)[:, None], mask, np.uint8(Mask.KEEP))
         self._check(np.where(mask == Mask.SET, values, self._limits[0].reshape(self.shape)))
         self._array.put(claimant.level, claimant.source, np.where(mask == Mask.SET, values, np.nan), mask != Mask.KEEP)
 
@@ -346,8 +581,9 @@ class Exchange:
         return self.event(EventKind.WRITTEN, text, write.source)
 
     def _set(self, level: int, source: str, index: int, value: float | None) -> None:
-        self.touched = True
-        self._array.put_one(level, self._array.source(source), index, np.nan if value is None else value)
+        self.touched = self._moved
+        who = self._array.source(source, self.claims.sources)
+        self._array.put_one(level, who, index, np.nan if value is None else value)
 
     @property
     def expiring(self) -> bool:
@@ -374,10 +610,13 @@ class Exchange:
     def rejected(self, text: str, source: str) -> Event:
         """Counts a message that was not taken, and the event that names it."""
         self.counts.rejected += 1
+        if source in self.claims.by_name:
+            self.claims.by_name[source].record.rejected += 1
         return self.event(EventKind.REJECTED, text, source)
 
     def event(self, kind: EventKind, text: str, source: str = "", error: str = "") -> Event:
         """An event at the present episode and step."""
+        text, source = text[:MOST_TEXT], source[:MOST_NAME]
         return Event(kind=kind, text=text, source=source, error=error, episode=self.episode[0], step=self.step[0])
 
     def controllers(self) -> list[ControllerStatus]:
@@ -389,7 +628,14 @@ class Exchange:
                 actuators=int(c.allowed.sum()),
                 required=c.required,
                 present=c.present,
-                accepted=c.accepted,
+                accepted=c.record.accepted,
+                late=c.record.late,
+                rejected=c.record.rejected,
+                duplicate=c.record.duplicate,
+                missed=c.record.missed,
+                waived=c.waived,
+                silent=c.silent,
+                response=c.record.response.spread(),
             )
-            for c in self.claims.by_name.values()
+            for c in [*self.claims.by_name.values()]
         ]

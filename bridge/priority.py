@@ -9,7 +9,8 @@ case then costs neither an array nor a copy.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,13 +45,53 @@ class PriorityArray:
         self._released = (np.full(self._size, np.nan).tobytes(), bytes(self._size))
         self.names: list[str] = [THE_BUILDING]
 
-    def source(self, name: str) -> int:
-        """The index of a source's name; new names are added, those beyond the 254th share the last index."""
-        if name not in self.names:
-            if len(self.names) == MOST_SOURCES:
-                return MOST_SOURCES - 1
+    def release(self, slots: Sequence[int]) -> None:
+        """Releases everything in some slots, for a new episode there."""
+        where = np.zeros(self.shape, np.bool_)
+        where[list(slots)] = True
+        for level in [*self._rows]:
+            self.put(level, 0, np.full(self.shape, np.nan), where)
+
+    def copy(self) -> PriorityArray:
+        """The same again, on its own."""
+        other = PriorityArray(*self.shape)
+        other.restore(self)
+        return other
+
+    def restore(self, other: PriorityArray) -> None:
+        """Becomes as another one of the same shape is; what changes in one later does not change the other."""
+        self._rows = {level: replace(row) for level, row in other._rows.items()}
+        self.names = [*other.names]
+
+    def of_slot(self, slot: int, slots: int) -> PriorityArray:
+        """What one slot has, in each of `slots` new ones."""
+        other = PriorityArray(slots, self.shape[1])
+        other.names = [*self.names]
+        width = self.shape[1]
+        for level, row in self._rows.items():
+            values = row.values[8 * width * slot : 8 * width * (slot + 1)] * slots
+            sources = row.sources[width * slot : width * (slot + 1)] * slots
+            if not np.isnan(np.frombuffer(values)).all():
+                other._rows[level] = _Row(values, sources, row.full)
+        return other
+
+    def source(self, name: str, keeping: Collection[int] = ()) -> int:
+        """The index of a source's name.
+
+        Once there are 255 names, a new one takes the place of one that stands in no row and is not in `keeping`; were
+        there none, it would share the last one's.
+        """
+        if name in self.names:
+            return self.names.index(name)
+        if len(self.names) < MOST_SOURCES:
             self.names.append(name)
-        return self.names.index(name)
+            return len(self.names) - 1
+        used = {0, *keeping}.union(*(row.sources for row in self._rows.values()))
+        free = next((index for index in range(MOST_SOURCES) if index not in used), None)
+        if free is None:
+            return MOST_SOURCES - 1
+        self.names = [*self.names[:free], name, *self.names[free + 1 :]]
+        return free
 
     def put_all(self, level: int, source: int, values: bytes) -> None:
         """Sets all actuators of a level to finite values."""

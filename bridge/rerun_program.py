@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import importlib.util
+import os
 import socket
 import subprocess
+import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -36,15 +38,22 @@ def _free_port() -> int:
 def _serving(port: int, *options: str) -> Iterator[None]:
     """Runs the program on loopback while it is needed; `InvalidConfig` if it ends before it listens."""
     command = [program(), "--bind", "127.0.0.1", "--port", str(port), *options]
-    server = subprocess.Popen(
-        command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
-    )
-    try:
-        _wait_for_port(server, port)
-        yield
-    finally:
-        server.terminate()
-        server.wait()
+    # A viewer makes a folder of temporary files, and leaves it there when it is told to end.
+    with tempfile.TemporaryDirectory(prefix="zenostat-") as folder:
+        server = subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            env={**os.environ, "TMPDIR": folder},
+            start_new_session=True,
+        )
+        try:
+            _wait_for_port(server, port)
+            yield
+        finally:
+            server.terminate()
+            server.wait()
 
 
 @contextmanager

@@ -101,6 +101,8 @@ class RerunStream:
         self.left = False
         self._session = session
         self._nodes: dict[str, _Node] = {}
+        self._all = node == "*"
+        self._passed_over: set[str] = set()  # branches, which come and go by the hundred, unless one is asked for
         self._close = ExitStack()
         self.recording = rr.RecordingStream("zenostat")
         self.recording.set_sinks(*sinks)
@@ -150,7 +152,7 @@ class RerunStream:
                 self.left = True
                 continue
             name = keys.node_of(str(token.key_expr))
-            if name in heard or name in self._nodes:
+            if name in heard or name in self._nodes or name in self._passed_over:
                 continue
             took += self._catch_up(name)
         return took
@@ -179,9 +181,11 @@ class RerunStream:
         return 0
 
     def _take_sample(self, name: str, sample: Sample) -> int:
+        if name in self._passed_over:
+            return 0
         node = self._nodes.get(name) or self._ask(name)
         if node is None:
-            return 0  # it has gone before it could be asked what its values mean
+            return 0  # a branch, or it has gone before it could be asked what its values mean
         if sample.episode[0] != node.episode:
             self._log(node)
             node.episode, node.step = sample.episode[0], -1
@@ -200,12 +204,17 @@ class RerunStream:
                 return self._meet(codec.decode(Manifest, reply.ok.payload.to_bytes(), str(reply.ok.encoding)))
         return None
 
-    def _meet(self, manifest: Manifest) -> _Node:
+    def _meet(self, manifest: Manifest) -> _Node | None:
+        if self._all and manifest.branch_of:
+            self._passed_over.add(manifest.node)
+            return None
         known = self._nodes.get(manifest.node)
-        if known is not None and known.manifest == manifest:
-            return known
-        node = self._nodes[manifest.node] = _Node(manifest, _quantities(manifest))
-        return node
+        if known is None:
+            known = self._nodes[manifest.node] = _Node(manifest, _quantities(manifest))
+        else:
+            self._log(known)
+            known.manifest, known.quantities = manifest, _quantities(manifest)
+        return known
 
     def _entity(self, node: _Node, quantity: _Quantity) -> str:
         return f"{node.manifest.node}/episode_{node.episode:04}/{quantity.path}"

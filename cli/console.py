@@ -11,6 +11,8 @@ from types import FrameType
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from topics.errors import ZenostatError
+
 out = Console(highlight=False)
 err = Console(stderr=True, highlight=False)
 
@@ -21,9 +23,10 @@ def say_error(text: str) -> None:
     err.print(text, markup=False, soft_wrap=True)
 
 
-def progress() -> Progress:
-    """A progress bar over timesteps, with their rate."""
-    return Progress(
+@contextmanager
+def progress() -> Iterator[Progress]:
+    """Progress bars over timesteps, with their rate; an error of ours takes them away and stands alone."""
+    bars = Progress(
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
@@ -32,6 +35,15 @@ def progress() -> Progress:
         console=out,
         transient=False,
     )
+    stop = bars.stop
+    bars.start()
+    try:
+        yield bars
+    except ZenostatError:
+        bars.live.transient, stop = True, bars.live.stop  # `bars.stop` ends with a line of its own
+        raise
+    finally:
+        stop()
 
 
 @contextmanager

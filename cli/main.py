@@ -6,7 +6,27 @@ import sys
 
 import typer
 
-from cli import buildings, demo, evaluate, monitor, node, packs, points, run, status, weathers
+from cli import (
+    buildings,
+    contract,
+    demo,
+    evaluate,
+    keys,
+    monitor,
+    node,
+    pace,
+    packs,
+    points,
+    probe,
+    read,
+    router,
+    run,
+    status,
+    watch,
+    weathers,
+    write,
+    zmq,
+)
 from cli.console import say_error
 from cli.scenarios import scenarios
 from topics import VERSION
@@ -26,15 +46,29 @@ _COMMANDS = (
     evaluate.evaluate,
     monitor.monitor,
     status.status,
+    router.router,
+    read.read,
+    watch.watch,
     buildings.buildings,
     weathers.weathers,
     points.points,
+    probe.probe,
     demo.demo,
+    write.release,
+    pace.pace,
+    pace.pause,
+    pace.resume,
+    pace.step,
+    pace.faults,
+    contract.contract,
+    zmq.zmq,
 )
 for command in _COMMANDS:
     app.command()(command)
+app.command(context_settings={"ignore_unknown_options": True})(write.write)  # a value may be negative
 app.add_typer(scenarios, name="scenarios")
 app.add_typer(packs.app, name="packs")
+app.add_typer(keys.app, name="keys")
 
 
 def _version(wanted: bool) -> None:

@@ -10,14 +10,20 @@ from typing import Annotated, Any
 
 import typer
 
-from bridge.session import DEFAULT_ENDPOINT
+from bridge.session import DEFAULT_ENDPOINT, default_endpoint
 from cli.console import err, out, until_signal
+from cli.keys import CertificateName, Keys
 from topics.errors import InvalidConfig
+from topics.keys import Role
 
 
 def monitor(
     node: Annotated[str, typer.Option(help="Only this node; all by default.")] = "*",
-    connect: Annotated[str, typer.Option(help="Endpoint of the bus; it may come later.")] = DEFAULT_ENDPOINT,
+    connect: Annotated[
+        str | None, typer.Option(help="Endpoint of the bus; it may come later.", show_default=DEFAULT_ENDPOINT)
+    ] = None,
+    keys: Keys = None,
+    certificate: CertificateName = None,
     save: Annotated[Path | None, typer.Option(help="Write a recording (.rrd).")] = None,
     screenshot: Annotated[Path | None, typer.Option(help="Write a picture (.png) at the end.")] = None,
     web: Annotated[bool, typer.Option("--web", help="Serve the viewer as a web page on this machine.")] = False,
@@ -33,13 +39,16 @@ def monitor(
     from bridge.rerun_stream import RerunStream
     from bridge.session import open_session
 
+    connect = connect or default_endpoint(keys)
     with ExitStack() as stack:
         recording = save
         if screenshot is not None and recording is None:
             recording = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="zenostat-"))) / "run.rrd"
         sinks = _sinks(stack, recording, web)
         stop = stack.enter_context(until_signal())
-        session = stack.enter_context(open_session(connect=[connect], wait=True))
+        session = stack.enter_context(
+            open_session(connect=[connect], wait=True, keys=keys, role=Role.MONITOR, certificate=certificate)
+        )
         affinity.give_way()
         with RerunStream(session, node, sinks) as stream:
             out.print(f"listening on {connect}; Ctrl-C ends it")

@@ -9,14 +9,18 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from bridge.affinity import Affinity
-from bridge.session import DEFAULT_ENDPOINT
+from bridge.session import DEFAULT_ENDPOINT, default_endpoint, exposure
+from cli import statistics
 from cli.console import out, progress
-from topics.messages import Mode, State
+from cli.keys import CertificateName, Keys
+from topics.errors import InvalidConfig
+from topics.messages import Mode, Policy, State
 
 if TYPE_CHECKING:
     from rich.progress import Progress
 
     from eplus_node.node import Node
+    from eplus_node.runner import Runner
 
 
 def node(
@@ -34,11 +38,35 @@ def node(
     end: Annotated[str | None, typer.Option(help="Last day, MM-DD or YYYY-MM-DD.")] = None,
     steps_per_hour: Annotated[int | None, typer.Option(help="Timesteps an hour; the model's own if left out.")] = None,
     mode: Annotated[
-        Mode, typer.Option(help="lockstep: wait for the required controllers; free: never wait.")
+        Mode,
+        typer.Option(help="lockstep: wait for the required controllers; paced: by the wall clock; free: never wait."),
     ] = Mode.LOCKSTEP,
-    listen: Annotated[str, typer.Option(help="Endpoint to listen on.")] = DEFAULT_ENDPOINT,
-    connect: Annotated[list[str] | None, typer.Option(help="Endpoint of another node, to share its bus.")] = None,
+    speed: Annotated[
+        float | None, typer.Option(help="Simulated seconds in a second, in paced mode; 1 if left out.")
+    ] = None,
+    faults: Annotated[Path | None, typer.Option(help="Faults to inject (YAML); see docs/faults.md.")] = None,
+    policy: Annotated[
+        Policy,
+        typer.Option(help="Without a required controller: wait, hold or release what it commanded, or abort."),
+    ] = Policy.WAIT,
+    grace: Annotated[
+        float, typer.Option(metavar="SECONDS", help="How long a controller may be gone before that; wall time.")
+    ] = 0.0,
+    deadline: Annotated[
+        float | None,
+        typer.Option(metavar="SECONDS", help="How long a lockstep step waits for commands; wall time. None: for ever."),
+    ] = None,
+    listen: Annotated[str | None, typer.Option(help="Endpoint to listen on.", show_default=DEFAULT_ENDPOINT)] = None,
+    connect: Annotated[
+        list[str] | None, typer.Option(help="Endpoint of a router, or of another node to share its bus.")
+    ] = None,
+    no_listen: Annotated[bool, typer.Option("--no-listen", help="Only connect, to a router.")] = False,
     expose: Annotated[bool, typer.Option("--expose", help="Allow listening beyond this machine.")] = False,
+    keys: Keys = None,
+    certificate: CertificateName = None,
+    slots: Annotated[int, typer.Option(help="Engines that step together, each with an episode of its own.")] = 1,
+    baseline: Annotated[bool, typer.Option("--baseline", help="Run the building's own control beside it.")] = False,
+    branches: Annotated[int, typer.Option(help="Snapshots and branches there may be at a time.")] = 64,
     keep: Annotated[Path | None, typer.Option(help="Keep EnergyPlus's own output files in this folder.")] = None,
     affinity: Annotated[Affinity, typer.Option(help="Cores: see docs/architecture.md.")] = Affinity.APART,
 ) -> None:
@@ -49,6 +77,11 @@ def node(
     from eplus_node.config import read_config
     from eplus_node.node import Node
 
+    if no_listen and listen:
+        raise InvalidConfig(f"--listen {listen} and --no-listen; give one of them")
+    if speed is not None and mode is not Mode.PACED:
+        raise InvalidConfig(f"--speed {speed:g} goes with --mode paced; {mode} has no speed")
+    endpoints = [] if no_listen else [listen or default_endpoint(keys)]
     config = read_config(
         {
             "scenario": scenario,
@@ -59,9 +92,19 @@ def node(
             "end": end,
             "steps_per_hour": steps_per_hour,
             "mode": mode,
-            "listen": [listen],
+            **({"speed": speed} if speed is not None else {}),
+            "faults": faults,
+            "policy": policy,
+            "grace_s": grace,
+            "deadline_s": deadline,
+            "listen": endpoints,
             "connect": connect or [],
             "expose": expose,
+            "keys": keys,
+            "certificate": certificate,
+            "slots": slots,
+            "baseline": baseline,
+            "branches": branches,
             "keep": keep,
             "affinity": affinity,
         }
@@ -69,10 +112,12 @@ def node(
     with progress() as bars:
         watch = _Watch(bars, name)
         with Node(config, observer=watch) as running:
-            bars.console.print(_greeting(running, listen))
-            for warning in running.manifest.warnings:
+            bars.console.print(_greeting(running, ", ".join(endpoints or config.connect)))
+            for warning in filter(None, (*running.manifest.warnings, exposure(endpoints, keys))):
                 bars.console.print(f"warning: {warning}", style="yellow", markup=False)
             running.serve()
+            kept = statistics.table(running.runner.statistics(), running.exchange.controllers())
+    out.print(kept)
     out.print(f"{name}: ended")
 
 
@@ -85,7 +130,7 @@ class _Watch:
         self._bar = bars.add_task(f"{name}: starting", total=None, rate="")
         self._shown = 0.0
 
-    def __call__(self, node: Node) -> None:
+    def __call__(self, node: Runner) -> None:
         now, state = time.monotonic(), node.exchange.state
         if now - self._shown < 0.1 and state is State.WAITING and not node.exchange.missing():
             return

@@ -13,7 +13,8 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from cli.console import err, out
+from cli.console import err, out, say_error
+from topics.errors import near
 
 if TYPE_CHECKING:
     from models.points import Listed
@@ -53,14 +54,13 @@ def points(
         model = read_building(catalog.find_building(building))
         found = survey(model, catalog.weathers()[0].path)
     wanted = _default(found) if default else None
-    text = match.casefold()
-    rows = [
+    listed = [
         row
         for row in listing(found, model)
         if (kind is None or row.kind == kind)
         and (wanted is None or (row.kind, row.name.casefold(), row.key.casefold()) in wanted)
-        and any(text in part.casefold() for part in (row.name, row.key, row.where))
     ]
+    rows = _matching(listed, match, f"no {kind or 'point'} of {model.name}")
     if as_json:
         show_json([asdict(row) for row in rows])
         return
@@ -84,14 +84,30 @@ def _default(found: Survey) -> set[tuple[str, str, str]]:
     return {(kind, name.casefold(), key.casefold()) for kind, name, key in wanted}
 
 
+def _matching(listed: Sequence[Listed], match: str, nothing: str) -> list[Listed]:
+    """The rows that contain a text; where there are none, an error that begins with `nothing`, and the end."""
+    text = match.casefold()
+    found = [row for row in listed if any(text in part.casefold() for part in _parts(row))]
+    if match and not found:
+        names = [part for row in listed for part in _parts(row) if part]
+        say_error(f"{nothing} matches {match!r}; {near(match, names)}")
+        raise typer.Exit(1)
+    return found
+
+
+def _parts(row: Listed) -> tuple[str, ...]:
+    """What `--match` looks at."""
+    return row.name, row.key, row.where
+
+
 def _cells(row: Listed) -> tuple[str, ...]:
     low, high = ("" if bound is None else f"{bound:g}" for bound in (row.low, row.high))
     return row.kind, row.name, row.key, row.where, row.unit, low, high
 
 
-def show_json(rows: Sequence[dict[str, Any]]) -> None:
-    """Prints rows as JSON."""
-    json.dump(rows, sys.stdout, indent=1)
+def show_json(found: Sequence[dict[str, Any]] | dict[str, Any]) -> None:
+    """Prints rows, or what holds them, as JSON."""
+    json.dump(found, sys.stdout, indent=1)
     sys.stdout.write("\n")
 
 

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from bridge.session import DEFAULT_ENDPOINT
+from bridge.session import DEFAULT_ENDPOINT, default_endpoint
 from cli.console import out, progress
+from cli.keys import CertificateName, Keys
 from topics.errors import InvalidConfig
 from topics.keys import safe
 
@@ -39,7 +40,9 @@ def run(
         int | None,
         typer.Option(min=0, help="Of what the controller draws, and of the first episode that this command begins."),
     ] = None,
-    connect: Annotated[str, typer.Option(help="Endpoint of the bus.")] = DEFAULT_ENDPOINT,
+    connect: Annotated[str | None, typer.Option(help="Endpoint of the bus.", show_default=DEFAULT_ENDPOINT)] = None,
+    keys: Keys = None,
+    certificate: CertificateName = None,
     level: Annotated[int, typer.Option(min=1, max=16, help="Priority level; 1 is the highest.")] = 10,
     episodes: Annotated[int, typer.Option(min=1, help="How many episodes to control.")] = 1,
     reset: Annotated[bool, typer.Option("--reset", help="Begin a new episode instead of joining.")] = False,
@@ -54,7 +57,7 @@ def run(
     made_by = load_controller(controller)
     given = _seeded(made_by, read_parameters(parameters or []), seed, begins=reset or episodes > 1, name=controller)
     name = safe(controller.rpartition(":")[2])
-    with connect_bus(connect) as bus:
+    with connect_bus(connect or default_endpoint(keys), keys=keys, certificate=certificate) as bus:
         agent = Agent(create(made_by, bus.manifest(node), given))
         with bus.controller(node, name=name, level=level) as link, progress() as bars:
             for number in range(episodes):

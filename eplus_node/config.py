@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from bridge.affinity import Affinity
+from bridge.faults import read_plan
 from bridge.session import DEFAULT_ENDPOINT
+from eplus_node.injection import Injection
 from models import building, catalog, design_days, points, rivals, survey, variability, weather
 from models.building import Building
 from models.episode import Source
@@ -22,8 +24,9 @@ from models.survey import Survey
 from models.tasks import task_of
 from topics.codec import explain
 from topics.errors import Faults, InvalidConfig, UnknownName, near
+from topics.faults import FaultPlan
 from topics.keys import check_name
-from topics.messages import Mode, Reading, Task
+from topics.messages import Mode, Policy, Reading, Task
 
 
 class NodeConfig(BaseModel):
@@ -34,6 +37,8 @@ class NodeConfig(BaseModel):
         config: a Sinergym configuration instead, and which `variant` of it (`hot-continuous`; None: its first).
         what: fields of a scenario, which go before those of `scenario`.
         check: only check everything, and start nothing.
+        listen: endpoints; none for a node that only connects, to a router or another node.
+        keys: a folder that `zenostat keys init` made; `certificate` names another certificate than `node`.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -45,21 +50,37 @@ class NodeConfig(BaseModel):
     check: bool = False
     name: str = "building"
     mode: Mode = Mode.LOCKSTEP
+    speed: Annotated[float, Field(gt=0, le=1e9)] = 1.0
+    policy: Policy = Policy.WAIT
+    grace_s: Annotated[float, Field(ge=0, le=1e9)] = 0.0
+    deadline_s: Annotated[float, Field(gt=0, le=1e9)] | None = None
+    faults: Path | None = None
     listen: list[str] = Field(default_factory=lambda: [DEFAULT_ENDPOINT])
     connect: list[str] = Field(default_factory=list)
     expose: bool = False
+    keys: Path | None = None
+    certificate: str | None = None
+    slots: Annotated[int, Field(ge=1, le=256)] = 1
+    baseline: bool = False
+    branches: Annotated[int, Field(ge=0, le=4096)] = 64
     keep: Path | None = None
     folder: Path | None = None
     affinity: Affinity = Affinity.APART
     cpu: int | None = None
     engine_cpu: int | None = None
 
+    @model_validator(mode="after")
+    def _has_a_bus(self) -> NodeConfig:
+        if not self.listen and not self.connect:
+            raise ValueError("name an endpoint to listen on, or one to connect to")
+        return self
+
 
 @dataclass(frozen=True, slots=True)
 class Plan:
     """A checked configuration: everything that can be known before EnergyPlus runs.
 
-    `warnings`: what in the model works against the scenario's actuators; `notes`: what was done to the model.
+    `warnings`: what in the model works against the scenario's actuators. `faults`: what is injected.
     """
 
     config: NodeConfig
@@ -70,6 +91,7 @@ class Plan:
     points: Points
     task: Task
     warnings: tuple[str, ...]
+    faults: FaultPlan | None = None
 
 
 def read_config(settings: Mapping[str, Any]) -> NodeConfig:
@@ -153,13 +175,18 @@ def plan(config: NodeConfig) -> Plan:
         chosen = faults.catch(lambda: _points(model, scenario, found[0].path))
     if chosen is not None:
         task = faults.catch(lambda: task_of(scenario, chosen))
+    file = config.faults
+    injected = faults.catch(lambda: read_plan(file)) if file is not None else None
     faults.raise_all()
     assert model is not None
     assert period is not None
     assert chosen is not None
     assert task is not None
     warnings = tuple(rivals.rivals(model.objects, chosen.actuators))
-    return Plan(config, scenario, model, tuple(found), period, chosen, task, warnings)
+    planned = Plan(config, scenario, model, tuple(found), period, chosen, task, warnings, injected)
+    if injected is not None:
+        Injection(injected, planned, config.slots)  # so that its mistakes are known before anything starts
+    return planned
 
 
 def _source(name: str, scenario: Scenario) -> Source:

@@ -1,13 +1,16 @@
-"""The engine: EnergyPlus in a process of its own, exchanging one frame a timestep over a socket.
+"""The engine: EnergyPlus in a process of its own, exchanging one frame a timestep over sockets.
 
 Run as `python -m eplus_node.engine FD`. No Zenoh, no NumPy, no threads: a process like this can be
-forked while it waits. Each frame is an array of native doubles of one fixed length:
+forked while it waits. Orders come on one socket and frames go on another: on a shared one, whoever sleeps for the
+next order would be woken when the node reads a frame. Each frame is an array of native doubles of one fixed length:
 
     to the node:    [kind, step, sensors…, meters…, feedback…]      kind is one of `Said`
     from the node:  [order, step, actuators…]                       order is one of `Order`; NaN releases
 
 A `FORK` order has the length of a JSON text in place of the step; the text follows, and with it the child's
-socket, on which the child says its process id (a native 64-bit integer) and then goes on as any engine.
+sockets. The engine says the child's process id (a native 64-bit integer), or the negative number of the error where
+the system cannot fork, and waits on at its sample. The child says its process id on its own as well, should
+the engine end before it could, and then goes on as any engine.
 
 A `FAILED` frame has the length of a UTF-8 text in place of the step, and the text follows.
 Sample 0 is the state after warm-up. The last sample is sent once EnergyPlus has ended the run by itself,
@@ -24,6 +27,7 @@ import os
 import shutil
 import signal
 import socket
+import stat
 import struct
 import sys
 from array import array
@@ -60,10 +64,10 @@ _SAMPLE, _STEP = float(Said.SAMPLE), float(Order.STEP)
 class Engine:
     """One simulation and its exchange."""
 
-    def __init__(self, link: socket.socket, spec: dict[str, Any]) -> None:
+    def __init__(self, link: socket.socket, frames: socket.socket, spec: dict[str, Any]) -> None:
         from pyenergyplus.api import EnergyPlusAPI
 
-        self.link = link
+        self.link, self.frames = link, frames
         self.spec = spec
         self.api = EnergyPlusAPI()
         self.state = self.api.state_manager.new_state()
@@ -85,7 +89,7 @@ class Engine:
         self.command = array("d", [0.0]) * (2 + len(spec["actuators"]))
         self.command_bytes = memoryview(self.command).cast("B")
         self.command_buffers = [self.command_bytes]
-        self.descriptor = link.fileno()
+        self.descriptor, self.frames_descriptor = link.fileno(), frames.fileno()
         self.polling = Polling(enabled=spec["poll"])
         self.out_size = len(self.out) * self.out.itemsize
         self.averaged: list[int] = []
@@ -124,7 +128,7 @@ class Engine:
             self.fail(f"EnergyPlus ended the run after {self.step} of {self.steps} timesteps")
         if not self.finishing:
             self.out[0] = Said.LAST
-            self.link.sendall(self.out)
+            self.frames.sendall(self.out)
         leave(0)
 
     def _guarded(self, callback: Any) -> Any:
@@ -142,8 +146,8 @@ class Engine:
         raw = text.encode()
         self.out[0], self.out[1] = Said.FAILED, len(raw)
         try:
-            self.link.sendall(self.out)
-            self.link.sendall(raw)
+            self.frames.sendall(self.out)
+            self.frames.sendall(raw)
         except OSError:
             leave(0)  # the node is gone; there is nobody to tell
         os._exit(1)  # the node reads eplusout.err and clears the folder
@@ -238,8 +242,12 @@ class Engine:
         self._gather(state)
         if self.step < self.steps:
             self._exchange(state)
-        else:
-            self.out[1] = self.step  # sent by run(), once EnergyPlus has ended well
+            return
+        self.out[1] = self.step  # sent by run(), once EnergyPlus has ended well
+        if self.spec["branch"]:  # its end would write into the folder of the one it was forked from
+            self.out[0] = Said.LAST
+            self.frames.sendall(self.out)
+            leave(0)
 
     def _exchange(self, state: int) -> None:
         """Sends the sample, waits for the order, and sets or releases each actuator."""
@@ -248,9 +256,9 @@ class Engine:
         size = len(self.command_bytes)
         while True:
             try:
-                written = os.write(self.descriptor, out)
+                written = os.write(self.frames_descriptor, out)
                 if written < self.out_size:
-                    self.link.sendall(memoryview(out).cast("B")[written:])
+                    self.frames.sendall(memoryview(out).cast("B")[written:])
                 got = self.polling.wait(self._try_read, self._read)
                 while got and got < size:
                     more = self.link.recv_into(self.command_bytes[got:])
@@ -274,20 +282,29 @@ class Engine:
                 self.reset_actuator(state, handle)
 
     def _fork(self) -> None:
-        """Becomes two: the child goes on with the socket and the folder that the node hands over."""
+        """Becomes two: the child goes on with the sockets and the folder that the node hands over."""
         length = int(self.command[1])
-        raw, descriptors, _, _ = socket.recv_fds(self.link, length, 1)
-        spec = json.loads(raw)
-        if clone():
-            os.close(descriptors[0])
+        raw, descriptors, _, _ = socket.recv_fds(self.link, length, 2)
+        told = json.loads(raw)
+        link, frames = (socket.socket(fileno=descriptor) for descriptor in descriptors)
+        try:
+            child = clone()
+        except OSError as error:
+            child = -(error.errno or 1)
+        if child:
+            link.close()
+            frames.close()
+            self.frames.sendall(struct.pack("=q", child))
             return
+        self.spec = spec = self.spec | told
         self.link.close()
-        self.link = socket.socket(fileno=descriptors[0])
-        self.descriptor = self.link.fileno()
+        self.frames.close()
+        self.link, self.frames = link, frames
+        self.descriptor, self.frames_descriptor = link.fileno(), frames.fileno()
         self.polling = Polling(enabled=spec["poll"])
+        self.frames.sendall(struct.pack("=q", os.getpid()))
         begin(spec)
         own_files(spec["folder"])
-        self.link.sendall(struct.pack("=q", os.getpid()))
 
     def _try_read(self) -> int | None:
         try:
@@ -330,25 +347,31 @@ def clone() -> int:
     return int(child)
 
 
+_TELLING = ("eplusout.err", "engine.log")
+
+
 def own_files(folder: str) -> None:
     """Gives a forked child its own open files: parent and child would move each other's place in them.
 
-    Files that are read are opened anew at the same place; those that are written are copied into `folder`.
+    Files that are read are opened anew at the same place, also if they have been removed meanwhile. Of those that
+    are written, the ones that tell why an engine failed, and those that are read again, are copied into `folder`; the
+    rest is nobody's any more.
     """
     for name in os.listdir("/proc/self/fd"):
-        descriptor = int(name)
+        descriptor, link = int(name), f"/proc/self/fd/{name}"
         try:
-            path = os.readlink(f"/proc/self/fd/{name}")
-            if not os.path.isfile(path):
+            if not stat.S_ISREG(os.fstat(descriptor).st_mode):
                 continue
             flags = fcntl.fcntl(descriptor, fcntl.F_GETFL)
             place = os.lseek(descriptor, 0, os.SEEK_CUR)
+            base = os.path.basename(os.readlink(link)).removesuffix(" (deleted)")
         except OSError:
             continue  # the descriptor of the listing itself
-        if flags & os.O_ACCMODE != os.O_RDONLY:
-            own = os.path.join(folder, os.path.basename(path))
-            shutil.copyfile(path, own)
-            path = own
+        path, access = link, flags & os.O_ACCMODE
+        if access != os.O_RDONLY:
+            path = os.path.join(folder, base) if access == os.O_RDWR or base in _TELLING else os.devnull
+        if path not in (link, os.devnull):
+            shutil.copyfile(link, path)
         again = os.open(path, flags & ~(os.O_CREAT | os.O_EXCL | os.O_TRUNC))
         os.lseek(again, place, os.SEEK_SET)
         os.dup2(again, descriptor)
@@ -360,11 +383,11 @@ def begin(spec: dict[str, Any]) -> None:
     global _own_folder
     _own_folder = "" if spec["keep"] else spec["folder"]
     _die_with_parent(spec["parent"])
-    if spec["cpu"] is not None:
-        os.sched_setaffinity(0, {spec["cpu"]})
+    if spec["cpus"]:
+        os.sched_setaffinity(0, spec["cpus"])
 
 
-def main(descriptor: int) -> NoReturn:
+def main(descriptor: int, frames: int) -> NoReturn:
     """Reads the run's description from the socket and simulates."""
     link = socket.socket(fileno=descriptor)
     length = struct.unpack("<I", link.recv(4, socket.MSG_WAITALL))[0]
@@ -373,8 +396,8 @@ def main(descriptor: int) -> NoReturn:
     signal.signal(signal.SIGTERM, lambda *_: leave(0))
     begin(spec)
     gc.disable()  # nothing here makes cycles
-    Engine(link, spec).run()
+    Engine(link, socket.socket(fileno=frames), spec).run()
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]))
+    main(int(sys.argv[1]), int(sys.argv[2]))

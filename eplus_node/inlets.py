@@ -1,15 +1,18 @@
 """What a node hears: commands, and, on a shelf, everything else.
 
 Commands come through a FIFO, the quickest way to wait for a message in Zenoh, which knows no timeout. Whatever
-else happens is put on a shelf by the thread that hears of it, which then wakes the node's own thread with a
-message that never leaves the process.
+else happens is put on a shelf by the thread that hears of it, which then wakes the node's own thread, if it waits,
+with a message that never leaves the process.
+
+A full FIFO holds up whoever puts into it, and only the node's own thread empties it: that one never puts.
 """
 
 from __future__ import annotations
 
+import threading
 from collections import deque
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from typing import Any
 
 import zenoh
@@ -20,8 +23,21 @@ from topics import codec, errors, keys
 from topics.errors import ZenostatError
 from topics.messages import Denied, Message
 
-INBOX = 4096
+INBOX = 256
+"""Commands that may wait for the node's own thread; their senders wait with those beyond."""
+
+MOST_SHELVED = 256
+"""Messages or requests of a topic that may wait likewise; more are a flood, and passed over or refused."""
+
+_AT_A_TIME = 8
+"""Of what is on the shelf, before the next command has its turn."""
+
 _WAKE = "-"  # no controller can have this name
+
+
+def _nothing() -> None:
+    """What is to be done when only the waking counts."""
+
 
 Take = Callable[[str, bytes, str], None]
 """Takes a message: the last chunk of its key, its payload, its encoding."""
@@ -31,15 +47,19 @@ class Inlets:
     """The subscribers and queryables of a node; `with Inlets(session, node) as inlets`.
 
     Attributes:
-        wake: wakes the node's own thread; any thread may call it.
+        flooded: messages and requests that were too many.
     """
 
     def __init__(self, session: zenoh.Session, node: str) -> None:
         self._session = session
         self._node = node
         self._shelf: deque[Callable[[], None]] = deque()
+        self.flooded = 0
         self._close = ExitStack()
-        self.wake = Wake(session, keys.COMMAND.at(node, name=_WAKE))
+        self._owner = 0
+        self._waits = False
+        self._command_next = False
+        self._put_wake = Wake(session, keys.COMMAND.at(node, name=_WAKE))
         commands = session.declare_subscriber(keys.COMMAND.at(node, name="*"), FifoChannel(INBOX))
         self._commands = self._close.enter_context(commands)
         self._recv, self._try_recv = commands.recv, commands.try_recv
@@ -49,41 +69,95 @@ class Inlets:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.wake.close()
-        self._close.close()
+        over = threading.Event()
+        # While a full FIFO holds up Zenoh's threads, nothing can be undeclared.
+        drain = threading.Thread(target=self._drain, args=(over,), name="drain", daemon=True)
+        drain.start()
+        try:
+            self._put_wake.close()
+            self._close.close()
+        finally:
+            over.set()
+            drain.join()
+
+    def _drain(self, over: threading.Event) -> None:
+        while not over.is_set():
+            try:
+                came = self._try_recv()
+            except zenoh.ZError:  # undeclared
+                return
+            if came is None:
+                over.wait(0.001)
 
     # The node's own thread
 
     def receive(self, *, wait: bool) -> tuple[str, zenoh.Sample] | None:
-        """The next command and its controller; None if it was woken for the shelf, or nothing came."""
-        message = self._recv() if wait else self._try_recv()
+        """The next command and its controller; None if something is on the shelf, or nothing came.
+
+        Where both wait they take turns.
+        """
+        if wait:
+            self._owner = threading.get_ident()
+            self._waits = True  # before the look at the shelf, while `wake` looks after something was put there
+        if not self._shelf:
+            message = self._recv() if wait else self._try_recv()
+            self._waits = False
+        else:
+            self._waits = False
+            self._command_next = not self._command_next
+            message = self._try_recv() if self._command_next else None
         if message is None:
             return None
         controller = str(message.key_expr)[self._prefix :]
         return None if controller == _WAKE else (controller, message)
 
-    def clear_shelf(self) -> None:
-        """Does what other threads have put on the shelf."""
-        while self._shelf:
+    def clear_shelf(self, *, most: int = _AT_A_TIME) -> None:
+        """Does what other threads have put on the shelf, some of it at a time."""
+        while self._shelf and most > 0:
             self._shelf.popleft()()
+            most -= 1
 
     # Any thread
+
+    def wake(self) -> None:
+        """Has the node's own thread look up; any thread may, and a signal's handler."""
+        self.shelve(_nothing)
 
     def shelve(self, work: Callable[[], None]) -> None:
         """Has the node's own thread do something."""
         self._shelf.append(work)
-        self.wake()
+        self._look_up()
+
+    def next(self, work: Callable[[], None]) -> None:
+        """Has the node's own thread do something before whatever else is on the shelf."""
+        self._shelf.appendleft(work)
+        self._look_up()
+
+    def _look_up(self) -> None:
+        if not self._waits:
+            return  # it looks at the shelf before it waits
+        self._waits = False
+        if threading.get_ident() == self._owner:  # a signal's handler within its waiting
+            threading.Thread(target=self._put_wake, name="wake", daemon=True).start()
+        else:
+            self._put_wake()
 
     # What is listened to besides commands
 
     def listen(self, topic: keys.Topic, take: Take) -> None:
         """A topic whose messages the node's own thread takes."""
+        waiting: deque[Callable[[], None]] = deque()
 
         def on_message(message: zenoh.Sample) -> None:
+            if len(waiting) >= MOST_SHELVED:
+                self.flooded += 1
+                return
             name, payload, said = keys.last_of(str(message.key_expr)), message.payload.to_bytes(), str(message.encoding)
-            self.shelve(lambda: take(name, payload, said))
+            waiting.append(lambda: take(name, payload, said))
+            self.shelve(lambda: waiting.popleft()())  # noqa: PLW0108  # which is first is seen then
 
-        self._session.declare_subscriber(topic.at(self._node, name="*"), Callback(on_message, indirect=False))
+        hears = self._session.declare_subscriber(topic.at(self._node, name="*"), Callback(on_message, indirect=False))
+        self._close.callback(hears.undeclare)
 
     def watch(self, topic: keys.Topic, gone: Callable[[str], None]) -> None:
         """Presence: the node's own thread is told who has gone."""
@@ -94,18 +168,20 @@ class Inlets:
                 self.shelve(lambda: gone(name))
 
         tokens = topic.at(self._node, name="*")
-        self._session.liveliness().declare_subscriber(tokens, Callback(on_token, indirect=False))
+        watch = self._session.liveliness().declare_subscriber(tokens, Callback(on_token, indirect=False))
+        self._close.callback(watch.undeclare)
 
-    def answer(self, topic: keys.Topic, answer: Callable[[], bytes]) -> None:
-        """A question that is answered by the thread that hears it: `answer` only reads."""
+    def answer(self, topic: keys.Topic, answer: Callable[[bytes], bytes]) -> None:
+        """A question that is answered by the thread that hears it: `answer` gets its payload and only reads."""
         key = topic.at(self._node)
         said = zenoh.Encoding(codec.encoding(topic.reply)) if topic.reply else None
 
         def on_query(query: zenoh.Query) -> None:
             with query:
-                query.reply(key, answer(), encoding=said)
+                query.reply(key, answer(query.payload.to_bytes() if query.payload else b""), encoding=said)
 
-        self._session.declare_queryable(key, Callback(on_query, indirect=False), complete=True)
+        answers = self._session.declare_queryable(key, Callback(on_query, indirect=False), complete=True)
+        self._close.callback(answers.undeclare)
 
     def request(
         self,
@@ -113,23 +189,44 @@ class Inlets:
         kind: type[Any],
         take: Callable[[Any], Message],
         *,
-        at_once: Callable[[], None] = lambda: None,
+        at_once: Callable[[], None] | None = None,
     ) -> None:
-        """A request that the node's own thread takes; `at_once` is done by the thread that hears it."""
+        """A request that the node's own thread takes; `at_once` is done by the thread that hears a valid one."""
         key = topic.at(self._node)
+        waiting: deque[Callable[[], None]] = deque()
+
+        def refuse(query: zenoh.Query) -> None:
+            busy = Denied(error="Refused", message=f"the node has {MOST_SHELVED} requests to answer; ask again later")
+            with query:
+                query.reply(key, codec.encode(busy), encoding=zenoh.Encoding(codec.encoding(Denied)))
+
+        def decoded(query: zenoh.Query) -> Any:
+            return codec.decode(kind, query.payload.to_bytes() if query.payload else b"", str(query.encoding))
+
+        def understood(query: zenoh.Query) -> bool:
+            with suppress(errors.BadMessage):
+                decoded(query)
+                return True
+            return False
 
         def work(query: zenoh.Query) -> None:
             with query:
                 reply: Message
                 try:
-                    payload = query.payload.to_bytes() if query.payload else b""
-                    reply = take(codec.decode(kind, payload, str(query.encoding)))
+                    reply = take(decoded(query))
                 except ZenostatError as error:
                     reply = Denied(**errors.to_wire(error))
                 query.reply(key, codec.encode(reply), encoding=zenoh.Encoding(codec.encoding(type(reply))))
 
         def on_query(query: zenoh.Query) -> None:
-            at_once()
-            self.shelve(lambda: work(query))
+            if len(waiting) >= MOST_SHELVED:
+                self.flooded += 1
+                refuse(query)
+                return
+            if at_once is not None and understood(query):
+                at_once()
+            waiting.append(lambda: work(query))
+            self.shelve(lambda: waiting.popleft()())  # noqa: PLW0108  # which is first is seen then
 
-        self._session.declare_queryable(key, Callback(on_query, indirect=False), complete=True)
+        answers = self._session.declare_queryable(key, Callback(on_query, indirect=False), complete=True)
+        self._close.callback(answers.undeclare)

@@ -10,9 +10,12 @@ import signal
 import socket
 import struct
 import subprocess
+import threading
+from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 import psutil
@@ -23,15 +26,24 @@ from eplus_node.engine import Order, Said
 from models.energyplus import ISOLATED
 from models.errfile import explain
 from models.points import Points
-from topics.errors import EngineDied, ModelRefused
+from topics.errors import EngineDied, ForkFailed, ModelRefused
 
 _SOCKET_BYTES = 1 << 20
+_NUMBER = struct.Struct("=q")
+T = TypeVar("T")
 _FINISH_S = 30.0
+# Fewer page tables, so that a fork copies less: it takes half the time (docs/performance.md).
+_HUGE_PAGES = {"GLIBC_TUNABLES": "glibc.malloc.hugetlb=1"}
+_OF_A_CHILD = ("folder", "keep", "parent", "cpus", "poll", "branch")
 
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """What one engine simulates: prepared files, the number of timesteps, the points in order."""
+    """What one engine simulates: prepared files, the number of timesteps, the points in order.
+
+    `cpus`: where it may run; empty leaves it to the system. `branch`: it ends at its last sample, without EnergyPlus's
+    own end of a run.
+    """
 
     model: Path
     weather: Path
@@ -40,8 +52,9 @@ class Run:
     steps_per_hour: int
     points: Points
     keep: bool = False
-    cpu: int | None = None
+    cpus: tuple[int, ...] = ()
     poll: bool = False
+    branch: bool = False
 
     def spec(self) -> dict[str, Any]:
         """The description that the engine reads first."""
@@ -54,8 +67,9 @@ class Run:
             "steps_per_hour": self.steps_per_hour,
             "keep": self.keep,
             "parent": os.getpid(),
-            "cpu": self.cpu,
+            "cpus": self.cpus,
             "poll": self.poll,
+            "branch": self.branch,
             "sensors": [
                 (s.variable, s.key, str(s.reading), system)
                 for s, system in zip(points.sensors, points.system, strict=True)
@@ -89,32 +103,45 @@ class Forked:
     def __init__(self, pid: int) -> None:
         self.pid = pid
         self._code: int | None = None
+        self._lock = threading.Lock()  # one thread may wait for it while another kills it
 
     def poll(self) -> int | None:
         """See `Process`."""
-        return self._reap(os.WNOHANG)
+        with self._lock:
+            return self._reap()
 
     def wait(self, timeout: float | None = None) -> int:
         """See `Process`."""
-        if timeout is not None and self._code is None:
-            watch = os.pidfd_open(self.pid)
-            try:
-                if not select.select([watch], [], [], timeout)[0]:
-                    raise subprocess.TimeoutExpired(f"engine {self.pid}", timeout)
-            finally:
-                os.close(watch)
-        code = self._reap(0)
+        if self._code is None:
+            with suppress(ChildProcessError):  # another thread has reaped it meanwhile
+                self._wait(timeout)
+        code = self.poll()
         assert code is not None
         return code
 
+    def _wait(self, timeout: float | None) -> None:
+        if timeout is None:
+            os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOWAIT)
+            return
+        try:
+            watch = os.pidfd_open(self.pid)
+        except ProcessLookupError:
+            return
+        try:
+            if not select.select([watch], [], [], timeout)[0]:
+                raise subprocess.TimeoutExpired(f"engine {self.pid}", timeout)
+        finally:
+            os.close(watch)
+
     def kill(self) -> None:
         """See `Process`."""
-        if self.poll() is None:
-            os.kill(self.pid, signal.SIGKILL)
+        with self._lock:
+            if self._reap() is None:
+                os.kill(self.pid, signal.SIGKILL)
 
-    def _reap(self, how: int) -> int | None:
+    def _reap(self) -> int | None:
         if self._code is None:
-            done, status = os.waitpid(self.pid, how)
+            done, status = os.waitpid(self.pid, os.WNOHANG)
             if done:
                 self._code = os.waitstatus_to_exitcode(status)
         return self._code
@@ -127,23 +154,78 @@ def _socket_pair() -> tuple[socket.socket, socket.socket]:
     return pair
 
 
-def _start(run: Run) -> tuple[socket.socket, Process]:
-    """Starts an engine as a program and tells it what to simulate."""
-    ours, theirs = _socket_pair()
+def _number(link: socket.socket) -> int:
+    """A process id, or the negative number of an error; 0 if whoever should say it has ended."""
     try:
-        with (run.folder / "engine.log").open("wb") as log:
-            process = subprocess.Popen(
-                [*ISOLATED, "eplus_node.engine", str(theirs.fileno())],
-                pass_fds=[theirs.fileno()],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=log,
-            )
-    finally:
-        theirs.close()
+        said = link.recv(_NUMBER.size, socket.MSG_WAITALL)
+    except ConnectionResetError:
+        return 0
+    return int(_NUMBER.unpack(said)[0]) if len(said) == _NUMBER.size else 0
+
+
+class _Ends(NamedTuple):
+    """One side's sockets: orders go to the engine on one, frames to the node on the other."""
+
+    orders: socket.socket
+    frames: socket.socket
+
+    @property
+    def descriptors(self) -> list[int]:
+        """Their numbers."""
+        return [end.fileno() for end in self]
+
+    def close(self) -> None:
+        """Closes both; twice is fine."""
+        for end in self:
+            end.close()
+
+    def __enter__(self) -> _Ends:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _ends() -> tuple[_Ends, _Ends]:
+    """The node's side and the engine's."""
+    orders = _socket_pair()
+    try:
+        frames = _socket_pair()
+    except OSError:
+        for end in orders:
+            end.close()
+        raise
+    return _Ends(orders[0], frames[0]), _Ends(orders[1], frames[1])
+
+
+def _start(run: Run) -> tuple[_Ends, Process]:
+    """Starts an engine as a program and tells it what to simulate."""
+    ours, theirs = _ends()
+    with theirs, (run.folder / "engine.log").open("wb") as log:
+        process = subprocess.Popen(
+            [*ISOLATED, "eplus_node.engine", *map(str, theirs.descriptors)],
+            pass_fds=theirs.descriptors,
+            env=os.environ | _HUGE_PAGES,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=log,
+        )
     spec = json.dumps(run.spec()).encode()
-    ours.sendall(struct.pack("<I", len(spec)) + spec)
+    ours.orders.sendall(struct.pack("<I", len(spec)) + spec)
     return ours, process
+
+
+def one_for_each(of: Iterable[T], make: Callable[[T], EngineLink]) -> list[EngineLink]:
+    """An engine for each; where one cannot be made, those made so far end."""
+    made: list[EngineLink] = []
+    try:
+        for each in of:
+            made.append(make(each))  # noqa: PERF401  # a comprehension would lose those made so far
+    except BaseException:
+        for link in made:
+            link.close()
+        raise
+    return made
 
 
 class EngineLink:
@@ -151,10 +233,10 @@ class EngineLink:
 
     Args:
         run: what it simulates.
-        forked: the socket and the process of a child that another engine has made of itself; else one is started.
+        forked: the sockets and the process of a child that another engine has made of itself; else one is started.
     """
 
-    def __init__(self, run: Run, forked: tuple[socket.socket, Process] | None = None) -> None:
+    def __init__(self, run: Run, forked: tuple[_Ends, Process] | None = None) -> None:
         self._run = run
         points = run.points
         self._told = [i for i, a in enumerate(points.actuators) if a.feedback]
@@ -168,8 +250,9 @@ class EngineLink:
         self._step = struct.pack("=dd", Order.STEP, 0.0)
         self.values = self._frame[2 : 2 + values]
         self.last = False
-        self._socket, self._process = forked or _start(run)
-        self._descriptor = self._socket.fileno()
+        self._ends, self._process = forked or _start(run)
+        self._socket, self._frames = self._ends
+        self._descriptor, self._frames_descriptor = self._socket.fileno(), self._frames.fileno()
         self._frame_buffers = [self._frame_bytes]
         self._polling = Polling(enabled=run.poll)
 
@@ -177,25 +260,36 @@ class EngineLink:
         """A child of this engine, which waits: it goes on from the same sample in the folder of `run`, on its own.
 
         Raises:
-            EngineDied: this engine has ended.
+            EngineDied: this engine has ended, or its child has at once.
+            ForkFailed: the system cannot fork it; it waits on.
         """
-        ours, theirs = _socket_pair()
+        try:
+            ours, theirs = _ends()
+        except OSError as error:
+            raise ForkFailed(f"the node has no socket for a fork: {error.strerror}") from None
         # Only what differs: a short text comes in one piece, with its socket.
         told = run.spec()
-        spec = json.dumps({name: told[name] for name in ("folder", "keep", "parent", "cpu", "poll")}).encode()
+        spec = json.dumps({name: told[name] for name in _OF_A_CHILD}).encode()
         order = struct.pack("=dd", Order.FORK, len(spec)) + bytes(self._order_bytes)
-        try:
+        with theirs, suppress(OSError):  # an engine that has ended is noticed below
             self._socket.sendall(order)
-            socket.send_fds(self._socket, [spec], [theirs.fileno()])
-            theirs.close()
-            said = ours.recv(8, socket.MSG_WAITALL)
-        except OSError:
-            said = b""
-        if len(said) < 8:
+            socket.send_fds(self._socket, [spec], theirs.descriptors)
+        said = _number(self._frames)
+        if said < 0:
+            ours.close()
+            self.receive()
+            raise ForkFailed(f"the system cannot fork an engine of {self.rss_bytes / 1e6:.0f} MB: {os.strerror(-said)}")
+        pid = _number(ours.frames) or said
+        if not pid:
             ours.close()
             raise EngineDied(self._last_words())
-        self.receive()
-        return EngineLink(run, (ours, Forked(*struct.unpack("=q", said))))
+        child = EngineLink(run, (ours, Forked(pid)))
+        try:
+            self.receive()
+        except BaseException:
+            child.close()
+            raise
+        return child
 
     @property
     def pid(self) -> int:
@@ -214,6 +308,19 @@ class EngineLink:
             return int(psutil.Process(self._process.pid).memory_info().rss)
         except psutil.Error:
             return 0
+
+    @property
+    def private_bytes(self) -> int:
+        """Memory of the process that it shares with no other; 0 if it has ended."""
+        try:
+            return int(psutil.Process(self._process.pid).memory_full_info().uss)
+        except psutil.Error:
+            return 0
+
+    @property
+    def run(self) -> Run:
+        """What it simulates."""
+        return self._run
 
     def interrupt(self) -> None:
         """Ends a process that is computing, so that whoever waits for its frame is told; any thread may."""
@@ -245,7 +352,7 @@ class EngineLink:
         """
         got, size = self._polling.wait(self._try_read, self._read), len(self._frame_bytes)
         while got and got < size:
-            more = self._socket.recv_into(self._frame_bytes[got:])
+            more = self._frames.recv_into(self._frame_bytes[got:])
             got = got + more if more else 0
         if not got:
             raise EngineDied(self._last_words())
@@ -256,7 +363,7 @@ class EngineLink:
 
     def _try_read(self) -> int | None:
         try:
-            return self._socket.recv_into(self._frame_bytes, 0, socket.MSG_DONTWAIT)
+            return self._frames.recv_into(self._frame_bytes, 0, socket.MSG_DONTWAIT)
         except BlockingIOError:
             return None
         except ConnectionResetError:
@@ -264,7 +371,7 @@ class EngineLink:
 
     def _read(self) -> int:
         try:
-            return os.readv(self._descriptor, self._frame_buffers)
+            return os.readv(self._frames_descriptor, self._frame_buffers)
         except ConnectionResetError:
             return 0
 
@@ -278,6 +385,13 @@ class EngineLink:
         except (BrokenPipeError, ConnectionResetError):
             raise EngineDied(self._last_words()) from None
 
+    def end(self, *, failed: bool) -> None:
+        """Ends the run; where its files are kept, EnergyPlus may finish them, unless it has failed."""
+        if self._run.keep and not failed:
+            self.finish()
+        else:
+            self.close()
+
     def finish(self) -> None:
         """Lets EnergyPlus end the run early and write its files, then closes."""
         try:
@@ -289,7 +403,7 @@ class EngineLink:
 
     def close(self) -> None:
         """Ends the process and clears its folder unless that is kept; twice is fine."""
-        self._socket.close()
+        self._ends.close()
         if self._process.poll() is None:
             self._process.kill()
         self._process.wait()
@@ -297,7 +411,7 @@ class EngineLink:
             shutil.rmtree(self._run.folder, ignore_errors=True)
 
     def _refusal(self, length: int) -> str:
-        text = self._socket.recv(length, socket.MSG_WAITALL).decode(errors="replace")
+        text = self._frames.recv(length, socket.MSG_WAITALL).decode(errors="replace")
         self._process.wait()
         return f"{text}. {explain(self._run.folder, 'EnergyPlus gave no reason in eplusout.err')}"
 

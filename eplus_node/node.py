@@ -1,10 +1,4 @@
-"""The node: one building on the bus. It joins the exchange (rules), the engine (EnergyPlus) and Zenoh.
-
-One thread does all the work: it waits for a message, hands it to the exchange, and when the exchange is due
-it lets the engine simulate a timestep and publishes the sample. Whatever else happens (requests, writes,
-a signal, the engine's death) is put on a shelf by the thread that hears of it, which then wakes this one
-with a message that never leaves the process.
-"""
+"""The node: one building on the bus, its episodes, and the snapshots and branches that are made of them."""
 
 from __future__ import annotations
 
@@ -12,62 +6,51 @@ import gc
 import shutil
 import signal
 import tempfile
-from collections.abc import Callable
 from contextlib import ExitStack
-from datetime import timedelta
+from functools import partial
 from pathlib import Path
 from types import FrameType
 
-import numpy as np
-import psutil
-
 from bridge import affinity
-from bridge.lockstep import Exchange, Input
+from bridge.lockstep import Exchange
 from bridge.session import open_session
 from eplus_node.config import NodeConfig, Plan, plan
-from eplus_node.inlets import Inlets
-from eplus_node.link import EngineLink
-from eplus_node.outlets import Outlets
-from eplus_node.supply import Supply
+from eplus_node.engines import Engines
+from eplus_node.forks import Forks
+from eplus_node.injection import NO_FAULTS
+from eplus_node.injection import State as Faulty
+from eplus_node.link import EngineLink, one_for_each
+from eplus_node.runner import Observer, Runner, Stopped, memory_asked
+from eplus_node.supply import Supply, Waiting
 from models import energyplus
-from models.episode import series
-from models.scenario import dump
-from models.weather import find_column
 from topics import VERSION, codec, errors, keys
 from topics.errors import NameTaken, SimulatorError
 from topics.messages import (
     Accepted,
-    Claim,
-    Event,
+    Begun,
+    Branched,
+    DropSnapshot,
     EventKind,
-    Flag,
+    MakeBranch,
     Manifest,
     Message,
-    Mode,
-    Policy,
     Reset,
-    ScenarioText,
+    SnapshotTaken,
     Start,
     State,
-    Status,
-    Stop,
+    TakeSnapshot,
     Versions,
-    WeatherQuery,
-    WeatherSeries,
-    Write,
 )
 
-_NO_FLAG, _FIRST, _TRUNCATED = int(Flag.NONE), int(Flag.FIRST), int(Flag.TRUNCATED)
-
-Observer = Callable[["Node"], None]
-
-
-class _Stopped(BaseException):
-    """Raised in the node's thread by a signal or a stop request."""
+PATIENCE_S = 2.0
+"""How long a node that is told to end by a signal waits for an engine that is computing."""
 
 
 class Node:
     """A building on the bus. `with Node(config) as node: node.serve()`.
+
+    Attributes:
+        runner: what it is on the bus.
 
     Raises (on entering):
         UsageError, SimulatorError, BusError: see `topics.errors`; nothing is left behind.
@@ -77,9 +60,6 @@ class Node:
         self.config = config
         self._observer = observer
         self._close = ExitStack()
-        self._stopping = self._leaving = False
-        self._failure = ""
-        self._latest = b""
 
     # Life
 
@@ -87,17 +67,13 @@ class Node:
         with ExitStack() as undo:
             undo.callback(self.close)
             self.plan: Plan = plan(self.config)
-            self._begin = self.plan.period.time(0)
-            self._step_time = timedelta(seconds=self.plan.period.step_s)
             self._place()
             self._open_bus()
-            self.exchange = Exchange(self.plan.points.actuators, mode=self.config.mode)
             self._make_folder()
-            self._supply = Supply(self.plan, self._folder, cpu=self.engine_cpu, poll=self.engine_cpu != self.cpu)
-            self._close.callback(self._supply.close)
-            self._close.callback(self._close_engine)
-            self._start_engine()
-            self._announce()
+            self._supplies = self._supply()
+            for supply in self._supplies:
+                self._close.callback(supply.close)
+            self._run()
             undo.pop_all()
         return self
 
@@ -105,20 +81,42 @@ class Node:
         self.close()
 
     def close(self) -> None:
-        """Ends the engine, leaves the bus and clears up; twice is fine."""
+        """Ends the engines, leaves the bus and clears up; twice is fine."""
         self._close.close()
 
+    @property
+    def manifest(self) -> Manifest:
+        """What the node is."""
+        return self.runner.manifest
+
+    @property
+    def exchange(self) -> Exchange:
+        """Where it stands."""
+        return self.runner.exchange
+
     def _place(self) -> None:
+        """Which cores are whose; several slots take them in turn, and the node goes where there is room."""
         config = self.config
-        self.engine_cpu, self.cpu = config.engine_cpu, config.cpu
+        self._cpus = affinity.allowed()
+        self._engine_cpu, self.cpu = config.engine_cpu, config.cpu
+        if config.slots > 1:
+            self._engine_cpu = self.cpu = None
+            return
         if config.cpu is None:
-            self.engine_cpu, self.cpu = affinity.pick_cores(config.affinity)
+            self._engine_cpu, self.cpu = affinity.pick_cores(config.affinity)
         affinity.pin(self.cpu)
 
     def _open_bus(self) -> None:
         config = self.config
         self.session = self._close.enter_context(
-            open_session(listen=config.listen, connect=config.connect, expose=config.expose)
+            open_session(
+                listen=config.listen,
+                connect=config.connect,
+                expose=config.expose,
+                keys=config.keys,
+                role=keys.Role.NODE,
+                certificate=config.certificate,
+            )
         )
         self.instance = str(self.session.zid())
         self._refuse_second(config.name)
@@ -137,50 +135,86 @@ class Node:
         self._folder.mkdir(parents=True, exist_ok=True)
         self._close.callback(shutil.rmtree, self._folder, ignore_errors=True)
 
+    def _supply(self) -> list[Supply]:
+        waiting, slots = Waiting(), self.config.slots
+        if slots == 1:
+            cpus = () if self._engine_cpu is None else (self._engine_cpu,)
+            poll = self._engine_cpu != self.cpu
+            return [Supply(self.plan, self._folder, waiting, cpus=cpus, poll=poll)]
+        cores = self._cpus if self.config.affinity is not affinity.Affinity.OFF else ()
+        own = [(cores[slot % len(cores)],) if cores else () for slot in range(slots)]
+        return [Supply(self.plan, self._folder, waiting, place=f"slot-{slot}", cpus=own[slot]) for slot in range(slots)]
+
+    def _weather_file(self, slot: int) -> Path:
+        return self._supplies[slot].files.weather
+
+    def _run(self) -> None:
+        """The engines start, then the node shows itself: what it answers first, its presence last."""
+        slots = range(self.config.slots)
+        config = self.config
+        exchange = Exchange(
+            self.plan.points.actuators,
+            slots=config.slots,
+            mode=config.mode,
+            policy=config.policy,
+            deadline_s=config.deadline_s,
+        )
+        engines = Engines(self._engines(slots, exchange.episode))
+        self._close.callback(engines.end)
+        engines.begin(slots)
+        self.runner = Runner(
+            self.session, self.plan, self._manifest(), exchange, engines, self._weather_file, self._observer
+        )
+        self._close.callback(self.runner.close)
+        if self.plan.faults is not None:
+            self.runner.inject(self.plan.faults)
+        self.forks = Forks(self.runner, self._folder, cpus=self._cpus, limit=self.config.branches)
+        self._close.callback(self.forks.close)
+        self._compare(slots)
+        self._announce()
+
     def _announce(self) -> None:
-        """Says that the node is there: what it answers first, its presence last."""
-        name = self.config.name
-        self.manifest = self._manifest()
-        declare = self._close.enter_context
-        inlets = self._inlets = declare(Inlets(self.session, name))
-        inlets.listen(keys.ACTUATOR, self._write)
-        inlets.watch(keys.CONTROLLER_TOKEN, lambda who: self._tell(self.exchange.left(who)))
-        inlets.answer(keys.MANIFEST, lambda: codec.encode(self.manifest))
-        inlets.answer(keys.SAMPLE, lambda: self._latest)
-        scenario = codec.encode(ScenarioText(text=dump(self.plan.scenario)))
-        inlets.answer(keys.SCENARIO, lambda: scenario)
-        inlets.answer(keys.STATUS, lambda: codec.encode(self.status()))
-        inlets.request(keys.CLAIM, Claim, self._claim)
+        runner = self.runner
+        runner.declare(self.status)
+        inlets = runner.inlets
+        inlets.watch(keys.CONTROLLER_TOKEN, self._left)
         inlets.request(keys.RESET, Reset, self._reset)
-        inlets.request(keys.WEATHER, WeatherQuery, self._weather)
-        inlets.request(keys.STOP, Stop, self._stop, at_once=self._hurry)
-        self._outlets = declare(Outlets(self.session, self.manifest))
+        inlets.request(keys.SNAPSHOT, TakeSnapshot, self._snapshot)
+        inlets.request(keys.DROP, DropSnapshot, self._drop)
+        inlets.request(keys.BRANCH, MakeBranch, self._branch)
         self._close.callback(signal.signal, signal.SIGCHLD, signal.getsignal(signal.SIGCHLD))
-        signal.signal(signal.SIGCHLD, lambda *_: inlets.wake())  # the engine's end is seen while nothing else comes
-        self.event(self.exchange.event(EventKind.STARTED, self._begins()))
+        signal.signal(signal.SIGCHLD, self._on_child)
+        runner.exchange.ready()
+        runner.begin([*range(self.config.slots)], [None] * self.config.slots)
+        self._tell_begin("")
         for warning in self.plan.warnings:
-            self.event(self.exchange.event(EventKind.WARNING, warning))
-        self._publish()
-        declare(self.session.liveliness().declare_token(keys.NODE_TOKEN.at(name, name=self.instance)))
+            runner.event(runner.exchange.event(EventKind.WARNING, warning))
+        runner.publish()
+        runner.show()
         if any(token < self.instance for token in self._tokens()):
-            self._refuse_second(name)  # two that started at once: the one with the lower id stays
+            self._refuse_second(self.config.name)  # two that started at once: the one with the lower id stays
 
     def _manifest(self) -> Manifest:
-        plan, config = self.plan, self.config
+        plan, config, source = self.plan, self.config, self._supplies[0].source
         return Manifest(
             node=config.name,
             instance=self.instance,
             building=plan.building.name,
-            weather=self._supply.source.name,
-            location=self._supply.source.header.place,
-            latitude_deg=self._supply.source.header.latitude_deg,
-            longitude_deg=self._supply.source.header.longitude_deg,
+            weather=source.name,
+            location=source.header.place,
+            latitude_deg=source.header.latitude_deg,
+            longitude_deg=source.header.longitude_deg,
             begin=plan.period.time(0).isoformat(),
             end=plan.period.time(plan.period.steps).isoformat(),
             steps_per_hour=plan.period.steps_per_hour,
             steps=plan.period.steps,
+            slots=config.slots,
+            baseline=config.baseline,
             mode=config.mode,
-            policy=Policy.WAIT,
+            speed=config.speed,
+            policy=config.policy,
+            grace_s=config.grace_s,
+            deadline_s=config.deadline_s,
             sensors=plan.points.sensors,
             meters=plan.points.meters,
             actuators=plan.points.actuators,
@@ -191,250 +225,204 @@ class Node:
             cpu=self.cpu,
         )
 
-    # The loop
-
     def serve(self) -> None:
         """Serves until it is told to stop (by a request, a signal, or its owner's end)."""
         gc.freeze()  # what is loaded by now stays; collections need not look at it
-        previous = {s: signal.signal(s, self._on_signal) for s in (signal.SIGINT, signal.SIGTERM)}
+        handlers = {signal.SIGINT: self._on_signal, signal.SIGTERM: self._on_signal, signal.SIGALRM: self._on_alarm}
+        previous = {number: signal.signal(number, handler) for number, handler in handlers.items()}
         try:
-            while True:
-                if self.exchange.due():
-                    self._advance()
-                    if self.exchange.mode is Mode.FREE:
-                        self._listen(wait=False)
-                else:
-                    self._listen(wait=True)
-        except _Stopped:
-            self.exchange.take(Input.STOP)
-            self.event(self.exchange.event(EventKind.STOPPED, "the node was told to stop"))
+            self.runner.serve()
         finally:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
             for number, handler in previous.items():
                 signal.signal(number, handler)
 
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
-        self._leave()
+        # Nothing is raised here: it could be anywhere, in the midst of a thread's start as well.
+        self.runner.inlets.next(self.runner.leave)
+        signal.setitimer(signal.ITIMER_REAL, PATIENCE_S)
 
-    def _leave(self) -> None:
-        """Ends the loop; told twice (a request, then its owner's end), it goes on ending."""
-        if not self._leaving:
-            self._leaving = True
-            raise _Stopped
+    def _on_alarm(self, _number: int, _frame: FrameType | None) -> None:
+        self.runner.hurry()
 
-    def _listen(self, *, wait: bool) -> None:
-        came = self._inlets.receive(wait=wait)
-        if came is None:
-            self._clear_shelf()
+    def _on_child(self, _number: int, _frame: FrameType | None) -> None:
+        self.runner.inlets.wake()  # an engine's end is seen while nothing else comes
+        self.forks.look()
+
+    def _left(self, who: str) -> None:
+        self.runner.left(who)
+        self.forks.left(who)
+
+    # Episodes
+
+    def _engines(self, slots: range | list[int], episode: list[int]) -> list[EngineLink]:
+        """Engines at sample 0 of the present episodes of some slots."""
+        supplies = self._supplies
+        for slot in slots:
+            supplies[slot].begin()
+        return one_for_each(slots, lambda slot: supplies[slot].engine(episode[slot]))
+
+    def _compare(self, slots: range | list[int]) -> None:
+        """Forks the engines that nobody commands beside the ones of some slots."""
+        engines = self.runner.engines
+        if not self.config.baseline:
             return
-        controller, message = came
-        payload = message.payload.to_bytes()
-        if not self.exchange.take_usual(controller, payload):
-            event = self.exchange.hear(controller, payload, str(message.encoding))
-            if event is not None:
-                self.event(event)
-
-    def _clear_shelf(self) -> None:
-        self._inlets.clear_shelf()
-        if self.exchange.state is State.WAITING and not self._engine.alive:
-            try:
-                self._engine.receive()
-            except SimulatorError as error:
-                self._fail(error)
-
-    def _advance(self) -> None:
-        """One timestep: the commands that rule it to the engine, its sample to the bus."""
-        exchange, engine = self.exchange, self._engine
-        if exchange.expiring:
-            self._tell(exchange.expire(self._elapsed_s()))
-        values, self._ruler = exchange.go()
-        try:
-            engine.send(values)
-            engine.receive()
-        except SimulatorError as error:
-            if self._stopping:
-                self._clear_shelf()
-            self._fail(error)
+        made = one_for_each(slots, lambda slot: self.forks.beside(engines.links[slot]))
+        if not engines.baselines:
+            engines.baselines = made
             return
-        self._applied = engine.applied_bytes(values)
-        exchange.sampled(last=engine.last)
-        self._publish()
-        if engine.last:
-            self.event(exchange.event(EventKind.ENDED, f"the run period is over after {exchange.step[0]} timesteps"))
-
-    def _elapsed_s(self) -> float:
-        return self.exchange.step[0] * self.plan.period.step_s
-
-    def _publish(self) -> None:
-        exchange, counts = self.exchange, self.exchange.counts
-        step = exchange.step[0]
-        elapsed = step * self._step_time
-        self._latest = codec.pack(
-            episode=exchange.episode,
-            step=exchange.step,
-            time=[(self._begin + elapsed).isoformat()],
-            elapsed_s=[elapsed.total_seconds()],
-            flags=[_TRUNCATED if self._engine.last else _NO_FLAG if step else _FIRST],
-            values=self._engine.values_bytes(),
-            applied=self._applied,
-            ruler=self._ruler,
-            rulers=exchange.ruler_names,
-            late=counts.late,
-            rejected=counts.rejected,
-        )
-        self._outlets.sample(self._latest)
-        exchange.listen()
-        self._outlets.points(self._engine.values, exchange.episode[0], step, self._begin + elapsed)
-        if self._observer is not None:
-            self._observer(self)
-
-    def event(self, event: Event) -> None:
-        """Publishes an event."""
-        self._outlets.event(event)
-        if self._observer is not None:
-            self._observer(self)
-
-    def _tell(self, events: list[Event]) -> None:
-        for event in events:
-            self.event(event)
-
-    # The engine
-
-    def _start_engine(self) -> None:
-        """An engine of the present episode, at sample 0."""
-        try:
-            self._engine = self._supply.engine(self.exchange.episode[0])
-        except SimulatorError:
-            if self._stopping:
-                raise _Stopped from None
-            raise
-        self._ready()
-
-    def _close_engine(self) -> None:
-        if hasattr(self, "_engine"):
-            self._end(self._engine)
-
-    def _end(self, engine: EngineLink) -> None:
-        """Ends an engine; where its files are kept, EnergyPlus may finish them."""
-        if self.config.keep and self.exchange.state is not State.FAILED:
-            engine.finish()
-        else:
-            engine.close()
-
-    def _ready(self) -> None:
-        self.exchange.ready()
-        values, self._ruler = self.exchange.nobody()
-        self._applied = self._engine.applied_bytes(values)
-        self._failure = ""
-
-    def _fail(self, error: SimulatorError) -> None:
-        self.exchange.take(Input.FAIL)
-        self._failure = str(error)
-        said = errors.to_wire(error)
-        self.event(self.exchange.event(EventKind.FAILED, said["message"], error=said["error"]))
-        self._engine.close()
-
-    # Requests
-
-    def _claim(self, claim: Claim) -> Message:
-        self._tell(self.exchange.claim(claim))
-        return Accepted(episode=self.exchange.episode)
+        for slot, link in zip(slots, made, strict=True):
+            engines.baselines[slot].close()
+            engines.baselines[slot] = link
 
     def _reset(self, reset: Reset) -> Message:
-        if reset.options:
-            raise errors.Refused(f"unknown reset options {sorted(reset.options)}; there are none yet")
-        untouched = self.exchange.state is State.WAITING and not self.exchange.touched
-        self.exchange.reset()
-        supply, episode = self._supply, self.exchange.episode[0]
-        start = supply.turn(reset.seed, episode, untouched=untouched)
+        slots = sorted(set(reset.slots)) if reset.slots is not None else [*range(self.config.slots)]
+        seeds = self._seeds(reset, slots)
+        self.runner.check_slot(slots[-1])
+        if reset.snapshot:
+            return self._go_back(reset, slots)
+        exchange = self.exchange
+        if exchange.state is State.FAILED and len(slots) < self.config.slots:
+            raise errors.Refused("the engines have ended; reset all slots")
+        untouched = [exchange.state is State.WAITING and not exchange.touched[slot] for slot in slots]
+        exchange.reset(slots)
+        starts = [
+            self._supplies[slot].turn(seed, exchange.episode[slot], untouched=same)
+            for slot, seed, same in zip(slots, seeds, untouched, strict=True)
+        ]
         # The answer goes out before the start, which takes seconds in large buildings.
-        self._inlets.shelve(lambda: self._restart(start, reset.controller))
-        return Accepted(
-            episode=self.exchange.episode,
-            start=start,
-            weather=supply.source.name,
-            drawn=supply.files.drawn,
-            outputs=supply.outputs,
-        )
+        self.runner.inlets.next(lambda: self._restart(slots, starts, seeds, reset.controller))
+        return self._accepted(slots, starts)
 
-    def _restart(self, start: Start, source: str) -> None:
-        former = self._engine
-        quick = start in (Start.FORKED, Start.AHEAD)  # the former engine's end, which takes as long, can wait
-        if start is Start.READY and former.alive:
-            self._ready()
-        else:
-            if not quick:
-                self._end(former)
-            try:
-                self._start_engine()
-            except SimulatorError as error:
-                self._fail(error)
-                return
-        if self.manifest.weather != self._supply.source.name:
-            self.manifest = self._manifest()
-            self._outlets.manifest(self.manifest)
-        self.event(self.exchange.event(EventKind.STARTED, self._begins(), source))
-        self._publish()
+    def _seeds(self, reset: Reset, slots: list[int]) -> list[int | None]:
+        if isinstance(reset.seed, list):
+            if len(reset.seed) != len(slots):
+                raise errors.Refused(f"{len(reset.seed)} seeds for {len(slots)} slots; one each, or a single one")
+            return reset.seed
+        return [None if reset.seed is None else reset.seed + place for place in range(len(slots))]
+
+    def _accepted(self, slots: list[int], starts: list[Start]) -> Accepted:
+        begun = [
+            Begun(start=start, weather=supply.source.name, drawn=supply.files.drawn, outputs=supply.outputs)
+            for start, supply in zip(starts, [self._supplies[slot] for slot in slots], strict=True)
+        ]
+        return Accepted(episode=self.exchange.episode, begun=begun)
+
+    def _restart(self, slots: list[int], starts: list[Start], seeds: list[int | None], source: str) -> None:
+        runner, engines = self.runner, self.runner.engines
+        fresh = [
+            slot
+            for slot, start in zip(slots, starts, strict=True)
+            if start is not Start.READY or not engines.links[slot].alive
+        ]
+        former = [engines.links[slot] for slot in fresh]
+        # The former engines' end, which takes as long as a fork, can wait for these.
+        quick = all(start in (Start.FORKED, Start.AHEAD, Start.READY) for start in starts)
+        if not quick:
+            self._end(former)
+        try:
+            for slot, link in zip(fresh, self._engines(fresh, self.exchange.episode), strict=True):
+                engines.links[slot] = link
+            if fresh:
+                self._compare(fresh)
+        except SimulatorError as error:
+            if runner.stopping:
+                raise Stopped from None
+            runner.fail(error)
+            return
+        engines.begin(slots)
+        self._begin(dict.fromkeys(slots, 0), source, seeds)
         if quick:
             self._end(former)
-        self._supply.look_ahead(self.exchange.episode[0])
+        for slot in slots:
+            self._supplies[slot].look_ahead(self.exchange.episode[slot])
+
+    def _end(self, links: list[EngineLink]) -> None:
+        for link in links:
+            link.end(failed=self.exchange.state is State.FAILED)
+
+    def _begin(self, at: dict[int, int], source: str, seeds: list[int | None], faults: Faulty | None = None) -> None:
+        """Episodes begin (slot to sample), of engines that are there; with the faults of a snapshot."""
+        runner = self.runner
+        runner.exchange.ready(at)
+        runner.begin([*at], seeds)
+        told = runner.manifest
+        if faults is not None:
+            runner.inject(faults[0])
+            if runner.injection is not None:
+                runner.injection.restore(faults)
+        runner.failure = runner.failure_error = ""
+        if told.weather != self._supplies[0].source.name:
+            present = runner.manifest
+            kept = {"mode": present.mode, "speed": present.speed, "disturbed": present.disturbed}
+            runner.manifest = self._manifest().model_copy(update=kept)
+        if runner.manifest != told:
+            runner.outlets.manifest(runner.manifest)
+        self._tell_begin(source)
+        runner.publish()
+
+    def _tell_begin(self, source: str) -> None:
+        self.runner.event(self.exchange.event(EventKind.STARTED, self._begins(), source))
 
     def _begins(self) -> str:
         """What the episode simulates, in a line."""
-        source, drawn = self._supply.source, self._supply.files.drawn
+        source, drawn = self._supplies[0].source, self._supplies[0].files.drawn
         parts = [f"episode {self.exchange.episode[0]} of {self.manifest.building} begins", source.name]
         parts += [source.site.source] if source.site is not None else []
         parts += self.plan.building.notes
         parts += [f"{name} {value:.4g}" for name, value in drawn.items()]
         return "; ".join(parts)
 
-    def _weather(self, query: WeatherQuery) -> Message:
-        values, step_s = series(self._supply.files.weather, self.plan.period, query.columns)
-        found = [find_column(name) for name in query.columns]
-        return WeatherSeries(
-            episode=self.exchange.episode[0],
-            columns=[column.name for column in found],
-            units=[column.unit for column in found],
-            step_s=step_s,
-            values=np.ascontiguousarray(values, "<f8").tobytes(),
+    # Snapshots and branches
+
+    def _snapshot(self, asked: TakeSnapshot) -> Message:
+        taken = self.forks.snapshot(
+            asked, lambda folder: [s.position(folder / str(i)) for i, s in enumerate(self._supplies)]
         )
+        text = f"snapshot {taken.name} at step {taken.step[0]}"
+        self.runner.event(self.exchange.event(EventKind.SNAPSHOT, text, asked.controller))
+        return SnapshotTaken(snapshot=taken.name, episode=taken.episode, step=taken.step)
 
-    def _hurry(self) -> None:
-        """Does not wait for an engine that is computing."""
-        self._stopping = True
-        if self.exchange.state in (State.RUNNING, State.STARTING):
-            self._engine.interrupt()
-
-    def _stop(self, _: Stop) -> Message:
-        self._inlets.shelve(self._leave)
+    def _drop(self, asked: DropSnapshot) -> Message:
+        self.forks.drop(asked.snapshot)
         return Accepted(episode=self.exchange.episode)
 
-    def _write(self, name: str, payload: bytes, said: str) -> None:
-        try:
-            write_ = codec.decode(Write, payload, said)
-        except errors.BadMessage as error:
-            self.event(self.exchange.rejected(f"{name}: {error}", "anonymous"))
-            return
-        self.event(self.exchange.write(name, write_, self._elapsed_s()))
+    def _branch(self, asked: MakeBranch) -> Message:
+        branch = self.forks.branch(asked)
+        self.runner.event(self.exchange.event(EventKind.BRANCHED, f"branch {branch.name}", asked.controller))
+        return Branched(node=branch.name)
 
-    def status(self) -> Status:
+    def _go_back(self, reset: Reset, slots: list[int]) -> Message:
+        """The engines are forked before the present episode ends: if that fails, it goes on."""
+        exchange, engines = self.exchange, self.runner.engines
+        if len(slots) != self.config.slots:
+            raise errors.Refused("a snapshot is of all slots; reset all of them to it")
+        snapshot = self.forks.find(reset.snapshot)
+        episode = [number + 1 for number in exchange.episode]
+        forks = [
+            *(
+                partial(supply.fork, link, number)
+                for supply, link, number in zip(self._supplies, snapshot.engines.links, episode, strict=True)
+            ),
+            *(partial(self.forks.beside, link) for link in snapshot.engines.baselines),
+        ]
+        made = one_for_each(forks, lambda fork: fork())
+        made, beside = made[: self.config.slots], made[self.config.slots :]
+        for slot, supply in enumerate(self._supplies):
+            supply.go_back(snapshot.positions[slot], episode[slot])
+        exchange.reset()
+        former, engines.links = engines.links, made
+        former += engines.baselines
+        engines.baselines = beside
+        engines.applied, engines.ruler = snapshot.engines.applied, snapshot.engines.ruler
+        exchange.hold(snapshot.held)
+        self._begin(dict(enumerate(snapshot.step)), reset.controller, [None] * len(slots), snapshot.faults or NO_FAULTS)
+        self._end(former)
+        return self._accepted(slots, [Start.SNAPSHOT] * len(slots))
+
+    def status(self, asked: bytes) -> bytes:
         """Where the node stands; any thread may ask."""
-        exchange, counts = self.exchange, self.exchange.counts
-        return Status(
-            node=self.config.name,
-            state=exchange.state,
-            building=self.plan.building.name,
-            weather=self._supply.source.name,
-            mode=exchange.mode,
-            episode=exchange.episode,
-            step=exchange.step,
-            steps=self.plan.period.steps,
-            time=[self.plan.period.time(exchange.step[0]).isoformat()],
-            controllers=exchange.controllers(),
-            accepted=counts.accepted,
-            rejected=counts.rejected,
-            late=counts.late,
-            duplicate=counts.duplicate,
-            failure=self._failure,
-            node_rss_bytes=psutil.Process().memory_info().rss,
-            engine_rss_bytes=self._engine.rss_bytes,
-        )
+        memory = memory_asked(asked)
+        snapshots, branches = self.forks.status(memory=memory)
+        told = self.runner.status(memory=memory)
+        return codec.encode(told.model_copy(update={"snapshots": snapshots, "branches": branches}))

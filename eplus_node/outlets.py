@@ -5,9 +5,8 @@ from __future__ import annotations
 from contextlib import ExitStack
 from datetime import datetime
 
+import numpy as np
 import zenoh
-from numpy import float64
-from numpy.typing import NDArray
 from zenoh import CongestionControl
 from zenoh.handlers import Callback
 
@@ -16,6 +15,9 @@ from topics.messages import Event, EventKind, Manifest, PointValue
 
 EVENTS_A_STEP = 20
 """More refusals than this in one step are counted, but not told one by one."""
+
+WRITTEN_A_STEP = 1000
+"""Likewise writes that were taken: a controller that waits for a reset cannot take in any number of events."""
 
 _REFUSALS = (EventKind.REJECTED, EventKind.LATE, EventKind.DUPLICATE)
 
@@ -28,7 +30,7 @@ class Outlets:
         self._node = manifest.node
         self._close = ExitStack()
         self._watched: dict[int, zenoh.Publisher] = {}
-        self._events_left = EVENTS_A_STEP
+        self._events_left, self._written_left = EVENTS_A_STEP, WRITTEN_A_STEP
         self._put_sample = self._publisher(keys.SAMPLE).put
         self._put_event = self._publisher(keys.EVENT).put
         self._put_manifest = self._publisher(keys.MANIFEST).put
@@ -74,19 +76,25 @@ class Outlets:
     def sample(self, payload: bytes) -> None:
         """One step's frame."""
         self._put_sample(payload)
-        self._events_left = EVENTS_A_STEP
+        self._events_left, self._written_left = EVENTS_A_STEP, WRITTEN_A_STEP
 
-    def points(self, values: NDArray[float64], episode: int, step: int, time: datetime) -> None:
-        """One step's single points, those that somebody listens to; `values` in manifest order."""
+    def points(self, values: bytes, episode: int, step: int, time: datetime) -> None:
+        """One step's single points (of slot 0), those that somebody listens to; `values` raw, in manifest order."""
         for index, publisher in self._watched.items():
-            unit, value = self._units[index], float(values[index])
+            unit, value = self._units[index], float(np.frombuffer(values, count=1, offset=8 * index)[0])
+            if value != value:  # an injected fault has dropped it
+                continue
             point = PointValue(value=value, unit=unit, episode=episode, step=step, time=time.isoformat())
             publisher.put(codec.encode(point))
 
     def event(self, event: Event) -> None:
-        """An event; a flood of refusals within a step is cut."""
+        """An event; a flood of refusals, or of writes, within a step is cut."""
         if event.kind in _REFUSALS:
             self._events_left -= 1
             if self._events_left < 0:
+                return
+        elif event.kind is EventKind.WRITTEN:
+            self._written_left -= 1
+            if self._written_left < 0:
                 return
         self._put_event(codec.encode(event))

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from eplus_node.config import Plan
 from eplus_node.link import EngineLink, Run
 from models.episode import Draw, Draws, Episodes, Files, Source
-from topics.errors import SimulatorError
+from topics.errors import ForkFailed, SimulatorError
 from topics.messages import Start
 
 
@@ -22,8 +24,53 @@ class _Ahead:
     engine: EngineLink
 
 
+class Waiting:
+    """The engine that waits at sample 0 to be forked; the slots of a node share one."""
+
+    def __init__(self) -> None:
+        self.draw = Draw()
+        self.files: Files | None = None
+        self.engine: EngineLink | None = None
+        self.told = False  # whether it has come to sample 0
+
+    def has(self, draw: Draw) -> bool:
+        """Whether an engine of this weather waits, or is about to."""
+        return self.engine is not None and self.draw == draw and self.engine.alive
+
+    def take(self, draw: Draw, files: Files, engine: EngineLink) -> None:
+        """Has an engine wait; it may still be on its way to sample 0."""
+        self.close()
+        self.draw, self.files, self.engine, self.told = draw, files, engine, False
+
+    def fork(self, run: Run) -> EngineLink:
+        """A fork of it.
+
+        Raises:
+            SimulatorError: it could not simulate the model, has died, or cannot be forked.
+        """
+        assert self.engine is not None
+        if not self.told:
+            self.engine.receive()
+            self.told = True
+        return self.engine.fork(run)
+
+    def close(self) -> None:
+        """Ends it; twice is fine."""
+        engine, self.engine = self.engine, None
+        if engine is not None:
+            engine.close()
+
+
+@dataclass(frozen=True, slots=True)
+class Position:
+    """Which weather an episode has: what a snapshot remembers of a supply."""
+
+    draw: Draw
+    files: Files
+
+
 class Supply:
-    """Has an engine for each episode of a node.
+    """Has an engine for each episode of one slot of a node.
 
     Where each episode begins alike, the first engine stays at sample 0 and each episode gets a fork of it. Where the
     weather changes, the engine of the next episode is started while the present one runs. Where EnergyPlus's files
@@ -32,25 +79,49 @@ class Supply:
     Args:
         plan: of the node.
         folder: for the files of engines; the caller removes it.
-        cpu: the engines' core, and whether they poll there.
+        waiting: shared by the slots.
+        place: the slot's own folder, below that one and below the one where files are kept.
+        cpus: the engine's core; empty leaves it to the system.
+        poll: whether the engine polls there.
 
     Attributes:
         draw: the weather of the present episode.
         files: what it reads.
     """
 
-    def __init__(self, plan: Plan, folder: Path, *, cpu: int | None, poll: bool) -> None:
+    def __init__(
+        self,
+        plan: Plan,
+        folder: Path,
+        waiting: Waiting,
+        *,
+        place: str = "",
+        cpus: Sequence[int] = (),
+        poll: bool = False,
+    ) -> None:
         scenario, keep = plan.scenario, plan.config.keep
-        self._plan, self._cpu, self._poll = plan, cpu, poll
-        self._keep, self._folder = keep is not None, keep.absolute() if keep else folder
+        self._plan, self._cpus, self._poll = plan, tuple(cpus), poll
+        self._keep, self._scratch = keep is not None, folder / place
+        self._folder = keep.absolute() / place if keep else self._scratch
         self._draws = Draws(len(plan.sources), scenario.weather_order, noisy=bool(scenario.variability))
         self._episodes = Episodes(plan.building, plan.period, plan.sources, scenario.variability, outputs=self._keep)
         self._turned = False
         self._seeds = 0  # in a row, lately
-        self._waiting: tuple[Draw, EngineLink] | None = None
+        self._waiting = waiting
+        # The end of a run writes into the folder of the engine that it was forked from.
+        self._branches = self._keep or bool(place)
+        self._begun: EngineLink | None = None
         self._ahead: _Ahead | None = None
+        self._kept = self._keep
         self.draw = self._draws.next()
-        self.files = self._prepared(self.draw, 0)
+        shared = waiting.files if self._shares else None
+        self.files = shared if shared is not None else self._prepared(self.draw, 0)
+        if self._shares:
+            waiting.files = self.files
+
+    @property
+    def _shares(self) -> bool:
+        return self._draws.constant and not self._keep
 
     @property
     def source(self) -> Source:
@@ -60,7 +131,7 @@ class Supply:
     @property
     def outputs(self) -> str:
         """The folder of the present episode's own EnergyPlus files; empty if they are not kept."""
-        return str(self.files.model.parent) if self._keep else ""
+        return str(self.files.model.parent) if self._kept else ""
 
     def turn(self, seed: int | None, episode: int, *, untouched: bool) -> Start:
         """Turns to the next episode: draws its weather, and says how its engine will come.
@@ -70,8 +141,10 @@ class Supply:
             episode: its number.
             untouched: whether the present engine still waits at sample 0.
         """
+        self._drop_begun()
         former, self.draw = self.draw, self._drawn(seed)
-        if untouched and self.draw == former:
+        kept, self._kept = self._kept, self._keep
+        if untouched and self.draw == former and kept == self._keep:
             return Start.READY
         if self._can_fork():
             return Start.FORKED
@@ -94,31 +167,33 @@ class Supply:
             return self.draw
         return self._ahead.draw if self._ahead is not None else self._draws.next()
 
+    def begin(self) -> None:
+        """Starts the engine of the present episode, unless it is there already; it comes to sample 0 on its own."""
+        if self._begun is not None or self._can_fork() or (self._ahead is not None and self._ahead.draw == self.draw):
+            return
+        engine = self._started(self.files, self._cpus)
+        if self._shares:
+            self._waiting.take(self.draw, self.files, engine)
+        else:
+            self._begun = engine
+
     def engine(self, episode: int) -> EngineLink:
-        """An engine at sample 0 of the present episode.
+        """The engine of the present episode, at sample 0.
 
         Raises:
             SimulatorError: EnergyPlus does not simulate this model, or its process died.
         """
-        if self._can_fork():
-            try:
-                return self._forked(episode)
-            except SimulatorError:
-                self._drop_waiting()  # it has died meanwhile, and its files go with it
-                self.files = self._prepared(self.draw, episode)
+        self.begin()
+        if self._shares:
+            return self._forked(episode)
         ahead, self._ahead = self._ahead, None
-        engine = ahead.engine if ahead is not None and ahead.draw == self.draw else self._begun(self.files, self._cpu)
-        try:
-            engine.receive()
-        except BaseException:
-            engine.close()
-            raise
-        if ahead is not None and self._cpu is not None:
-            os.sched_setaffinity(engine.pid, {self._cpu})
-        if self._keep or not self._draws.constant:
-            return engine
-        self._waiting = (self.draw, engine)
-        return self._forked(episode)
+        begun, self._begun = self._begun, None
+        engine = ahead.engine if begun is None and ahead is not None else begun
+        assert engine is not None
+        _received(engine)
+        if ahead is not None and self._cpus:
+            os.sched_setaffinity(engine.pid, self._cpus)
+        return engine
 
     def look_ahead(self, episode: int) -> None:
         """Starts the engine of the next episode, if its weather is another one; it warms up on its own.
@@ -129,30 +204,77 @@ class Supply:
             return
         draw = self._draws.next()
         files = self._prepared(draw, episode + 1)
-        self._ahead = _Ahead(draw, files, self._begun(files, None))
+        self._ahead = _Ahead(draw, files, self._started(files, ()))
+
+    # Snapshots
+
+    def position(self, folder: Path) -> Position:
+        """Which weather the present episode has; a disturbed one is held in `folder`, too."""
+        return Position(self.draw, self._held(self.files, folder / "in.epw"))
+
+    def fork(self, engine: EngineLink, episode: int) -> EngineLink:
+        """A fork of a snapshot's engine, at its sample.
+
+        Raises:
+            SimulatorError: it has died, or cannot be forked.
+        """
+        return self._child(engine, episode)
+
+    def go_back(self, position: Position, episode: int) -> None:
+        """Turns to a snapshot's weather."""
+        former, self.draw = self.files, position.draw
+        self.files = self._held(position.files, self._folder / f"episode-{episode:04}-back.epw")
+        self._kept = False
+        self._let_go(former, keeping=self.files)
+
+    def _held(self, files: Files, path: Path) -> Files:
+        if files.weather == self._plan.sources[self.draw.source].path or self._keep:
+            return files
+        path.parent.mkdir(exist_ok=True)
+        os.link(files.weather, path)
+        return replace(files, weather=path)
 
     def close(self) -> None:
         """Ends the engines that wait; twice is fine."""
-        self._drop_waiting()
+        self._waiting.close()
         self._drop_ahead()
+        self._drop_begun()
+
+    def _drop_begun(self) -> None:
+        begun, self._begun = self._begun, None
+        if begun is not None:
+            begun.close()
 
     def _can_fork(self) -> bool:
-        return self._waiting is not None and self._waiting[0] == self.draw and self._waiting[1].alive
+        return self._shares and self._waiting.has(self.draw)
 
     def _forked(self, episode: int) -> EngineLink:
-        assert self._waiting is not None
-        folder = self._folder / f"episode-{episode:04}-fork"
-        folder.mkdir()
-        engine = self._waiting[1].fork(self._run(self.files, folder, self._cpu))
+        assert self._waiting.engine is not None
         try:
-            engine.receive()
-        except BaseException:
-            engine.close()
+            return self._child(self._waiting, episode)
+        except ForkFailed:
             raise
-        return engine
+        except SimulatorError:
+            fresh = not self._waiting.told
+            self._waiting.close()
+            if fresh:
+                raise
+        self.files = self._prepared(self.draw, episode)  # it has died meanwhile, and its files went with it
+        self.begin()
+        return self._child(self._waiting, episode)
 
-    def _begun(self, files: Files, cpu: int | None) -> EngineLink:
-        return EngineLink(self._run(files, files.model.parent, cpu))
+    def _child(self, of: Waiting | EngineLink, episode: int) -> EngineLink:
+        folder = self._scratch / f"episode-{episode:04}-fork"
+        folder.mkdir(parents=True)
+        try:
+            engine = of.fork(self._run(self.files, folder, self._cpus, keep=False, branch=self._branches))
+        except BaseException:
+            shutil.rmtree(folder, ignore_errors=True)
+            raise
+        return _received(engine)
+
+    def _started(self, files: Files, cpus: Sequence[int]) -> EngineLink:
+        return EngineLink(self._run(files, files.model.parent, cpus, keep=self._keep))
 
     def _prepared(self, draw: Draw, episode: int) -> Files:
         """An episode's weather outlives its engine, which clears its own folder."""
@@ -167,18 +289,13 @@ class Supply:
         if not self._keep and files.weather != keeping.weather and files.weather.parent == self._folder:
             files.weather.unlink(missing_ok=True)
 
-    def _drop_waiting(self) -> None:
-        waiting, self._waiting = self._waiting, None
-        if waiting is not None:
-            waiting[1].close()
-
     def _drop_ahead(self) -> None:
         ahead, self._ahead = self._ahead, None
         if ahead is not None:
             ahead.engine.close()
             self._let_go(ahead.files, keeping=self.files)
 
-    def _run(self, files: Files, folder: Path, cpu: int | None) -> Run:
+    def _run(self, files: Files, folder: Path, cpus: Sequence[int], *, keep: bool, branch: bool = False) -> Run:
         plan = self._plan
         return Run(
             files.model,
@@ -187,7 +304,17 @@ class Supply:
             plan.period.steps,
             plan.period.steps_per_hour,
             plan.points,
-            keep=self._keep,
-            cpu=cpu,
+            keep=keep,
+            cpus=tuple(cpus),
             poll=self._poll,
+            branch=branch,
         )
+
+
+def _received(engine: EngineLink) -> EngineLink:
+    try:
+        engine.receive()
+    except BaseException:
+        engine.close()
+        raise
+    return engine

@@ -120,7 +120,7 @@ def advance(at: Exchange, *, last: bool = False) -> tuple[list[float], list[str]
     """One timestep: the values that ruled it (NaN: the building's own) and who set them."""
     assert at.due(), f"waits for {at.missing()}"
     values, who = at.go()
-    at.sampled(last=last)
+    at.sampled([last] * len(at.moving))
     at.listen()
     rulers = [at.ruler_names[i] for i in who]
     return np.frombuffer(values, "<f8").tolist(), rulers

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import signal
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,6 +16,9 @@ from nodes import nothing_left
 # No deadlines: beside running simulations an example may take any time.
 settings.register_profile("zenostat", deadline=None)
 settings.load_profile("zenostat")
+
+# A shell without job control has what it starts in the background ignore Ctrl-C, and so would all that tests start.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @contextmanager

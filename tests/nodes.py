@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -59,20 +60,22 @@ class NodeProgram:
 
     Args:
         folder: for its socket (if `listen` names nothing else) and its scratch files.
+        before: the words before its own on its command line, say of a network namespace.
         settings: of `eplus_node.config.NodeConfig`.
 
     Raises:
         ZenostatError: what the node said when it could not start; it has ended by then.
     """
 
-    def __init__(self, folder: Path, **settings: Any) -> None:
+    def __init__(self, folder: Path, *, before: tuple[str, ...] = (), **settings: Any) -> None:
         folder.mkdir(parents=True, exist_ok=True)
+        self.folder = folder
         given = {"listen": [f"unixsock-stream/{folder}/bus"], "folder": str(folder / "run"), "affinity": "off"}
         given |= {"name": "office", **settings}
         self.name: str = given["name"]
-        self.endpoint: str = given["listen"][0]
+        self.endpoint: str = (given["listen"] or given["connect"])[0]
         self.process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "eplus_node"],
+            [*before, sys.executable, "-P", "-m", "eplus_node"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             process_group=0,
@@ -113,6 +116,14 @@ class NodeProgram:
         self.process.send_signal(signal.SIGINT)
         return self.process.wait()
 
+    def kill(self) -> None:
+        """Kills it, waits until its engines have seen that and ended, and clears what a killed node cannot clear."""
+        engines = psutil.Process(self.pid).children()
+        self.process.kill()
+        self.process.wait()
+        psutil.wait_procs(engines)
+        shutil.rmtree(self.folder)
+
     def close(self) -> None:
         """Ends it; twice is fine."""
         for pipe in (self.process.stdin, self.process.stdout):
@@ -126,9 +137,15 @@ class NodeProgram:
 
 def engines_of(node_pid: int) -> list[psutil.Process]:
     """The engines of a node, the one that simulates its episode last; before it, one may wait to be forked."""
-    children = psutil.Process(node_pid).children()
-    engines = [child for child in children if "eplus_node.engine" in child.cmdline()]
+    engines = [child for child in psutil.Process(node_pid).children() if "eplus_node.engine" in _command(child)]
     return sorted(engines, key=lambda engine: (engine.create_time(), engine.pid))
+
+
+def _command(process: psutil.Process) -> list[str]:
+    try:
+        return process.cmdline()
+    except psutil.NoSuchProcess:
+        return []
 
 
 def engine_of(node_pid: int) -> psutil.Process:
@@ -194,7 +211,11 @@ class Program:
 
 def programs_of(folder: Path) -> list[psutil.Process]:
     """All processes, of whatever parent, that were started with `folder` as their place of temporary files."""
-    return [p for p in psutil.process_iter() if p.pid != os.getpid() and _temporary_folder(p) == str(folder)]
+    return [
+        p
+        for p in psutil.process_iter()
+        if p.pid != os.getpid() and (_temporary_folder(p) or "").startswith(str(folder))
+    ]
 
 
 def _temporary_folder(process: psutil.Process) -> str | None:

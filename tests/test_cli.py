@@ -15,7 +15,10 @@ from nodes import SMALL, NodeProgram, free_port, until
 import agent_sdk
 
 ZENOSTAT = [sys.executable, "-P", "-m", "cli.main"]
-COMMANDS = ("node", "run", "evaluate", "monitor", "status", "points", "buildings", "weathers", "demo")
+COMMANDS = (
+    "node", "run", "evaluate", "monitor", "status", "read", "watch", "write", "release", "points", "buildings",
+    "weathers", "contract", "demo", "pace", "pause", "resume", "step", "faults",
+)  # fmt: skip
 DAY = ["--building", "ref-small-office", "--weather", "USA_CO_Denver", "--begin", "07-03", "--end", "07-03"]
 
 
@@ -145,6 +148,7 @@ def test_port_taken_and_name_taken(scratch):
         taken = _zenostat("node", *DAY, "--name", "other", "--listen", endpoint)
         assert taken.returncode == 1
         assert f"another program listens on {endpoint}" in _plain(taken.stderr)
+        assert taken.stdout == ""  # no bar of something that is dead
         other = f"tcp/127.0.0.1:{free_port()}"
         twice = _zenostat("node", *DAY, "--name", "office", "--listen", other, "--connect", endpoint)
         assert twice.returncode == 1
@@ -171,6 +175,15 @@ def test_points_tell_units():
     assert (facility["unit"], facility["low"], facility["high"], facility["where"]) == ("J", 0.0, None, "facility")
     default = json.loads(_zenostat("points", "ref-small-office", "--default", "--json").stdout)
     assert len({p["key"] for p in default if p["name"] == "Zone Air Temperature"}) >= 5
+
+
+@pytest.mark.parametrize("more", [[], ["--json"], ["--kind", "actuator"]], ids=str)
+def test_points_that_match_nothing_are_told_with_near_names(more):
+    done = _zenostat("points", "ref-small-office", "--match", "cor_zn", *more)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert re.search(r"no (point|actuator) of \S+ matches 'cor_zn'; near names: 'core_zn'", _plain(done.stderr), re.I)
+    nothing = _zenostat("points", "ref-small-office", "--match", "Dresser Coil", "--kind", "internal")
+    assert (nothing.returncode, nothing.stdout) == (1, "")
 
 
 def test_points_tell_bounds_and_places():

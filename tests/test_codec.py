@@ -11,7 +11,7 @@ import msgpack
 import numpy as np
 import pytest
 from builders import actuator, manifest, meter, sensor
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from topics import codec
@@ -19,18 +19,21 @@ from topics.errors import BadMessage
 from topics.messages import (
     Accepted,
     Ask,
+    Begun,
     Claim,
     Command,
     ControllerStatus,
     Denied,
     Event,
     EventKind,
+    MakeBranch,
     Manifest,
     Message,
     Mode,
     PointValue,
     Reset,
     Sample,
+    SnapshotTaken,
     Start,
     State,
     Status,
@@ -38,7 +41,10 @@ from topics.messages import (
     Write,
 )
 
-TRAVELLING = (Accepted, Ask, Claim, Command, Denied, Event, Manifest, PointValue, Reset, Sample, Status, Stop, Write)
+TRAVELLING = (
+    Accepted, Ask, Claim, Command, Denied, Event, MakeBranch, Manifest, PointValue, Reset, Sample, SnapshotTaken,
+    Status, Stop, Write,
+)  # fmt: skip
 NUMBERS = {
     "value of a Write": (Write, {"value": 1.0}, "value"),
     "for_s of a Write": (Write, {"value": 1.0, "for_s": 1.0}, "for_s"),
@@ -53,14 +59,24 @@ texts = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
 levels = st.integers(1, 16)
 
 whatever = st.one_of(
-    st.builds(Accepted, episode=lists, start=st.sampled_from(Start)),
+    st.builds(
+        Accepted,
+        episode=lists,
+        begun=st.lists(
+            st.builds(
+                Begun, start=st.sampled_from(Start), weather=texts, drawn=st.dictionaries(texts, finite), outputs=texts
+            )
+        ),
+    ),
+    st.builds(MakeBranch, controller=texts, snapshot=texts, released=st.booleans(), slot=counts),
+    st.builds(SnapshotTaken, snapshot=texts, episode=lists, step=lists),
     st.builds(Ask),
     st.builds(Claim, controller=names, level=levels, actuators=st.none() | st.lists(texts), required=st.booleans()),
     st.builds(Command, episode=lists, step=lists, mask=st.none() | st.binary(), values=st.binary()),
     st.builds(Denied, error=texts, message=texts),
     st.builds(Event, kind=st.sampled_from(EventKind), text=texts, source=texts, error=texts, episode=counts),
     st.builds(PointValue, value=finite, unit=texts, episode=counts, step=counts, time=texts),
-    st.builds(Reset, controller=texts, seed=st.none() | counts, options=st.dictionaries(texts, finite | texts)),
+    st.builds(Reset, controller=texts, seed=st.none() | counts | st.lists(st.none() | counts), snapshot=texts),
     st.builds(
         Sample, episode=lists, step=lists, time=st.lists(texts, max_size=2), elapsed_s=st.lists(finite, max_size=2),
         flags=st.just([0]), values=st.binary(), applied=st.binary(), ruler=st.binary(),
@@ -122,8 +138,8 @@ def test_arrays_arrive_to_the_last_bit(values: list[float]) -> None:
 
 @given(whatever)
 def test_the_hot_path_packs_what_encode_packs(message: Message) -> None:
-    if not isinstance(message, Status):  # the only one of these with messages within
-        assert codec.pack(**message.__dict__) == codec.encode(message)
+    assume(not isinstance(message, Accepted | Status))  # the hot path has no messages within messages
+    assert codec.pack(**message.__dict__) == codec.encode(message)
 
 
 @given(lists, lists, st.binary(max_size=300))
@@ -209,8 +225,8 @@ def test_a_number_that_is_not_finite_is_refused_by_its_path(where: str, bad: flo
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
 def test_a_number_that_is_not_finite_is_refused_in_free_options_too(bad: float) -> None:
-    refused(Reset, msgpack.packb({"options": {"gain": bad}}))
-    refused(Reset, msgpack.packb({"options": {"gains": [1.0, {"inner": bad}]}}))
+    refused(Reset, msgpack.packb({"seed": bad}))
+    refused(Begun, msgpack.packb({"start": "ready", "weather": "", "drawn": {"sigma": bad}}))
 
 
 def test_a_wrong_type_deep_within_is_refused_by_its_path() -> None:

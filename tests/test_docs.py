@@ -148,6 +148,9 @@ def _node_of(page: str) -> dict[str, Any]:
     words = shlex.split(line)[2:]
     options = dict(zip(words[::2], words[1::2], strict=True))
     given = {name.removeprefix("--").replace("-", "_"): value for name, value in options.items()}
+    for seconds in ("grace", "deadline"):
+        if seconds in given:
+            given[f"{seconds}_s"] = given.pop(seconds)
     return given | {"end": given["begin"]}
 
 

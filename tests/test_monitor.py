@@ -16,7 +16,7 @@ from nodes import SMALL, NodeProgram, until
 from rerun.chunk import RrdReader
 
 import agent_sdk
-from bridge.rerun_program import screenshot
+from bridge.rerun_program import screenshot, web_viewer
 from bridge.rerun_stream import RerunStream
 from bridge.session import open_session
 
@@ -116,6 +116,16 @@ def test_picture_of_a_recording(scratch):
     assert drawn == picture.exists()
     if drawn:
         assert picture.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    assert {made.name for made in scratch.iterdir()} <= {"run.rrd", "run.png"}  # the viewer's own files are gone
+
+
+def test_a_viewer_that_is_served_leaves_no_files(scratch):
+    with web_viewer() as (page, url):
+        assert page.startswith("http://127.0.0.1:")
+        assert url.endswith("/proxy")
+        (own,) = scratch.iterdir()
+        (own / "rerun-data-1").mkdir()  # what a viewer makes sometimes, and leaves
+    assert list(scratch.iterdir()) == []
 
 
 def test_no_picture_without_a_vulkan_driver(scratch, monkeypatch):

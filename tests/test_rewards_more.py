@@ -42,7 +42,7 @@ from agent_sdk.rewards import (
 )
 from agent_sdk.rewards.thermal_sensation import dissatisfied
 from topics import readable
-from topics.errors import InvalidConfig
+from topics.errors import InvalidConfig, UnknownName
 from topics.messages import Manifest, Meter, Reading, Sensor
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
@@ -809,6 +809,39 @@ def test_a_term_that_is_no_number(term: Any) -> None:
         name = "comfort" if isinstance(gives, dict) else "reward"
         with pytest.raises(InvalidConfig, match=f"gave '{name}': .*a finite number expected"):
             read_reward(lambda v, b, gives=gives: gives).bind(NODE)(values(), WINTER)
+
+
+def asks_for_norht(values: Mapping[str, Any], begin: datetime) -> float:
+    return -float(values["norht"])
+
+
+@pytest.mark.parametrize("slots", [None, 2])
+def test_a_function_that_asks_for_a_point_that_is_not_there(slots: int | None) -> None:
+    given = values() if slots is None else np.array([values()] * slots)
+    with pytest.raises(UnknownName, match=r"asks_for_norht asks for 'norht', .*near names: 'north'") as raised:
+        read_reward(asks_for_norht).bind(NODE)(given, WINTER if slots is None else [WINTER] * slots)
+    assert isinstance(raised.value.__cause__, KeyError)
+
+
+def test_a_function_may_look_whether_a_point_is_there() -> None:
+    def careful(values: Mapping[str, Any], begin: datetime) -> float:
+        try:
+            return float(values["norht"])
+        except KeyError:
+            return values.get("norht", -1.0) - ("norht" in values)
+
+    assert read_reward(careful).bind(NODE)(values(), WINTER).reward == -1.0
+
+
+@pytest.mark.parametrize("error", [KeyError("tariff"), ZeroDivisionError("by nothing"), InvalidConfig("mine")], ids=str)
+def test_other_exceptions_of_a_function_are_its_own(error: Exception) -> None:
+    def broken(values: Mapping[str, Any], begin: datetime) -> float:
+        raise error
+
+    with pytest.raises(type(error)) as raised:
+        read_reward(broken).bind(NODE)(values(), WINTER)
+    assert raised.value is error
+    assert error.__notes__ == ["in the reward broken"]
 
 
 def test_the_example() -> None:

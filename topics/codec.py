@@ -15,13 +15,20 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from topics.errors import BadMessage, near
-from topics.messages import SCHEMA, Message
+from topics.messages import SCHEMA, Claim, Manifest, Message, Sample, Status
 
 M = TypeVar("M", bound=Message)
 
 MAX_BYTES = 8 * 1024 * 1024
 """Larger payloads are refused unread."""
 
+MOST_ENTRIES = 4_000
+"""Entries of all lists and maps of a message together; more are refused before they are looked at."""
+
+MOST_OF = {Claim: 20_000, Manifest: 1_000_000, Sample: 100_000, Status: 100_000}
+"""The same, of messages that name points, and of a node's for many slots."""
+
+_MOST_FAULTS = 10
 _MEDIA = "application/msgpack"
 _SCHEMA_MARK = ";zenostat/"
 
@@ -29,6 +36,11 @@ _SCHEMA_MARK = ";zenostat/"
 def encoding(message: type[Message]) -> str:
     """The encoding of a message class: `application/msgpack;zenostat/1.Sample`."""
     return f"{_MEDIA}{_SCHEMA_MARK}{SCHEMA}.{message.__name__}"
+
+
+def names(message: type[Message], said: str) -> bool:
+    """Whether the encoding `said` is that of a message class and of this version, or names none."""
+    return _SCHEMA_MARK not in said or said == encoding(message)
 
 
 def _plain(value: Any) -> Any:
@@ -61,12 +73,12 @@ def decode(message: type[M], payload: bytes, said: str = "") -> M:
     Raises:
         BadMessage: what was wrong, with the path of the bad value.
     """
-    if _SCHEMA_MARK in said and said != encoding(message):
+    if not names(message, said):
         raise BadMessage(f"expected encoding {encoding(message)!r}, got {said!r}")
     if len(payload) > MAX_BYTES:
         raise BadMessage(f"{len(payload)} bytes; a {message.__name__} has at most {MAX_BYTES}")
     try:
-        fields = msgpack.unpackb(payload)
+        fields = _unpacked(payload, MOST_OF.get(message, MOST_ENTRIES))
     except Exception as error:  # msgpack raises a dozen unrelated classes on malformed input
         raise BadMessage(f"not msgpack: {type(error).__name__} {error}".rstrip()) from None
     if not isinstance(fields, dict):
@@ -77,15 +89,31 @@ def decode(message: type[M], payload: bytes, said: str = "") -> M:
         raise BadMessage(f"{message.__name__}: {explain(error)}") from None
 
 
+def _unpacked(payload: bytes, most: int) -> Any:
+    if len(payload) <= most:  # an entry has a byte at least
+        return msgpack.unpackb(payload)
+    entries = 0
+
+    def count(gathered: Any) -> Any:
+        nonlocal entries
+        entries += len(gathered)
+        if entries > most:
+            raise ValueError(f"its lists and maps have more than {most} entries")
+        return gathered
+
+    return msgpack.unpackb(payload, max_array_len=most, max_map_len=most, list_hook=count, object_hook=count)
+
+
 def explain(error: ValidationError, known: Iterable[str] = ()) -> str:
-    """All faults that pydantic found, in one line: path, what came, what would be right.
+    """The faults that pydantic found, in one line: path, what came, what would be right; of very many the first.
 
     `known`: names of the fields at the top, of which near ones are told.
     """
     faults = []
-    for fault in error.errors(include_url=False):
+    found = error.errors(include_url=False)
+    for fault in found[:_MOST_FAULTS]:
         loc = [str(part) for part in fault["loc"] if not str(part).startswith("@")]
-        path = ".".join(loc) or "(whole)"
+        path = _cut(".".join(loc)) or "(whole)"
         if fault["type"] == "missing":
             faults.append(f"{path}: it is missing")
         elif fault["type"] == "extra_forbidden":
@@ -94,11 +122,15 @@ def explain(error: ValidationError, known: Iterable[str] = ()) -> str:
             )
         else:
             faults.append(f"{path}: {fault['msg'].removeprefix('Value error, ')}, got {_short(fault['input'])}")
-    return "; ".join(faults)
+    more = len(found) - len(faults)
+    return "; ".join(faults) + (f"; and {more} more" if more else "")
 
 
 def _short(value: Any, most: int = 60) -> str:
-    text = repr(value)
+    return _cut(repr(value), most)
+
+
+def _cut(text: str, most: int = 200) -> str:
     return text if len(text) <= most else text[: most - 1] + "…"
 
 

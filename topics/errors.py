@@ -8,10 +8,12 @@
     ├── PeerError               a mistake of the other side of the bus
     │   ├── BadMessage          malformed, oversized, of another schema version
     │   ├── Refused             a request or command that the node did not take, and why
-    │   └── EpisodeChanged      the episode was reset or stopped under a controller
+    │   ├── EpisodeChanged      the episode was reset or stopped under a controller
+    │   └── EpisodeAborted      the node's policy ended the episode: a controller gave no command
     ├── SimulatorError          EnergyPlus did not do its part
     │   ├── ModelRefused        EnergyPlus refused the model or gave up; `lines` of eplusout.err
-    │   └── EngineDied          the engine process ended without a word
+    │   ├── EngineDied          the engine process ended without a word
+    │   └── ForkFailed          the system could not fork an engine, for want of memory or processes
     └── BusError                the way to the other side
         ├── EndpointTaken       another program listens there
         ├── NameTaken           a node of that name is on the bus already
@@ -29,6 +31,7 @@ from collections.abc import Callable, Iterable
 from typing import TypeVar
 
 T = TypeVar("T")
+_FEW = 4096
 
 
 class ZenostatError(Exception):
@@ -67,6 +70,10 @@ class EpisodeChanged(PeerError):
     """The episode was reset or stopped by somebody else."""
 
 
+class EpisodeAborted(PeerError):
+    """The node's policy ended the episode, since a controller had gone or gave no command in time."""
+
+
 class SimulatorError(ZenostatError):
     """EnergyPlus did not do its part."""
 
@@ -77,6 +84,10 @@ class ModelRefused(SimulatorError):
 
 class EngineDied(SimulatorError):
     """The engine process ended without a word."""
+
+
+class ForkFailed(SimulatorError):
+    """The system could not fork an engine; the engine itself goes on."""
 
 
 class BusError(ZenostatError):
@@ -141,6 +152,14 @@ class Faults:
             raise (kinds.pop() if len(kinds) == 1 else InvalidConfig)("\n".join(map(str, self.found)))
 
 
+def _candidates(folded: str, names: list[str]) -> list[str]:
+    """The names, folded; of very many, which would take half a second to compare, those that begin alike."""
+    all_folded = [name.casefold() for name in names]
+    if len(names) <= _FEW:
+        return all_folded
+    return [name for name in all_folded if name[:2] == folded[:2] and abs(len(name) - len(folded)) <= 3]
+
+
 def near(name: str, known: Iterable[str], *, most: int = 5) -> str:
     """`name`'s nearest neighbours among `known`, as the end of an error text.
 
@@ -151,7 +170,7 @@ def near(name: str, known: Iterable[str], *, most: int = 5) -> str:
         return "there are none"
     folded = name.casefold()
     parts = [n for n in names if folded and folded in n.casefold()]
-    alike = difflib.get_close_matches(folded, [n.casefold() for n in names], n=most, cutoff=0.5)
+    alike = difflib.get_close_matches(folded, _candidates(folded, names), n=most, cutoff=0.5)
     by_fold = {n.casefold(): n for n in names}
     picked = list(dict.fromkeys(parts + [by_fold[a] for a in alike]))[:most]
     if picked:

@@ -10,21 +10,31 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from topics.errors import InvalidConfig
+from topics.faults import FaultPlan
 from topics.messages import (
     SCHEMA,
     Accepted,
     Ask,
+    Branched,
     Claim,
     Command,
+    DropSnapshot,
     Event,
+    GoSteps,
+    MakeBranch,
     Manifest,
     Message,
+    Pause,
     PointValue,
     Reset,
+    Resume,
     Sample,
     ScenarioText,
+    SetPace,
+    SnapshotTaken,
     Status,
     Stop,
+    TakeSnapshot,
     WeatherQuery,
     WeatherSeries,
     Write,
@@ -40,6 +50,7 @@ class Role(StrEnum):
 
     NODE = "node"
     CONTROLLER = "controller"
+    MONITOR = "monitor"
     ANYONE = "anyone"
 
 
@@ -76,7 +87,15 @@ ACTUATOR = Topic("actuator/{name}", Role.ANYONE, Write, Delivery.BLOCK)
 EVENT = Topic("event", Role.NODE, Event, Delivery.DROP)
 CLAIM = Topic("rpc/claim", Role.CONTROLLER, Claim, Delivery.QUERY, reply=Accepted)
 RESET = Topic("rpc/reset", Role.CONTROLLER, Reset, Delivery.QUERY, reply=Accepted)
+SNAPSHOT = Topic("rpc/snapshot", Role.CONTROLLER, TakeSnapshot, Delivery.QUERY, reply=SnapshotTaken)
+DROP = Topic("rpc/drop", Role.CONTROLLER, DropSnapshot, Delivery.QUERY, reply=Accepted)
+BRANCH = Topic("rpc/branch", Role.CONTROLLER, MakeBranch, Delivery.QUERY, reply=Branched)
 STOP = Topic("rpc/stop", Role.CONTROLLER, Stop, Delivery.QUERY, reply=Accepted)
+PACE = Topic("rpc/pace", Role.CONTROLLER, SetPace, Delivery.QUERY, reply=Accepted)
+PAUSE = Topic("rpc/pause", Role.CONTROLLER, Pause, Delivery.QUERY, reply=Accepted)
+RESUME = Topic("rpc/resume", Role.CONTROLLER, Resume, Delivery.QUERY, reply=Accepted)
+STEP = Topic("rpc/step", Role.CONTROLLER, GoSteps, Delivery.QUERY, reply=Accepted)
+FAULTS = Topic("rpc/faults", Role.CONTROLLER, FaultPlan, Delivery.QUERY, reply=Accepted)
 STATUS = Topic("rpc/status", Role.ANYONE, Ask, Delivery.QUERY, reply=Status)
 SCENARIO = Topic("rpc/scenario", Role.ANYONE, Ask, Delivery.QUERY, reply=ScenarioText)
 WEATHER = Topic("rpc/weather", Role.ANYONE, WeatherQuery, Delivery.QUERY, reply=WeatherSeries)
@@ -93,7 +112,15 @@ TOPICS = (
     EVENT,
     CLAIM,
     RESET,
+    SNAPSHOT,
+    DROP,
+    BRANCH,
     STOP,
+    PACE,
+    PAUSE,
+    RESUME,
+    STEP,
+    FAULTS,
     STATUS,
     SCENARIO,
     WEATHER,

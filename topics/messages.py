@@ -18,6 +18,9 @@ SCHEMA = 1
 SafeName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.\-]{0,127}$")]
 """A name that may stand as a chunk of a key: letters, digits, `_`, `.`, `-`; at most 128."""
 
+Who = Annotated[str, Field(max_length=128)]
+"""Who asks or writes, in its own words."""
+
 # Strict where strangers write: a text is no number, and true is no step.
 Count = Annotated[int, Field(ge=0, strict=True)]
 Level = Annotated[int, Field(ge=1, le=16, strict=True)]
@@ -45,16 +48,28 @@ class Reading(StrEnum):
 
 
 class Mode(StrEnum):
-    """Who sets the pace of simulated time."""
+    """Who sets the pace of simulated time.
+
+    `LOCKSTEP`: the required controllers. `PACED`: the wall clock, at a multiple of its speed; commands hold. `FREE`:
+    nobody; it goes as fast as it can.
+    """
 
     LOCKSTEP = "lockstep"
+    PACED = "paced"
     FREE = "free"
 
 
 class Policy(StrEnum):
-    """What the node does when a required controller gives no valid command."""
+    """What the node does when a controller has gone, or gives no valid command in time.
+
+    `WAIT`: waits for it. `HOLD`: goes on with what it commanded last. `RELEASE`: gives what it commanded back, to the
+    next priority level or to the building's own control. `ABORT`: ends the episode.
+    """
 
     WAIT = "wait"
+    HOLD = "hold"
+    RELEASE = "release"
+    ABORT = "abort"
 
 
 class State(StrEnum):
@@ -72,7 +87,7 @@ class Start(StrEnum):
     """How the engine of an episode came to sample 0.
 
     `READY`: it waited there untouched. `FORKED`: from one that waits there. `AHEAD`: it was started while the episode
-    before ran. `STARTED`: afresh.
+    before ran. `STARTED`: afresh. `SNAPSHOT`: from a snapshot, at that one's sample.
     """
 
     NONE = ""
@@ -80,14 +95,19 @@ class Start(StrEnum):
     FORKED = "forked"
     AHEAD = "ahead"
     STARTED = "started"
+    SNAPSHOT = "snapshot"
 
 
 class Flag(IntFlag):
-    """What a sample says about its episode."""
+    """What a sample says about its episode.
+
+    `FALLBACK`: a required controller gave no command for this timestep; the node's policy went on without it.
+    """
 
     NONE = 0
     FIRST = 1
     TRUNCATED = 2
+    FALLBACK = 4
 
 
 class Mask(IntEnum):
@@ -202,11 +222,47 @@ class Versions(Message):
     contract: int = SCHEMA
 
 
+class Spread(Message):
+    """How long something took: `count` times in all; median and 99th percentile of the latest 4,096; the longest."""
+
+    count: Count = 0
+    median_ms: float = 0.0
+    p99_ms: float = 0.0
+    max_ms: float = 0.0
+
+
+class Statistics(Message):
+    """How a node keeps up, in wall time.
+
+    `step`: from the begin of a timestep to its sample. `cycle`: from sample to sample. `overruns`: paced timesteps
+    whose sample came after the next one was due, `behind_s` by how much at worst. `missed`: timesteps that went on
+    without a required controller. `late`, `rejected`, `duplicate`, `flooded`: messages that changed nothing.
+    """
+
+    step: Spread = Spread()
+    cycle: Spread = Spread()
+    overruns: Count = 0
+    behind_s: float = 0.0
+    missed: Count = 0
+    late: Count = 0
+    rejected: Count = 0
+    duplicate: Count = 0
+    flooded: Count = 0
+
+
 class Manifest(Message):
-    """All that a stranger needs to read a node's samples and to command it."""
+    """All that a stranger needs to read a node's samples and to command it.
+
+    `slots`: engines that step together, each with an episode of its own. `branch_of`: the node that this one is a
+    branch of. `baseline`: whether samples tell what the building's own control would have done. `speed`: simulated
+    seconds in a second, in paced mode. `grace_s`: how long a controller may be gone before the policy goes on without
+    it. `deadline_s`: how long each step waits for commands. `disturbed`: whether samples carry injected faults.
+    `statistics`: only in the answer to a query.
+    """
 
     node: SafeName
     instance: str
+    branch_of: str = ""
     building: str
     weather: str
     location: str
@@ -217,8 +273,13 @@ class Manifest(Message):
     steps_per_hour: Annotated[int, Field(ge=1, le=60)]
     steps: Count
     slots: Annotated[int, Field(ge=1)] = 1
+    baseline: bool = False
     mode: Mode
+    speed: Annotated[float, Field(gt=0)] = 1.0
     policy: Policy
+    grace_s: Annotated[float, Field(ge=0)] = 0.0
+    deadline_s: Annotated[float, Field(gt=0)] | None = None
+    disturbed: bool = False
     sensors: tuple[Sensor, ...]
     meters: tuple[Meter, ...]
     actuators: tuple[Actuator, ...]
@@ -227,6 +288,7 @@ class Manifest(Message):
     versions: Versions
     host: str = ""
     cpu: int | None = None
+    statistics: Statistics | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -239,7 +301,10 @@ class Sample(Message):
 
     `values` are the sensors, then the meters. `applied` says what each actuator really was in the
     timestep that this sample closes; NaN where EnergyPlus has no variable that tells. `ruler` is an
-    index into `rulers`: who set it, with `rulers[0]` the building's own control.
+    index into `rulers`: who set it, with `rulers[0]` the building's own control. `baseline`, like `values`, is the
+    same building left to its own control since sample 0, and `baseline_applied`, like `applied`, what that control set
+    its actuators to; empty unless the manifest says so. `undisturbed`, like `values`, is what EnergyPlus said, where
+    faults are injected into `values`.
     """
 
     episode: list[Count]
@@ -253,10 +318,15 @@ class Sample(Message):
     rulers: list[str]
     late: Count = 0
     rejected: Count = 0
+    baseline: bytes = b""
+    baseline_applied: bytes = b""
+    undisturbed: bytes = b""
 
 
 class Command(Message):
     """A controller's answer to sample `step` of `episode`; it rules timestep `step + 1`.
+
+    A slot whose step is None is not answered: it stands still while the others go on.
 
     `values` has all actuators of all slots. `mask` (one `Mask` byte each) says which of them are
     set, kept as they are, or released; without it all are set. `values` stands last, so that a command's
@@ -264,7 +334,7 @@ class Command(Message):
     """
 
     episode: list[Count]
-    step: list[Count]
+    step: list[Count | None]
     mask: Raw | None = None
     values: Raw
 
@@ -279,7 +349,7 @@ class Write(Message):
     value: Finite | None
     priority: Level = 8
     for_s: Annotated[float, Field(gt=0, strict=True)] | None = None
-    source: str = "anonymous"
+    source: Who = "anonymous"
 
 
 class PointValue(Message):
@@ -307,10 +377,18 @@ class EventKind(StrEnum):
     JOINED = "joined"
     LEFT = "left"
     WARNING = "warning"
+    FALLBACK = "fallback"
+    PACE = "pace"
+    FAULT = "fault"
+    SNAPSHOT = "snapshot"
+    BRANCHED = "branched"
 
 
 class Event(Message):
-    """What happened on a node; `source` is the controller or device that it is about."""
+    """What happened on a node; `source` is the controller or device that it is about.
+
+    `late_s`: of a late command, how long after its step had gone on, or after the deadline, it came (wall time).
+    """
 
     kind: EventKind
     text: str
@@ -318,6 +396,7 @@ class Event(Message):
     error: str = ""
     episode: Count = 0
     step: Count = 0
+    late_s: float | None = None
 
 
 class Claim(Message):
@@ -329,24 +408,100 @@ class Claim(Message):
     required: bool = True
 
 
-class Reset(Message):
-    """Asks for a new episode."""
+Seed = Annotated[int, Field(ge=0, strict=True)]
 
-    controller: str = ""
-    seed: Annotated[int, Field(ge=0)] | None = None
-    options: dict[str, Scalar | Finite | None] = Field(default_factory=dict)
+
+class Reset(Message):
+    """Asks for a new episode, of all slots or of some; or to go back to a snapshot.
+
+    `seed`: begins the draws of weather and noise anew; of several slots the first gets this one, the next the one
+    after it, or each its own.
+    """
+
+    controller: Who = ""
+    seed: Seed | list[Seed | None] | None = None
+    slots: Annotated[list[Count], Field(min_length=1)] | None = None
+    snapshot: str = ""
+
+
+class TakeSnapshot(Message):
+    """Asks for a snapshot of the running episode; it lasts until it is dropped, or its owner leaves."""
+
+    controller: Who = ""
+
+
+class SnapshotTaken(Message):
+    """A snapshot's name, and where it stands."""
+
+    snapshot: str
+    episode: list[Count]
+    step: list[Count]
+
+
+class DropSnapshot(Message):
+    """Gives a snapshot's memory back."""
+
+    snapshot: str
+
+
+class MakeBranch(Message):
+    """Asks for a branch: a node of its own that goes on from this sample, or from a snapshot, on its own.
+
+    It ends with a `Stop`, when its owner leaves, or with its parent. `released`: what was commanded up to now holds
+    no more; the building's own control goes on. `slots`: how many engines it has, all from this slot.
+    """
+
+    controller: Who = ""
+    snapshot: str = ""
+    released: bool = False
+    slots: Annotated[int, Field(ge=1, le=256, strict=True)] = 1
+    slot: Count = 0
+
+
+class Branched(Message):
+    """A branch's name on the bus."""
+
+    node: SafeName
+
+
+class SetPace(Message):
+    """Asks for another pace, from now on: simulated seconds in a second, or a mode without one."""
+
+    source: Who = ""
+    mode: Mode = Mode.PACED
+    speed: Annotated[float, Field(gt=0, le=1e9, strict=True)] | None = None
+
+
+class Pause(Message):
+    """Asks the node to stand still, in whatever mode."""
+
+    source: Who = ""
+
+
+class Resume(Message):
+    """Asks the node to go on; a paced one from here, without catching up."""
+
+    source: Who = ""
+
+
+class GoSteps(Message):
+    """Asks a node that stands still for some timesteps: in lockstep once they are answered, else at once."""
+
+    source: Who = ""
+    steps: Annotated[int, Field(ge=1, le=1_000_000, strict=True)] = 1
 
 
 class Stop(Message):
     """Asks the node to end."""
 
-    source: str = ""
+    source: Who = ""
 
 
 class WeatherQuery(Message):
-    """Asks for columns of the weather file that the present episode reads, by their EPW names."""
+    """Asks for columns of the weather file that a slot's present episode reads, by their EPW names."""
 
     columns: Annotated[list[str], Field(min_length=1, max_length=40)]
+    slot: Count = 0
 
 
 class WeatherSeries(Message):
@@ -370,22 +525,33 @@ class ScenarioText(Message):
 
 
 class Ask(Message):
-    """A question without parameters (status, scenario)."""
+    """A question: status, scenario. `memory`: of the status, also what each process shares with no other."""
+
+    memory: bool = False
+
+
+class Begun(Message):
+    """How an episode begins.
+
+    `start` says how its engine came to its first sample, `weather` is the weather file, `drawn` the parameters of its
+    variability, by column (`dry_bulb_temperature.sigma`), and `outputs` the folder of EnergyPlus's own files, if they
+    are kept.
+    """
+
+    start: Start
+    weather: str
+    drawn: dict[str, float] = Field(default_factory=dict)
+    outputs: str = ""
 
 
 class Accepted(Message):
-    """The node took a request. `episode` is the one that is running or starting now.
+    """The node took a request. `episode` is the one that is running or starting now, of each slot.
 
-    After a reset, `start` says how its engine came to sample 0, `weather` is the episode's weather file, `drawn` the
-    parameters of its variability, by column (`dry_bulb_temperature.sigma`), and `outputs` the folder of EnergyPlus's
-    own files, if they are kept.
+    After a reset, `begun` has an entry for each slot that was reset.
     """
 
     episode: list[Count]
-    start: Start = Start.NONE
-    weather: str = ""
-    drawn: dict[str, float] = Field(default_factory=dict)
-    outputs: str = ""
+    begun: list[Begun] = Field(default_factory=list)
 
 
 class Denied(Message):
@@ -396,7 +562,11 @@ class Denied(Message):
 
 
 class ControllerStatus(Message):
-    """One controller that has claimed something."""
+    """One controller that has claimed something.
+
+    `missed`: timesteps that went on without its command. `waived`: it has gone, and the policy goes on without it.
+    `silent`: it gave no command by the deadline, and none since. `response`: from a sample to its answer.
+    """
 
     controller: str
     level: Level
@@ -404,16 +574,40 @@ class ControllerStatus(Message):
     required: bool
     present: bool
     accepted: Count
+    late: Count = 0
+    rejected: Count = 0
+    duplicate: Count = 0
+    missed: Count = 0
+    waived: bool = False
+    silent: bool = False
+    response: Spread = Spread()
+
+
+class ForkStatus(Message):
+    """A snapshot or branch of a node: at which sample of slot 0, and the memory that is its own alone."""
+
+    name: str
+    owner: str
+    step: Count
+    engines: Count
+    private_bytes: Count
 
 
 class Status(Message):
-    """Where a node stands."""
+    """Where a node stands.
+
+    `faults`: the injected faults that are on now. `engine_private_bytes`, and the `private_bytes` of its forks: what
+    they share with no other process; 0 unless asked for.
+    """
 
     node: SafeName
     state: State
     building: str
     weather: str
     mode: Mode
+    speed: float = 1.0
+    paused: bool = False
+    policy: Policy = Policy.WAIT
     episode: list[Count]
     step: list[Count]
     steps: Count
@@ -424,5 +618,11 @@ class Status(Message):
     late: Count
     duplicate: Count
     failure: str = ""
+    failure_error: str = ""
     node_rss_bytes: Count = 0
     engine_rss_bytes: Count = 0
+    engine_private_bytes: Count = 0
+    statistics: Statistics = Statistics()
+    faults: list[str] = Field(default_factory=list)
+    snapshots: list[ForkStatus] = Field(default_factory=list)
+    branches: list[ForkStatus] = Field(default_factory=list)

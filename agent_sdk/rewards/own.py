@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent_sdk.rewards.base import Begin, BoundReward, Outcome, Reward, Terms
-from topics.errors import InvalidConfig
+from topics.errors import InvalidConfig, UnknownName, near
 from topics.messages import Manifest
 
 RewardFunction = Callable[[Mapping[str, Any], Any], Mapping[str, Any] | float]
@@ -29,6 +29,8 @@ def of_function(function: RewardFunction | type) -> Reward:
 
     Raises:
         InvalidConfig: it cannot be called with two things; later, it gave something that is no reward.
+        UnknownName: later, it asked for a point that the node does not have. Its other exceptions are its own; a note
+            names the reward.
     """
     fault = _misfit(function)
     if fault is not None:
@@ -70,17 +72,42 @@ def made(kind: type) -> Any:
         ) from None
 
 
+class _NoPoint(KeyError):
+    """A point that is not there; a function may expect it, as any KeyError."""
+
+
+class _Values(dict[str, Any]):
+    """Values by name; a KeyError of theirs is told from others in a user's function."""
+
+    def __missing__(self, name: Any) -> Any:
+        raise _NoPoint(name)
+
+
 class _Bound(BoundReward):
     def __init__(self, function: RewardFunction, manifest: Manifest) -> None:
         self._function, self._names = function, manifest.names
 
     def __call__(self, values: NDArray[np.float64], begin: Begin) -> Outcome:
         columns = values.tolist() if values.ndim == 1 else np.moveaxis(values, -1, 0)
-        given = self._function(dict(zip(self._names, columns, strict=True)), begin)
+        given = self._ask(_Values(zip(self._names, columns, strict=True)), begin)
         said = given if isinstance(given, Mapping) else {"reward": given}
         terms: Terms = {str(name): self._term(name, term, values.shape[:-1]) for name, term in said.items()}
         total = sum(terms.values(), np.zeros(values.shape[:-1])[()])
         return Outcome(total, terms, {})
+
+    def _ask(self, values: _Values, begin: Begin) -> Any:
+        """What the function gives; what it raises is told to be the reward's."""
+        try:
+            return self._function(values, begin)
+        except _NoPoint as error:
+            name = error.args[0]
+            raise UnknownName(
+                f"reward: {_name(self._function)} asks for {name!r}, which the node does not have; "
+                f"{near(str(name), self._names)}"
+            ) from error
+        except Exception as error:
+            error.add_note(f"in the reward {_name(self._function)}")
+            raise
 
     def _term(self, name: object, term: Any, shape: tuple[int, ...]) -> Any:
         try:

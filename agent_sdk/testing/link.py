@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from agent_sdk.sample import SampleView
 from agent_sdk.testing.building import FakeBuilding
 from topics.errors import EpisodeChanged, InvalidAction, PeerError, Refused, near
-from topics.messages import Accepted, Flag, Mask, Sample, Start, WeatherSeries
+from topics.messages import Accepted, Begun, Flag, Mask, Sample, Start, WeatherSeries
 
 Floats = NDArray[np.float64]
 
@@ -52,9 +52,13 @@ class FakeLink:
         noise = {"sigma": climate.noise_k, "mu": 0.0, "tau_h": climate.noise_tau_h} if climate.noise_k else {}
         self.accepted = Accepted(
             episode=[self._episode],
-            start=Start.READY,
-            weather=self.manifest.weather,
-            drawn={f"dry_bulb_temperature.{name}": value for name, value in noise.items()},
+            begun=[
+                Begun(
+                    start=Start.READY,
+                    weather=self.manifest.weather,
+                    drawn={f"dry_bulb_temperature.{name}": value for name, value in noise.items()},
+                )
+            ],
         )
         return self._sample(values, self.building.own_control)
 

@@ -1,0 +1,110 @@
+"""One sample of all slots, as arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import datetime, timedelta
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent_sdk.clock import clock
+from agent_sdk.sample import SampleView
+from topics import codec
+from topics.messages import Accepted, Flag, Manifest, Sample, WeatherSeries
+
+Floats = NDArray[np.float64]
+_TRUNCATED = int(Flag.TRUNCATED)
+
+
+class SlotsLink(Protocol):
+    """What a vector environment steps: frames in, commands for all slots out."""
+
+    manifest: Manifest
+    accepted: Accepted
+    name: str
+
+    def reset(
+        self, *, seed: int | list[int | None] | None = None, slots: list[int] | None = None, snapshot: str = ""
+    ) -> SampleView:
+        """Starts new episodes, in these slots or in all; a frame in which they are at sample 0."""
+
+    def receive(self) -> SampleView:
+        """Waits for the next frame."""
+
+    def send(self, values: Floats, mask: bytes | None = None, *, still: Sequence[int] = ()) -> None:
+        """Answers the present frame: shape (slots, actuators); those that are `still` do not go on."""
+
+    def weather(self, columns: Sequence[str], slot: int = 0) -> WeatherSeries:
+        """Columns of the weather that a slot's present episode reads."""
+
+    def close(self) -> None:
+        """Lets go; twice is fine."""
+
+
+class Frame:
+    """All slots of one sample.
+
+    Attributes:
+        wire: the message.
+        values: sensors, then meters, shape (slots, points), in manifest order and units; read-only.
+        truncated: of which slots the run period is over, shape (slots,).
+    """
+
+    __slots__ = ("_manifest", "truncated", "values", "wire")
+
+    def __init__(self, wire: Sample, manifest: Manifest) -> None:
+        self.wire, self._manifest = wire, manifest
+        points = len(manifest.sensors) + len(manifest.meters)
+        self.values: Floats = codec.floats(wire.values, (manifest.slots, points), "values")
+        self.truncated = (np.array(wire.flags) & _TRUNCATED).astype(np.bool_)
+
+    @property
+    def applied(self) -> Floats:
+        """What each actuator really was, shape (slots, actuators); NaN where EnergyPlus does not tell."""
+        return self._of_actuators(self.wire.applied, "applied")
+
+    @property
+    def baseline(self) -> dict[str, Floats]:
+        """Points (`baseline`) and actuators (`baseline_applied`) of the building left to its own control, if it runs.
+
+        Shapes (slots, points) and (slots, actuators).
+        """
+        wire = self.wire
+        if not wire.baseline:
+            return {}
+        points = codec.floats(wire.baseline, self.values.shape, "baseline")
+        own = self._of_actuators(wire.baseline_applied, "baseline_applied")
+        return {"baseline": points, "baseline_applied": own}
+
+    def _of_actuators(self, raw: bytes, what: str) -> Floats:
+        return codec.floats(raw, (self._manifest.slots, len(self._manifest.actuators)), what)
+
+    @property
+    def times(self) -> list[datetime]:
+        """Local standard time at the end of each slot's timestep, naive."""
+        known = {text: datetime.fromisoformat(text) for text in set(self.wire.time)}
+        return [known[text] for text in self.wire.time]
+
+    def ruled_by(self, names: Sequence[str]) -> NDArray[np.object_]:
+        """Who set each actuator of each slot: a tuple for each slot, of these names in the order of `rulers`."""
+        shape = (self._manifest.slots, len(self._manifest.actuators))
+        told = np.empty(shape[0], object)
+        for slot, row in enumerate(codec.octets(self.wire.ruler, shape, "ruler").tolist()):
+            told[slot] = tuple(names[i] for i in row)
+        return told
+
+    def observed(self, begins: Sequence[datetime], ends: Sequence[datetime]) -> NDArray[np.float32]:
+        """What an agent observes, shape (slots, time fields + points)."""
+        fields = self._manifest.task.time
+        if not fields:
+            return self.values.astype(np.float32)
+        known = {span: clock(fields, *span) for span in set(zip(begins, ends, strict=True))}
+        clocks = np.array([known[span] for span in zip(begins, ends, strict=True)])
+        return np.concatenate([clocks, self.values], axis=1).astype(np.float32)
+
+
+def step_of(manifest: Manifest) -> timedelta:
+    """Length of a timestep."""
+    return timedelta(hours=1 / manifest.steps_per_hour)

@@ -1,0 +1,68 @@
+"""A place in an episode to go back to."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Any
+
+from zenoh import ZError
+
+from agent_sdk.client import Bus
+from agent_sdk.sample import SampleView
+from topics.errors import BusError, InvalidConfig, Refused
+from topics.messages import Manifest
+
+
+@dataclass(slots=True)
+class Snapshot:
+    """Where an environment stood: `env.reset(options={"snapshot": snap})` goes back there.
+
+    The node keeps an engine that waits at that sample; it costs the memory by which the episode has diverged from it
+    since (`zenostat status` shows it). `close()`, or the end of a `with`, gives it back; so does the environment's end.
+
+    Attributes:
+        node, instance: whose it is.
+        name: what it is called there.
+        sample: the one at which it stands.
+    """
+
+    bus: Bus
+    node: str
+    instance: str
+    name: str
+    sample: SampleView
+    remembered: dict[str, Any] = field(repr=False)
+    closed: bool = False
+
+    def check(self, manifest: Manifest) -> None:
+        """Whether an environment on this node can go back to it.
+
+        Raises:
+            InvalidConfig: it is closed, of another node, or its node has started again since.
+        """
+        if self.closed:
+            raise InvalidConfig(f"snapshot {self.name} of node {self.node!r} is closed; take another one")
+        if self.node != manifest.node:
+            raise InvalidConfig(
+                f"snapshot {self.name} is of node {self.node!r}; this environment is on {manifest.node!r}"
+            )
+        if self.instance != manifest.instance:
+            raise InvalidConfig(
+                f"snapshot {self.name} went with the node {self.node!r} that it was of, which has started again since; "
+                "take another one"
+            )
+
+    def close(self) -> None:
+        """Gives its memory back; twice is fine, and so is after the node's end."""
+        if not self.closed:
+            self.closed = True
+            with suppress(BusError, Refused, ZError):  # the node or the bus has ended, and its snapshots with it
+                if self.bus.manifest(self.node).instance == self.instance:  # another's may have the same name
+                    self.bus.drop(self.node, self.name)
+
+    def __enter__(self) -> Snapshot:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

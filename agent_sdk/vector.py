@@ -1,0 +1,385 @@
+"""Several engines of one node as a Gymnasium vector environment."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import ArrayLike, NDArray
+
+from agent_sdk import settings, spaces
+from agent_sdk.actions import Actions
+from agent_sdk.frame import Frame, SlotsLink, step_of
+from agent_sdk.hold import AGENT, RENDER_MODES, Hold
+from agent_sdk.infos import Infos, joined, masked, only
+from agent_sdk.launch import OwnNode
+from agent_sdk.limits import Limits
+from agent_sdk.render import History
+from agent_sdk.rewards import AnyReward
+from agent_sdk.slot import Seeds, Slot, seeds_of, slots_of
+from agent_sdk.wrappers import apply_wrappers
+from bridge.affinity import Affinity
+from topics.errors import EpisodeChanged, InvalidConfig, near
+from topics.messages import Mask, WeatherSeries
+
+Observations = NDArray[np.float32]
+Flags = NDArray[np.bool_]
+Stepped = tuple[Observations, NDArray[np.float64], Flags, Flags, Infos]
+
+MOST = 256
+"""Slots of a node."""
+
+
+class BuildingVectorEnv(VectorEnv[Observations, Any, NDArray[Any]]):
+    """One node with an engine for each environment; `gym.make_vec("zenostat/5zone-hot-continuous-v1", num_envs=8)`.
+
+    All engines simulate their timestep at the same time, and a step is one frame there and one back. Slot i is what
+    a single environment with its seed gives: an int seeds slot i with `seed + i`, a list each with its own.
+
+    Args:
+        num_envs: how many, 1 to 256. A node on a bus must have as many slots.
+        autoreset_mode: `NextStep`: a slot whose episode has ended begins anew at the next step, whose action it does
+            not read; `SameStep`: at once, the end's observation and info standing in `final_obs` and `final_info`;
+            `Disabled`: only by `reset(options={"reset_mask": …})`.
+        reward, connect, node, level, affinity, render_mode, link: see `BuildingEnv`. A reward of your own gets an
+            array for each point and a list of times, with an entry a slot.
+        given: what is simulated, as `BuildingEnv` takes it.
+
+    Raises:
+        UsageError, BusError, SimulatorError: see `topics.errors`; nothing is left behind.
+
+    Warns:
+        UserWarning: something in the model works against the scenario's actuators.
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        *,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        reward: AnyReward | None = settings.OF_THE_SCENARIO,
+        connect: str | None = None,
+        node: str | None = None,
+        level: int = 10,
+        affinity: Affinity | str = Affinity.APART,
+        render_mode: str | None = None,
+        keys: str | Path | None = None,
+        link: SlotsLink | None = None,
+        **given: Any,
+    ) -> None:
+        self.num_envs, self._mode = _count(num_envs), _mode(autoreset_mode)
+        self._hold = Hold(
+            {name: value for name, value in _known(given).items() if value is not None},
+            reward=reward, connect=connect, node=node, level=level, affinity=affinity, render_mode=render_mode,
+            keys=keys, link=link, slots=self.num_envs,
+        )  # fmt: skip
+        with ExitStack() as undo:
+            undo.callback(self._hold.close)
+            manifest = self.manifest = self._hold.manifest
+            self._actions = Actions(manifest)
+            self.single_action_space = self._actions.space
+            self.single_observation_space = spaces.observation_space(manifest)
+            self.action_space = batch_space(self.single_action_space, num_envs)
+            self.observation_space = batch_space(self.single_observation_space, num_envs)
+            self.reward = self._hold.reward
+            self._reward = self.reward.bind(manifest) if self.reward is not None else None
+            self._limits = Limits(manifest, num_envs) if manifest.task.terminate else None
+            self._histories = [History(manifest) for _ in range(num_envs)] if render_mode == "rgb_array" else []
+            if render_mode == "rerun":
+                self._hold.watch()
+            undo.pop_all()
+        self.render_mode = render_mode
+        self.metadata = {"render_modes": [*RENDER_MODES], "render_fps": 4, "autoreset_mode": self._mode}
+        self.envs = tuple(Slot(self, number) for number in range(num_envs))
+        self._timestep = step_of(manifest)
+        self._mask = None if self._actions.mask is None else self._actions.mask * num_envs
+        self._frame: Frame | None = None
+        self._seen = np.zeros(self.observation_space.shape or (), np.float32)
+        self._over = np.zeros(num_envs, np.bool_)
+        self._context: list[dict[int, float | None]] = [{} for _ in self.envs]
+        self._outputs = [""] * num_envs
+        self._rulers: tuple[bytes, list[str]] = (b"", [])
+        self._ruled_by: NDArray[np.object_] = np.empty(num_envs, object)
+        self._hold.warn(stacklevel=3)
+
+    # Episodes
+
+    def reset(self, *, seed: Seeds = None, options: dict[str, Any] | None = None) -> tuple[Observations, Infos]:
+        """Starts an episode in each slot, or in those of `options={"reset_mask": …}`, a bool array of shape (slots,).
+
+        Seeds and infos are those of `BuildingEnv.reset`. The observations of the other slots are their latest.
+
+        Raises:
+            InvalidConfig: other options, no such mask, or no such seeds.
+        """
+        self._hold.check_open()
+        slots = slots_of(options or {}, self.num_envs)
+        seeds = seeds_of(seed, slots, self.num_envs)
+        if self._frame is None and len(slots) < self.num_envs:
+            raise EpisodeChanged("call reset() for all slots first")
+        if isinstance(seed, int):
+            super().reset(seed=seed)
+        infos = self._begin(slots, seeds)
+        return self._seen.copy(), infos
+
+    def _begin(self, slots: list[int], seeds: list[int | None] | None = None) -> Infos:
+        """New episodes in these slots; their infos. The observations go to `_seen`."""
+        whole = len(slots) == self.num_envs
+        self._frame = None
+        first = seeds[0] if seeds and self.num_envs == 1 else seeds
+        link = self.link
+        frame = Frame(link.reset(seed=first, slots=None if whole else slots).wire, self.manifest)
+        self._forget(None if whole else slots)
+        times = frame.times
+        self._seen[slots] = frame.observed(times, times)[slots]
+        for slot in slots:
+            self._over[slot], self._context[slot] = False, {}
+            if self._histories:
+                self._histories[slot].clear()
+                self._histories[slot].add(times[slot], frame.values[slot])
+        self._frame = frame
+        begun: Infos = {}
+        for slot, how in zip(slots, link.accepted.begun, strict=True):
+            self._outputs[slot] = how.outputs
+            told = {"weather": how.weather, "weather_noise": how.drawn, "start": how.start}
+            begun = self._add_info(begun, told, slot)
+        every, these = np.ones(self.num_envs, np.bool_), np.zeros(self.num_envs, np.bool_)
+        these[slots] = True
+        return only(masked(self._of_sample(frame), every), these) | begun
+
+    def _forget(self, slots: list[int] | None) -> None:
+        for remembers in (self._reward, self._limits):
+            if remembers is not None:
+                remembers.reset(slots)
+
+    # Timesteps
+
+    def step(self, actions: ArrayLike) -> Stepped:
+        """Simulates one timestep of each slot; in mode `NextStep` those that have ended begin anew instead.
+
+        Infos are those of `BuildingEnv.step`, in Gymnasium's form for vectors.
+
+        Raises:
+            InvalidAction: wrong shape, out of bounds, not finite, or no such choice; nothing was simulated.
+            NodeLost, SimulatorError, Refused, EpisodeChanged: see `ControlLink.receive`.
+        """
+        again = self._ready()
+        commanded, mask = self._command(actions, again)
+        begun = self._begin(again) if again else {}
+        if len(again) == self.num_envs:
+            none = np.zeros(self.num_envs, np.bool_)
+            return self._seen.copy(), np.zeros(self.num_envs), none, none.copy(), begun
+        link = self.link
+        link.send(commanded if self.num_envs > 1 else commanded[0], mask, still=again)
+        frame = self._frame = Frame(link.receive().wire, self.manifest)
+        rewards, terminated, truncated, infos = self._outcome(frame, commanded, again)
+        ended = terminated | truncated
+        if self._mode is AutoresetMode.SAME_STEP:
+            if ended.any():
+                infos = self._end(ended, infos)
+        else:
+            self._over = ended
+            infos = joined(infos, begun) if begun else infos
+        return self._seen.copy(), rewards, terminated, truncated, infos
+
+    def _ready(self) -> list[int]:
+        """The slots that begin anew with this step."""
+        if self._frame is None or self.closed:
+            self._hold.check_open()
+            raise EpisodeChanged("call reset() before step()")
+        again: list[int] = np.flatnonzero(self._over).tolist()
+        if again and self._mode is AutoresetMode.DISABLED:
+            raise EpisodeChanged(
+                f"the episode is over in slots {', '.join(map(str, again))}; call reset(options={{'reset_mask': …}})"
+            )
+        return again
+
+    def _outcome(
+        self, frame: Frame, commanded: NDArray[np.float64], again: list[int]
+    ) -> tuple[NDArray[np.float64], Flags, Flags, Infos]:
+        """Rewards, terminated, truncated and infos of the slots that have gone on; observations go to `_seen`."""
+        count, ends = self.num_envs, frame.times
+        begins = [end - self._timestep for end in ends]
+        told = self._of_sample(frame)
+        told["action"] = commanded
+        rewards = np.zeros(count)
+        if self._reward is not None:
+            rewards[:], told["reward_terms"], told["reward_measures"] = self._reward(frame.values, begins)
+        broken = self._limits.broken_slots(frame.values) if self._limits is not None else {}
+        observed, live, infos = frame.observed(begins, ends), np.ones(count, np.bool_), {}
+        infos = masked(told, live)
+        truncated = frame.truncated
+        if again:
+            self._forget(again)  # they are at sample 0 in this frame, and have gone nowhere
+            live[again], observed[again] = False, self._seen[again]
+            rewards[again] = 0.0
+            infos = only(infos, live.copy())
+        self._seen = observed
+        for slot, history in enumerate(self._histories):
+            if live[slot]:
+                history.add(ends[slot], frame.values[slot])
+        terminated = np.zeros(count, np.bool_)
+        terminated[[slot for slot in broken if live[slot]]] = True
+        if broken or truncated.any():
+            infos |= self._of_end(broken, terminated, terminated | truncated)
+        return rewards, terminated, truncated, infos
+
+    def _end(self, ended: Flags, infos: Infos) -> Infos:
+        """Those that have ended begin anew; the infos with how they ended."""
+        last = np.full(self.num_envs, None, object)
+        slots = np.flatnonzero(ended).tolist()
+        for slot in slots:
+            last[slot] = self._seen[slot].copy()
+        final, infos = only(infos, ended), only(infos, ~ended)
+        infos = joined(infos, self._begin(slots))
+        return infos | {"final_obs": last, "_final_obs": ended, "final_info": final, "_final_info": ended.copy()}
+
+    # Infos
+
+    def _of_sample(self, frame: Frame) -> Infos:
+        """What a frame says of all slots."""
+        wire = frame.wire
+        if (wire.ruler, wire.rulers) != self._rulers:
+            me = self.link.name
+            self._rulers = (wire.ruler, wire.rulers)
+            self._ruled_by = frame.ruled_by([AGENT if who == me else who for who in wire.rulers])
+        return {
+            "time": np.array(wire.time, object),
+            "step": np.array(wire.step),
+            "applied": frame.applied,
+            "ruled_by": self._ruled_by.copy(),
+            "late": wire.late,
+            "rejected": wire.rejected,
+            **frame.baseline,
+        }
+
+    def _of_end(self, broken: Mapping[int, str], terminated: Flags, ended: Flags) -> Infos:
+        told: Infos = {}
+        kept = ended & np.array([bool(folder) for folder in self._outputs])
+        for key, has, words in (("terminated_by", terminated, broken), ("outputs", kept, self._outputs)):
+            if has.any():
+                texts = np.full(self.num_envs, None, object)
+                for slot in np.flatnonzero(has).tolist():
+                    texts[slot] = words[slot]
+                told |= {key: texts, f"_{key}": has.copy()}
+        return told
+
+    # Commands
+
+    def _command(self, actions: ArrayLike, unread: Sequence[int]) -> tuple[NDArray[np.float64], bytes | None]:
+        values, mask = self._actions.rows(actions, self.num_envs, unread), self._mask
+        if any(self._context):
+            assert mask is not None
+            kinds = np.frombuffer(mask, np.uint8).reshape(values.shape).copy()
+            for slot, context in enumerate(self._context):
+                for index, value in context.items():
+                    kinds[slot, index] = Mask.RELEASE if value is None else Mask.SET
+                    values[slot, index] = 0.0 if value is None else value
+                self._context[slot] = {}
+            mask = kinds.tobytes()
+        return values, mask
+
+    def set_context(self, values: Mapping[str, float | None]) -> None:
+        """`BuildingEnv.set_context` in all slots; `envs[i].set_context` does it in one."""
+        for slot in range(self.num_envs):
+            self.set_slot_context(slot, values)
+
+    def set_slot_context(self, slot: int, values: Mapping[str, float | None]) -> None:
+        """See `BuildingEnv.set_context`."""
+        self._context[slot] |= self._actions.context(values)
+
+    # What can be asked
+
+    @property
+    def link(self) -> SlotsLink:
+        """The hold on the node."""
+        return cast("SlotsLink", self._hold.link)
+
+    @property
+    def own_node(self) -> OwnNode | None:
+        """The node that was started; None if it runs elsewhere."""
+        return self._hold.own_node
+
+    def slot_weather(self, slot: int, columns: Sequence[str]) -> WeatherSeries:
+        """See `BuildingEnv.weather`."""
+        return self.link.weather(columns, slot) if slot else self.link.weather(columns)
+
+    @property
+    def observation_names(self) -> tuple[str, ...]:
+        """Names of the values of each slot's observation: time fields, sensors, meters."""
+        return (*map(str, self.manifest.task.time), *self.manifest.names)
+
+    @property
+    def action_names(self) -> tuple[str, ...]:
+        """Names of the dimensions of each slot's action; of what the choices set where it is discrete."""
+        return tuple(self._actions.names)
+
+    def observation_dict(self, observation: ArrayLike) -> dict[str, float]:
+        """The values of one slot's observation by name, in the unit that the manifest says."""
+        return dict(zip(self.observation_names, np.asarray(observation).tolist(), strict=True))
+
+    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
+        """What a method (or an attribute) of each slot gives; see `Slot`."""
+        found = [getattr(slot, name) for slot in self.envs]
+        return tuple(one(*args, **kwargs) if callable(one) else one for one in found)
+
+    def get_attr(self, name: str) -> tuple[Any, ...]:
+        """An attribute of each slot."""
+        return tuple(getattr(slot, name) for slot in self.envs)
+
+    def set_attr(self, name: str, values: Any) -> None:
+        """Sets an attribute of each slot: from a list or tuple each its own, else all the same."""
+        each = values if isinstance(values, list | tuple) else [values] * self.num_envs
+        if len(each) != self.num_envs:
+            raise InvalidConfig(f"{name}: {len(each)} values for {self.num_envs} slots")
+        for slot, value in zip(self.envs, each, strict=True):
+            setattr(slot, name, value)
+
+    def render(self) -> tuple[Any, ...]:
+        """For each slot what `BuildingEnv.render` gives."""
+        return tuple(history.picture() for history in self._histories) or (None,) * self.num_envs
+
+    def close_extras(self, **_: Any) -> None:
+        """Lets go of the node, and ends it if it is this environment's own."""
+        self._hold.close()
+
+
+def make(num_envs: int = 1, **given: Any) -> VectorEnv[Any, Any, Any]:
+    """The vector environment of a scenario, within the wrappers that it names; what `gym.make_vec` calls.
+
+    Raises:
+        UsageError, BusError, SimulatorError: see `BuildingVectorEnv`; nothing is left behind.
+    """
+    env = BuildingVectorEnv(num_envs, **given)
+    try:
+        wrapped: VectorEnv[Any, Any, Any] = apply_wrappers(env, env.manifest.task.wrappers)
+    except BaseException:
+        env.close()
+        raise
+    return wrapped
+
+
+def _known(given: Mapping[str, Any]) -> Mapping[str, Any]:
+    known = [*settings.OF_A_NODE, *list(BuildingVectorEnv.__init__.__kwdefaults__ or {})]
+    if unknown := [name for name in given if name not in known]:
+        raise InvalidConfig("\n".join(f"no argument {name!r}; {near(name, known)}" for name in unknown))
+    return given
+
+
+def _count(count: int) -> int:
+    if not isinstance(count, int) or not 1 <= count <= MOST:
+        raise InvalidConfig(f"num_envs = {count!r}; a number from 1 to {MOST} expected")
+    return count
+
+
+def _mode(given: AutoresetMode | str) -> AutoresetMode:
+    try:
+        return AutoresetMode(given)
+    except ValueError:
+        modes = ", ".join(mode.value for mode in AutoresetMode)
+        raise InvalidConfig(f"autoreset_mode {given!r}; there are: {modes}") from None

@@ -1,0 +1,40 @@
+"""What the machine does besides: the share of its cores that others took."""
+
+from __future__ import annotations
+
+import os
+
+import psutil
+
+_TICK_S = 1.0 / os.sysconf("SC_CLK_TCK")
+
+
+def _busy_s() -> float:
+    with open("/proc/stat") as file:
+        user, nice, system, _idle, _waits, irq, soft, steal = map(int, file.readline().split()[1:9])
+    return (user + nice + system + irq + soft + steal) * _TICK_S
+
+
+def _own_s() -> dict[int, float]:
+    me = psutil.Process()
+    spent = {}
+    for process in [me, *me.children(recursive=True)]:
+        try:
+            times = process.cpu_times()
+        except psutil.NoSuchProcess:
+            continue
+        spent[process.pid] = times.user + times.system
+    return spent
+
+
+class Others:
+    """Counts from its beginning on what others, and the host, took of the cores; Linux only."""
+
+    def __init__(self) -> None:
+        self._wall, self._busy, self._own = os.times().elapsed, _busy_s(), _own_s()
+
+    def share(self) -> float:
+        """0 to 1, of all cores."""
+        wall = os.times().elapsed - self._wall
+        own = sum(spent - self._own.get(pid, 0.0) for pid, spent in _own_s().items())
+        return max(0.0, (_busy_s() - self._busy - own) / (wall * (os.cpu_count() or 1)))

@@ -1,0 +1,28 @@
+"""The file of a fault plan."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from topics import readable
+from topics.codec import explain
+from topics.errors import InvalidConfig
+from topics.faults import FaultPlan
+
+
+def read_plan(path: Path) -> FaultPlan:
+    """The plan in a YAML file.
+
+    Raises:
+        InvalidConfig: no such file, no YAML, or no plan; names all that is wrong.
+    """
+    try:
+        text = path.expanduser().read_text(encoding="utf-8")
+    except (OSError, RuntimeError, UnicodeDecodeError) as error:
+        raise InvalidConfig(f"{path} cannot be read: {error}") from None
+    try:
+        return FaultPlan.model_validate(readable.parse(text, str(path)))
+    except ValidationError as error:
+        raise InvalidConfig(f"{path}: {explain(error, FaultPlan.model_fields)}") from None

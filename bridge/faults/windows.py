@@ -1,0 +1,209 @@
+"""When faults are on: windows of steps and of the clock, and bursts that begin by chance."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from enum import StrEnum
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bridge.faults.draws import Draws, Episodes, Key, Law, fault_key
+from topics.errors import Faults, InvalidConfig
+from topics.faults import WEEKDAYS, AnyFault, FaultPlan, When, moment
+
+FOREVER = 2**62
+_DAY_S, _WEEK_S = 86_400, 7 * 86_400
+_NEVER = -1
+
+
+class Turn(StrEnum):
+    """What happened to a fault."""
+
+    BEGAN = "began"
+    ENDED = "ended"
+
+
+class Told(NamedTuple):
+    """A fault of a slot began or ended at a step; ended: it is not on there any more."""
+
+    turn: Turn
+    fault: str
+    slot: int
+    step: int
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """The samples of an episode: `step_s` apart since `begin` (sample 0) until `end`, where that is known."""
+
+    step_s: float
+    begin: datetime
+    end: datetime | None = None
+
+    @property
+    def last(self) -> int:
+        """The step of the last sample."""
+        return FOREVER if self.end is None else self._floor((self.end - self.begin).total_seconds())
+
+    @property
+    def week(self) -> int:
+        """Samples in a week: the clock repeats itself after them."""
+        return round(_WEEK_S / self.step_s)
+
+    def _floor(self, elapsed_s: float) -> int:
+        return math.floor(elapsed_s / self.step_s + 1e-9)
+
+    def ceil(self, elapsed_s: float) -> int:
+        """The first step that is no earlier."""
+        return math.ceil(elapsed_s / self.step_s - 1e-9)
+
+    def __str__(self) -> str:
+        end = "" if self.end is None else f" to {self.end.isoformat(timespec='minutes')}"
+        return f"every {self.step_s:g} s from {self.begin.isoformat(timespec='minutes')}{end}"
+
+
+def span(when: When, grid: Grid) -> tuple[int, int]:
+    """The first step of a window, and the one that is not in it any more."""
+    year = grid.begin.year
+    first = [0, when.from_step or 0, grid.ceil(when.from_s or 0.0)]
+    end = [grid.last + 1]
+    if when.from_time is not None:
+        first.append(grid.ceil((moment(when.from_time, year) - grid.begin).total_seconds()))
+    if when.to_step is not None:
+        end.append(when.to_step)
+    if when.to_s is not None:
+        end.append(grid.ceil(when.to_s))
+    if when.to_time is not None:
+        end.append(grid.ceil((moment(when.to_time, year) - grid.begin).total_seconds()))
+    return max(first), min(end)
+
+
+def clock(when: When, grid: Grid) -> NDArray[np.bool_] | None:
+    """Of each sample of the first week, whether hours and weekdays let the fault be on; None: all of them do."""
+    if when.hours is None and when.weekdays is None:
+        return None
+    monday = datetime.combine(grid.begin.date() - timedelta(grid.begin.weekday()), datetime.min.time())
+    elapsed = (grid.begin - monday).total_seconds()
+    seconds = np.round(elapsed + np.arange(grid.week) * grid.step_s, 6) % _WEEK_S
+    on = np.ones(grid.week, np.bool_)
+    if when.hours is not None:
+        first, end = when.hours
+        hour = seconds % _DAY_S / 3600.0
+        on &= (first <= hour) & (hour < end) if first < end else (hour >= first) | (hour < end)
+    if when.weekdays is not None:
+        on &= np.isin(seconds // _DAY_S, [WEEKDAYS.index(day) for day in when.weekdays])
+    return on
+
+
+def check(name: str, when: When, grid: Grid) -> None:
+    """Raises `InvalidConfig` if the window holds no sample at all."""
+    first, end = span(when, grid)
+    on = clock(when, grid)
+    if first < end and on is not None:
+        steps = np.arange(first, min(end, first + grid.week)) % grid.week
+        end = end if on[steps].any() else first
+    if first >= end:
+        raise InvalidConfig(f"fault {name!r} is never on: no sample is in its window; samples are {grid}")
+
+
+class Windows:
+    """The faults of a plan that are of some kind, and whether each is on in each slot.
+
+    A burst that begins where another ends goes on from it.
+
+    Attributes:
+        names, keys, faults: of them, in the plan's order.
+        on: shape (faults, slots).
+        since: step at which it began, shape (faults, slots); -1 where it is off.
+        at: the steps of the last `move`, shape (slots,).
+
+    Raises:
+        InvalidConfig: windows without a sample; all of them.
+    """
+
+    def __init__(self, plan: FaultPlan, kind: type[AnyFault], grid: Grid, episodes: Episodes) -> None:
+        chosen = [
+            (name, fault_key(fault.name, position), fault)
+            for position, (name, fault) in enumerate(zip(plan.names, plan.faults, strict=True))
+            if isinstance(fault, kind)
+        ]
+        self.names = [name for name, _, _ in chosen]
+        self.keys: list[Key] = [key for _, key, _ in chosen]
+        self.faults: list[Any] = [fault for _, _, fault in chosen]
+        gathered = Faults()
+        for name, _, fault in chosen:
+            gathered.catch(lambda name=name, fault=fault: check(name, fault.when, grid))  # type: ignore[misc]
+        gathered.raise_all()
+        whens = [fault.when for _, _, fault in chosen]
+        self._slots = len(episodes.keys)
+        self._span = np.array([span(when, grid) for when in whens], np.int64).reshape(-1, 2).T[:, :, None]
+        self._week = [(row, on) for row, when in enumerate(whens) if (on := clock(when, grid)) is not None]
+        self._bursts = [
+            (row, when.probability, when.lasts_steps or 1, Draws(plan.seed, self.keys[row], Law.BEGIN, 1, episodes))
+            for row, when in enumerate(whens)
+            if when.probability is not None
+        ]
+        shape = (len(chosen), self._slots)
+        self.on = np.zeros(shape, np.bool_)
+        self.since = np.full(shape, _NEVER, np.int64)
+        self._until = np.zeros(shape, np.int64)
+        self.at = np.full(self._slots, _NEVER, np.int64)
+        self._steps: list[int] = []
+        self._told: list[Told] = []
+
+    def move(self, steps: Sequence[int]) -> None:
+        """The slots are at these steps now; a slot may stay where it is."""
+        if steps == self._steps:
+            return
+        self._steps = [*steps]
+        self.at = at = np.array(steps, np.int64)
+        first, end = self._span
+        on = (first <= at) & (at < end)
+        for row, week in self._week:
+            on[row] &= week[at % len(week)]
+        for row, probability, lasts, draws in self._bursts:
+            until = np.where(on[row], self._until[row], 0)
+            begins = on[row] & (at >= until) & (draws.at(at)[:, 0] < probability)
+            self._until[row] = until = np.where(begins, at + lasts, until)
+            on[row] &= at < until
+        changed = on != self.on
+        if changed.any():
+            self.since = np.where(on, np.where(self.on, self.since, at), _NEVER)
+            self.on = on
+            for row, slot in np.argwhere(changed).tolist():
+                turn = Turn.BEGAN if on[row, slot] else Turn.ENDED
+                self._told.append(Told(turn, self.names[row], slot, self._steps[slot]))
+
+    def told(self) -> list[Told]:
+        """What began or ended since this was asked last."""
+        told, self._told = self._told, []
+        return told
+
+    def reset(self, slots: Sequence[int]) -> None:
+        """New episodes: whatever is on ends with the former one."""
+        for row, slot in np.argwhere(self.on).tolist():
+            if slot in slots:
+                self._told.append(Told(Turn.ENDED, self.names[row], slot, int(self.at[slot])))
+        self._forget(slots)
+
+    def _forget(self, slots: Sequence[int]) -> None:
+        self._steps = []
+        for slot in slots:
+            self.on[:, slot], self.since[:, slot], self._until[:, slot], self.at[slot] = False, _NEVER, 0, _NEVER
+
+    def state(self, slot: int) -> tuple[int, list[int], list[int]]:
+        """Where a slot stands: its step, and of each fault since when and, in a burst, until when it is on."""
+        return int(self.at[slot]), self.since[:, slot].tolist(), self._until[:, slot].tolist()
+
+    def restore(self, slot: int, state: tuple[int, list[int], list[int]]) -> None:
+        """Has a slot stand there again; nothing is told of it."""
+        step, since, until = state
+        self._forget([slot])
+        self._told = [told for told in self._told if told.slot != slot]
+        self.at[slot], self.since[:, slot], self._until[:, slot] = step, since, until
+        self.on[:, slot] = self.since[:, slot] != _NEVER

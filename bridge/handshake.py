@@ -1,0 +1,41 @@
+"""Why no session over TLS came about: Zenoh only tells of a timeout, so the handshake is made once more."""
+
+from __future__ import annotations
+
+import socket
+import ssl
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from bridge.certificates import Identity
+
+_PATIENCE_S = 2.0
+
+
+def why_refused(endpoint: str, shown: Identity) -> str:
+    """What failed at `tls/HOST:PORT`, and what would be right."""
+    host, _, port = endpoint.partition("/")[2].rpartition(":")
+    host = host.strip("[]")
+    context = ssl.create_default_context(cafile=str(shown.authority))
+    context.load_cert_chain(shown.certificate, shown.key)
+    try:
+        with (
+            socket.create_connection((host, int(port)), _PATIENCE_S) as link,
+            context.wrap_socket(link, server_hostname=host) as secured,
+        ):
+            secured.recv(1)  # who listens says only now whether it takes this side's certificate
+    except ssl.SSLCertVerificationError as error:
+        return (
+            f"the certificate at {endpoint} was refused: {error.verify_message}; is it a node's of the authority "
+            f"{shown.authority}, and is {host!r} among its hosts (zenostat keys show)?"
+        )
+    except ssl.SSLError as error:
+        return (
+            f"{endpoint} refused the session over TLS: {error.reason or error}; does it have keys, and of the same "
+            f"authority as {shown.certificate} (zenostat keys show)?"
+        )
+    except TimeoutError:
+        pass
+    except OSError as error:
+        return f"nobody listens on {endpoint} ({error.strerror or error}); start a node there: zenostat node --help"
+    return f"no session over TLS with {endpoint}; is it a node or router of Zenostat, of the same authority?"

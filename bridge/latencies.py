@@ -1,0 +1,38 @@
+"""How long things take, kept in a ring."""
+
+from __future__ import annotations
+
+from array import array
+
+import numpy as np
+
+from topics.messages import Spread
+
+_KEPT = 4096
+
+
+class Latencies:
+    """Durations in seconds: how many there were, the longest, and the latest 4,096."""
+
+    __slots__ = ("_count", "_most_s", "_ring")
+
+    def __init__(self) -> None:
+        self._ring = array("d", bytes(8 * _KEPT))
+        self._count = 0
+        self._most_s = 0.0
+
+    def add(self, duration_s: float) -> None:
+        """One more."""
+        self._ring[self._count % _KEPT] = duration_s
+        self._count += 1
+        if duration_s > self._most_s:
+            self._most_s = duration_s
+
+    def spread(self) -> Spread:
+        """Their median, 99th percentile (nearest rank) and maximum; any thread may ask."""
+        count = self._count
+        if not count:
+            return Spread()
+        latest = np.array(self._ring[: min(count, _KEPT)])
+        median, p99 = np.percentile(latest, (50, 99), method="closest_observation")
+        return Spread(count=count, median_ms=1e3 * median, p99_ms=1e3 * p99, max_ms=1e3 * self._most_s)

@@ -1,0 +1,5 @@
+"""The ZeroMQ gateway: programs that speak only ZeroMQ and msgpack join a bus. It needs pyzmq (`zenostat[zeromq]`)."""
+
+from bridge.zeromq.gateway import Gateway
+
+__all__ = ["Gateway"]

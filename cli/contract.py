@@ -1,0 +1,30 @@
+"""`zenostat contract`: what travels on the bus, for programs in other languages."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from topics.errors import InvalidConfig
+
+
+def contract(
+    output: Annotated[Path | None, typer.Option(help="Write it into this file.")] = None,
+) -> None:
+    """Prints the contract of the bus as an AsyncAPI 3.0 document (YAML).
+
+    Example: `zenostat contract --output asyncapi.yaml`
+    """
+    from topics.asyncapi import document
+    from topics.readable import dump
+
+    text = dump(document())
+    if output is None:
+        sys.stdout.write(text)
+        return
+    if not output.absolute().parent.is_dir():
+        raise InvalidConfig(f"there is no folder {output.absolute().parent} to write {output.name} into")
+    output.write_text(text, encoding="utf-8")

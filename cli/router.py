@@ -1,0 +1,48 @@
+"""`zenostat router`: a meeting point for nodes and controllers."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from cli.console import err, out, until_signal
+from cli.keys import CertificateName, Keys
+
+
+def router(
+    listen: Annotated[
+        list[str] | None, typer.Option(help="Endpoint to listen on; repeated. The loopback's port 7447 by default.")
+    ] = None,
+    connect: Annotated[
+        list[str] | None, typer.Option(help="Endpoint of another router, which may come later; repeated.")
+    ] = None,
+    expose: Annotated[bool, typer.Option("--expose", help="Allow listening beyond this machine.")] = False,
+    keys: Keys = None,
+    certificate: CertificateName = None,
+) -> None:
+    """Runs a router until Ctrl-C: nodes and controllers connect to it, and need not reach each other.
+
+    Example: `zenostat router --listen tcp/127.0.0.1:7447`
+    """
+    from bridge.session import Mode, default_endpoint, exposure, open_session
+    from topics.keys import Role
+
+    endpoints = listen or [default_endpoint(keys)]
+    with (
+        until_signal() as stop,
+        open_session(
+            listen=endpoints,
+            connect=connect or (),
+            wait=True,
+            expose=expose,
+            keys=keys,
+            role=Role.NODE,
+            certificate=certificate,
+            mode=Mode.ROUTER,
+        ),
+    ):
+        if warning := exposure(endpoints, keys):
+            err.print(f"warning: {warning}", style="yellow", markup=False)
+        out.print(f"router on {', '.join(endpoints)}; Ctrl-C ends it", markup=False)
+        stop.wait()

@@ -1,0 +1,33 @@
+"""How a node kept up, as a table."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rich.table import Table
+
+from topics.messages import ControllerStatus, Spread, Statistics
+
+
+def table(statistics: Statistics, controllers: Sequence[ControllerStatus]) -> Table:
+    """Durations in milliseconds, the messages that changed nothing, and what came too late; see docs/time.md."""
+    made = Table("", *(one for one in ("times", "median (ms)", "p99 (ms)", "max (ms)")), caption=_counts(statistics))
+    for column in made.columns[1:]:
+        column.justify = "right"
+    for name, spread in (("step", statistics.step), ("cycle", statistics.cycle)):
+        made.add_row(name, *_cells(spread))
+    for controller in controllers:
+        made.add_row(f"response of {controller.controller}", *_cells(controller.response))
+    return made
+
+
+def _cells(spread: Spread) -> tuple[str, ...]:
+    if not spread.count:
+        return "0", "-", "-", "-"
+    return str(spread.count), *(f"{ms:.3g}" for ms in (spread.median_ms, spread.p99_ms, spread.max_ms))
+
+
+def _counts(statistics: Statistics) -> str:
+    names = ("late", "rejected", "duplicate", "flooded", "missed", "overruns")
+    behind = f" ({statistics.behind_s:.3g} s behind at worst)" if statistics.overruns else ""
+    return ", ".join(f"{getattr(statistics, name)} {name}" for name in names) + behind

@@ -1,0 +1,61 @@
+"""`zenostat zmq`: controllers that speak only ZeroMQ join a bus."""
+
+from __future__ import annotations
+
+import importlib.util
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Annotated
+
+import typer
+
+from bridge.session import DEFAULT_ENDPOINT, default_endpoint
+from cli.console import out
+from cli.keys import CertificateName, Keys
+from topics.errors import InvalidConfig
+from topics.keys import Role
+
+
+def zmq(
+    connect: Annotated[str | None, typer.Option(help="Endpoint of the bus.", show_default=DEFAULT_ENDPOINT)] = None,
+    keys: Keys = None,
+    certificate: CertificateName = None,
+    node: Annotated[str, typer.Option(help="Only this node; all by default.")] = "*",
+    publish: Annotated[str, typer.Option(help="Where samples, events and manifests go out.")] = "tcp://127.0.0.1:5556",
+    command: Annotated[str, typer.Option(help="Where requests come in.")] = "tcp://127.0.0.1:5557",
+    lease: Annotated[float, typer.Option(help="Seconds after which a peer without a heartbeat is gone.")] = 10.0,
+    expose: Annotated[bool, typer.Option("--expose", help="Allow endpoints beyond this machine.")] = False,
+) -> None:
+    """Joins programs that speak only ZeroMQ to a bus, until Ctrl-C; with keys, as a controller.
+
+    Example: `zenostat zmq --node office`
+    """
+    if importlib.util.find_spec("zmq") is None:
+        raise InvalidConfig("pyzmq is not installed: pip install 'zenostat[zeromq]'")
+    from bridge.session import open_session
+    from bridge.zeromq import Gateway
+
+    connect = connect or default_endpoint(keys)
+    with (
+        open_session(connect=[connect], keys=keys, role=Role.CONTROLLER, certificate=certificate) as session,
+        Gateway(session, node, publish=publish, command=command, lease_s=lease, expose=expose) as gateway,
+        _signals(gateway.stop),
+    ):
+        of = "all nodes" if node == "*" else node
+        where = f"samples on {gateway.publish}, requests to {gateway.command}"
+        out.print(f"{of} of {connect}: {where}; Ctrl-C ends it", soft_wrap=True)
+        gateway.run()
+    counts = gateway.counts
+    out.print(f"{counts.samples} samples, {counts.requests} requests, {counts.denied} of them denied")
+
+
+@contextmanager
+def _signals(stop: Callable[[], None]) -> Iterator[None]:
+    """Ctrl-C and SIGTERM call `stop`."""
+    before = {s: signal.signal(s, lambda *_: stop()) for s in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

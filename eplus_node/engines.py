@@ -1,0 +1,150 @@
+"""The engines of a node, which step together: one for each slot, and beside them the baseline's, if there is one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from eplus_node.link import EngineLink, one_for_each
+
+
+class Engines:
+    """Engines at their samples. Arrays are raw float64, in slot order.
+
+    Args:
+        links: an engine for each slot.
+        baselines: for each slot one that nobody commands; empty if there are none.
+
+    Attributes:
+        links, baselines: those.
+    """
+
+    def __init__(self, links: Sequence[EngineLink], baselines: Sequence[EngineLink] = ()) -> None:
+        self.links = [*links]
+        self.baselines = [*baselines]
+        self._width = 8 * len(links[0].run.points.actuators)
+        self._nobody = np.full(self._width // 8, np.nan).tobytes()
+        self.applied = b""
+        self.ruler = b""
+
+    def begin(self, slots: Sequence[int]) -> None:
+        """What holds at an episode's first sample: nobody rules."""
+        rows, who = self._rows(self.applied), self._parts(self.ruler, self._width // 8)
+        for slot in slots:
+            rows[slot], who[slot] = self.links[slot].applied_bytes(self._nobody), bytes(self._width // 8)
+        self.applied, self.ruler = b"".join(rows), b"".join(who)
+
+    def step(self, values: bytes, ruler: bytes, moving: Sequence[int]) -> list[bool]:
+        """Simulates a timestep in the slots that move.
+
+        Args:
+            values: for each actuator, NaN releasing it; shape (slots, actuators).
+            ruler: who set them, uint8 of that shape.
+            moving: slots.
+
+        Returns:
+            For each of `moving`, whether this was its last sample.
+
+        Raises:
+            SimulatorError: an engine failed or died.
+        """
+        links = self.links
+        if len(links) == 1 and not self.baselines:
+            (link,) = links
+            link.send(values)
+            link.receive()
+            self.applied, self.ruler = link.applied_bytes(values), ruler
+            return [link.last]
+        return self._step_all(values, ruler, moving)
+
+    def _step_all(self, values: bytes, ruler: bytes, moving: Sequence[int]) -> list[bool]:
+        links, width = self.links, self._width
+        for slot in moving:
+            links[slot].send(values[slot * width : (slot + 1) * width])
+        beside = [self.baselines[slot] for slot in moving] if self.baselines else []
+        for link in beside:
+            link.send(self._nobody)
+        for link in beside:
+            link.receive()
+        rows, who, wanted = self._rows(self.applied), self._parts(self.ruler, width // 8), self._rows(values)
+        whose = self._parts(ruler, width // 8)
+        for slot in moving:
+            links[slot].receive()
+            rows[slot], who[slot] = links[slot].applied_bytes(wanted[slot]), whose[slot]
+        self.applied, self.ruler = b"".join(rows), b"".join(who)
+        return [links[slot].last for slot in moving]
+
+    def _rows(self, raw: bytes) -> list[bytes]:
+        return self._parts(raw, self._width)
+
+    def _parts(self, raw: bytes, width: int) -> list[bytes]:
+        return [raw[slot * width : (slot + 1) * width] for slot in range(len(self.links))]
+
+    def values_bytes(self) -> bytes:
+        """The latest sensors and meters, shape (slots, points)."""
+        if len(self.links) == 1:
+            return self.links[0].values_bytes()
+        return b"".join([link.values_bytes() for link in self.links])
+
+    def baseline_bytes(self) -> bytes:
+        """The baseline's latest sensors and meters, shape (slots, points); empty if there is none."""
+        return b"".join([link.values_bytes() for link in self.baselines])
+
+    def baseline_applied(self) -> bytes:
+        """What the building's own control set the baseline's actuators to, shape (slots, actuators); NaN: not told."""
+        return b"".join([link.applied_bytes(self._nobody) for link in self.baselines])
+
+    @property
+    def all(self) -> list[EngineLink]:
+        """All of them."""
+        return [*self.links, *self.baselines]
+
+    @property
+    def alive(self) -> bool:
+        """Whether all processes run."""
+        return all(link.alive for link in self.all)
+
+    def raise_dead(self) -> None:
+        """Raises what a dead one has to say: `SimulatorError`; nothing if all live."""
+        for link in self.all:
+            if not link.alive:
+                link.receive()
+
+    @property
+    def rss_bytes(self) -> int:
+        """Resident memory of all, shared pages counted once for each."""
+        return sum(link.rss_bytes for link in self.all)
+
+    @property
+    def private_bytes(self) -> int:
+        """Memory that is one process's alone, of all."""
+        return sum(link.private_bytes for link in self.all)
+
+    def fork(self, child: Callable[[EngineLink], EngineLink]) -> Engines:
+        """A copy that stands at the same samples; `child` forks one engine.
+
+        Raises:
+            SimulatorError: one cannot be forked; then none is.
+        """
+        made, slots = one_for_each(self.all, child), len(self.links)
+        copy = Engines(made[:slots], made[slots:])
+        copy.applied, copy.ruler = self.applied, self.ruler
+        return copy
+
+    def of_slot(self, slot: int, made: Sequence[EngineLink]) -> Engines:
+        """Engines forked from those of one slot: each stands where that one does."""
+        copy = Engines(made)
+        copy.applied = self._rows(self.applied)[slot] * len(made)
+        copy.ruler = self._parts(self.ruler, self._width // 8)[slot] * len(made)
+        return copy
+
+    def interrupt(self) -> None:
+        """Ends those that are computing, so that whoever waits for them is told; any thread may."""
+        for link in self.all:
+            link.interrupt()
+
+    def end(self, *, failed: bool = False) -> None:
+        """Ends all; where its files are kept, EnergyPlus may finish them. Twice is fine."""
+        for link in self.all:
+            link.end(failed=failed)

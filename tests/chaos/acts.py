@@ -1,0 +1,72 @@
+"""What is done to a running building, and when: drawn from a seed."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+
+LONG_S = 12.0
+"""Longer than Zenoh's lease of 10 s: who is frozen so long is taken for dead."""
+
+
+class Act(StrEnum):
+    """One kind of mischief; its text is its row in the table."""
+
+    KILL = "controller killed (SIGKILL), started again later"
+    FREEZE = "controller frozen (SIGSTOP) for up to 1.5 s"
+    FREEZE_LONG = "controller frozen for 12 s, longer than the bus waits for it"
+    RESTART = "controller ended and started again at once"
+    REPEAT = "controller repeats one command 300 times"
+    KILL_MONITOR = "monitor killed, started again later"
+    FREEZE_MONITOR = "monitor frozen for up to 3 s"
+    FREEZE_NODE = "node frozen for up to 0.8 s"
+    FREEZE_ENGINE = "EnergyPlus frozen for up to 0.8 s"
+    KILL_ENGINE = "EnergyPlus killed; the next episode begins"
+    RESET = "reset in the midst of an episode"
+    PAUSE = "paused for up to 0.5 s, then resumed"
+    GARBAGE = "malformed commands: no msgpack, bombs of nested arrays, wrong fields, wrong version"
+    UNKNOWN = "commands by controllers that have claimed nothing"
+    STALE = "commands for steps that are over, in a controller's name"
+    FUTURE = "commands for steps and episodes to come, in a controller's name"
+    OVERSIZED = "commands of more than 8 MB"
+    WRITES = "writes of single points by persons, for a time or until released"
+    BAD_WRITES = "writes that cannot be: unknown points, out of bounds, malformed"
+    BAD_REQUESTS = "requests that cannot be: claims of what is not there or is taken, malformed ones"
+
+
+FLOODS = (Act.GARBAGE, Act.UNKNOWN, Act.STALE, Act.FUTURE, Act.OVERSIZED, Act.WRITES, Act.BAD_WRITES, Act.BAD_REQUESTS)
+"""Those that a stranger with a session of its own does."""
+
+SIZES = {Act.OVERSIZED: (1, 2), Act.WRITES: (1, 6), Act.BAD_REQUESTS: (1, 6)}
+"""Messages of a flood; else 1 to 400."""
+
+_RARE = (Act.FREEZE_LONG, Act.KILL_ENGINE, Act.OVERSIZED)
+_OFTEN = (Act.KILL, Act.FREEZE, Act.RESTART, Act.WRITES)
+_MEAN_PAUSE_S = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """An act, `pause_s` after the one before; `draw` (0 to 1) says whom it meets, `amount` (0 to 1) how much."""
+
+    pause_s: float
+    act: Act
+    draw: float
+    amount: float
+
+
+def script(seed: int, seconds: float) -> Iterator[Step]:
+    """Acts without end, in rounds that have every kind, some often and some rarely; short runs have no long freeze."""
+    rng = random.Random(seed)
+    first = True
+    while True:
+        rare = first or rng.random() < 0.5
+        bag = [act for act in Act if rare or act not in _RARE] + [*_OFTEN, *_OFTEN]
+        if seconds < 3 * LONG_S:
+            bag = [act for act in bag if act is not Act.FREEZE_LONG]
+        rng.shuffle(bag)
+        for act in bag:
+            yield Step(rng.expovariate(1 / _MEAN_PAUSE_S), act, rng.random(), rng.random())
+        first = False

@@ -1,0 +1,172 @@
+"""What must hold after a run, whatever was done to it: each invariant gives its faults in words."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from nodes import programs_of, remains, until
+
+from chaos import journal
+from chaos.account import Account, Episode
+from chaos.acts import Act
+from chaos.replay import differences
+from chaos.run import LEVELS, Outcome
+from topics.messages import Event, EventKind, Flag, Sample
+
+MAY_GROW_BYTES = 16e6
+"""Beyond the most that was held in the first minute, of a run of two minutes or more."""
+
+SHORT_MAY_GROW_BYTES = 48e6
+"""Of a shorter run, beyond its first half: the first command of 8 MB, held in copies, may come after that."""
+
+MAY_GROW = 8
+"""Descriptors and threads, likewise; a status that is being asked for has some."""
+
+CHANGED_NOTHING = (Act.GARBAGE, Act.UNKNOWN, Act.FUTURE, Act.OVERSIZED, Act.BAD_WRITES)
+"""Floods of which every message is rejected or counted as flooded; stale ones are late."""
+
+_REFUSALS = {EventKind.REJECTED: "rejected", EventKind.LATE: "late", EventKind.DUPLICATE: "duplicate"}
+
+
+@dataclass(slots=True)
+class Verdict:
+    """What was found: faults by invariant, and figures of the run."""
+
+    outcome: Outcome
+    faults: dict[str, list[str]]
+    episodes: int
+    samples: int
+    answers: int
+    fallbacks: int
+    messages: int
+    refused: int
+
+    @property
+    def holds(self) -> bool:
+        """Whether all invariants hold."""
+        return not any(self.faults.values())
+
+
+def judge(outcome: Outcome) -> Verdict:
+    """Judges a run by its journals; replays it."""
+    assert outcome.manifest is not None
+    sent = {role: journal.sent(outcome.journal(role)) for role in LEVELS}
+    account, events = Account(outcome.manifest, LEVELS, sent), list[Event]()
+    for message in journal.recorded(outcome.record):
+        if isinstance(message, Sample):
+            account.see(message)
+        else:
+            events.append(message)
+            account.hear(message)
+    # The monitor may have come in the midst of episode 0: what is judged begins with a first sample.
+    known = [episode for episode in account.episodes if episode.samples or episode.failed]
+    counted, messages, refused = _counts(outcome, sent, events)
+    faults = {
+        "the programs end as they should": outcome.faults + _lost(outcome),
+        "samples are contiguous": _contiguous(known, outcome.manifest.steps),
+        "each applied command belongs to the step that it answered": account.faults,
+        "the trajectory is that of a quiet run, to the bit": differences(outcome.folder / "quiet", known),
+        "every refusal is counted and named": counted + _written(outcome, events),
+        "memory is flat": _flat(outcome),
+        "nothing is left": _left(outcome),
+    }
+    samples = sum(len(episode.samples) for episode in known)
+    return Verdict(outcome, faults, len(known), samples, account.answers, account.fallbacks, messages, refused)
+
+
+def _lost(outcome: Outcome) -> list[str]:
+    """Only who was frozen for longer than the bus waits may take the node for gone."""
+    frozen = outcome.done[Act.FREEZE_LONG]
+    return [f"{outcome.lost} took the node for gone, {frozen} were frozen"] if outcome.lost > frozen else []
+
+
+def _contiguous(episodes: list[Episode], steps: int) -> list[str]:
+    faults = [] if episodes else ["no episode was recorded"]
+    numbers = [episode.number for episode in episodes]
+    if numbers and numbers != [*range(numbers[0], numbers[0] + len(numbers))]:
+        faults.append(f"episodes {numbers}")
+    for episode in episodes:
+        found = [sample.step[0] for sample in episode.samples]
+        if found != [*range(len(found))]:
+            at = next(i for i, (one, other) in enumerate(zip(found, [*range(len(found))], strict=True)) if one != other)
+            faults.append(f"episode {episode.number}: {found[max(at - 2, 0) : at + 3]} about sample {at}")
+        truncated = [bool(sample.flags[0] & Flag.TRUNCATED) for sample in episode.samples]
+        if truncated != [step == steps for step in range(len(found))]:
+            faults.append(f"episode {episode.number}: {len(found)} samples, its last of {steps} marked wrongly")
+    return faults
+
+
+def _counts(outcome: Outcome, sent: dict[str, list[journal.Sent]], events: list[Event]) -> tuple[list[str], int, int]:
+    """Every message that was sent is counted once; those of which the fate is known, as what they are."""
+    status, faults = outcome.status, []
+    assert status is not None
+    floods = Counter[str]()
+    for line in journal.lines(outcome.floods):
+        floods[line["act"]] += line["count"]
+        if line.get("refused", line["count"]) != line["count"] and line["act"] == Act.BAD_REQUESTS.name:
+            faults.append(f"of {line['count']} bad requests {line['refused']} were refused")
+    commands = [command for role in sent.values() for command in role]
+    # A controller notes a command before it sends it; one that is ended in between, or as it sends, has sent less.
+    doubtful = sum({command.name: command.times for command in commands}.values())
+    messages = sum(command.times for command in commands) + sum(
+        count for act, count in floods.items() if act != Act.BAD_REQUESTS.name
+    )
+    flooded = status.statistics.flooded
+    refused = status.rejected + status.late + status.duplicate + flooded
+    written = sum(event.kind is EventKind.WRITTEN for event in events)
+    counted = status.accepted + refused + written
+    if not messages - doubtful <= counted <= messages:
+        faults.append(f"{messages} messages were sent ({doubtful} perhaps not), {counted} are counted")
+    bad = sum(floods[act.name] for act in CHANGED_NOTHING)
+    if status.rejected + flooded < bad:
+        faults.append(f"{bad} bad messages were sent, {status.rejected} rejected and {flooded} flooded")
+    told = Counter(event.kind for event in events if event.kind in _REFUSALS)
+    for kind, name in _REFUSALS.items():
+        if told[kind] > getattr(status, name) or (getattr(status, name) and not told[kind]):
+            faults.append(f"{getattr(status, name)} are {name}, and {told[kind]} events tell of one")
+    faults += [f"an event says nothing: {event}" for event in events if event.kind in _REFUSALS and not event.text]
+    return faults, messages + floods[Act.BAD_REQUESTS.name], refused + floods[Act.BAD_REQUESTS.name]
+
+
+def _written(outcome: Outcome, events: Iterable[Event]) -> list[str]:
+    """What the node took for written was written by somebody."""
+    sent = Counter[tuple[str, str]]()
+    for line in journal.lines(outcome.floods):
+        for point, write in line.get("writes", []):
+            how = "released" if write["value"] is None else f"= {write['value']:g}"
+            sent[write["source"], f"{point} {how}"] += 1
+    for event in events:
+        if event.kind is EventKind.WRITTEN:
+            words = event.text.split()
+            sent[event.source, " ".join(words[: 3 if words[1] == "=" else 2])] -= 1
+    return [f"{who} never wrote {what}" for (who, what), count in sent.items() if count < 0]
+
+
+def _flat(outcome: Outcome) -> list[str]:
+    held, faults = outcome.held, []
+    bound_bytes = MAY_GROW_BYTES if outcome.seconds >= 120 else SHORT_MAY_GROW_BYTES
+    first_s = min(60.0, outcome.seconds / 2)
+    early, late = [h for h in held if h.at_s <= first_s], [h for h in held if h.at_s > first_s]
+    if not early or not late:
+        return ["too short a run to tell"]
+    for what, name, bound in (
+        ("the node's resident bytes", "node_bytes", bound_bytes),
+        ("the engine's resident bytes", "engine_bytes", bound_bytes),
+        ("the node's descriptors", "descriptors", MAY_GROW),
+        ("the node's threads", "threads", MAY_GROW),
+    ):
+        before, after = max(getattr(h, name) for h in early), getattr(late[-1], name)
+        if after > before + bound:
+            faults.append(f"{what} grew from {before:,} at most in the first {first_s:.0f} s to {after:,}")
+    return faults
+
+
+def _left(outcome: Outcome) -> list[str]:
+    try:
+        until(lambda: not programs_of(outcome.folder), "all programs have ended")
+    except AssertionError:
+        return [f"a program is left: {one}" for one in programs_of(outcome.folder)]
+    scratch = [str(path) for path in outcome.folder.glob("*/run")]  # the nodes' own, named in their settings
+    return [f"left: {path}" for path in (*remains(outcome.folder), *scratch)]

@@ -1,0 +1,47 @@
+"""A monitor, as a program: it hears all of a node's stream, and writes it down if it is given a file.
+
+`python -m chaos.monitor SETTINGS`, JSON: endpoint, node, record (a path or None). It says `ready` once it listens, and
+ends with 0 when the node has said that it was stopped.
+"""
+
+from __future__ import annotations
+
+import json
+import signal
+import sys
+from contextlib import ExitStack
+
+import msgpack
+from zenoh.handlers import RingChannel
+
+from bridge.session import open_session
+from chaos.journal import KINDS
+from topics import codec, keys
+from topics.messages import Event, EventKind
+
+_LISTEN = 65536
+
+
+def main() -> int:
+    """Listens until the node has stopped."""
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+    settings = json.loads(sys.argv[1])
+    with ExitStack() as stack:
+        session = stack.enter_context(open_session(connect=[settings["endpoint"]]))
+        stream = keys.stream(settings["node"])
+        inbox = stack.enter_context(session.declare_subscriber(stream, RingChannel(_LISTEN)))
+        file = stack.enter_context(open(settings["record"], "wb")) if settings["record"] else None
+        list(session.get(keys.STATUS.at(settings["node"])))  # answered: the node knows of the subscription by now
+        sys.stdout.write("ready\n")
+        sys.stdout.flush()
+        while True:
+            message = inbox.recv()
+            kind, payload = keys.last_of(str(message.key_expr)), message.payload.to_bytes()
+            if file is not None and kind in KINDS:
+                file.write(msgpack.packb((kind, payload)))
+            if kind == "event" and codec.decode(Event, payload).kind is EventKind.STOPPED:
+                return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

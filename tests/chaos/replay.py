@@ -1,0 +1,53 @@
+"""The quiet run: a fresh node, one controller that commands what ruled each timestep, and every value compared."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from nodes import NodeProgram
+
+import agent_sdk
+from agent_sdk.link import ControlLink
+from bridge.affinity import Affinity
+from chaos.account import Episode
+from chaos.run import BUILDING
+from topics.errors import ZenostatError
+from topics.messages import Flag, Mask, Sample
+
+QUIET = BUILDING | {"policy": "abort", "deadline_s": 60.0}
+"""Without a policy, a sample that did not come would be waited for without end."""
+
+
+def differences(folder: Path, episodes: list[Episode]) -> list[str]:
+    """Where the quiet run is not the same to the bit; one line for an episode at most."""
+    with NodeProgram(folder, **QUIET) as node, agent_sdk.connect(node.endpoint, affinity=Affinity.OFF) as bus:
+        with bus.controller(node.name, name="quiet") as link:
+            try:
+                found = [_compared(link, episode) for episode in episodes if episode.samples]
+            except ZenostatError as error:
+                found = [f"the quiet run ended with {type(error).__name__}: {error}"]
+        bus.stop(node.name)
+        node.process.wait()
+    return [text for text in found if text]
+
+
+def _compared(link: ControlLink, episode: Episode) -> str:
+    again, shape = link.reset(), (len(link.manifest.actuators),)
+    for sample, ruling in zip(episode.samples, [*episode.rulings, None], strict=False):
+        if _seen(sample) != _seen(again.wire):
+            return f"episode {episode.number}, sample {sample.step[0]} is not that of the quiet run"
+        if ruling is None:
+            break
+        values = np.array([np.nan if value is None else value for value in ruling]).reshape(shape)
+        released = np.isnan(values)
+        mask = np.where(released, np.uint8(Mask.RELEASE), np.uint8(Mask.SET)).tobytes()
+        link.send(np.where(released, 0.0, values), mask)
+        again = link.receive()
+    return ""
+
+
+def _seen(sample: Sample) -> tuple[object, ...]:
+    """All that the building says in a sample, as bytes."""
+    flags = [flag & ~Flag.FALLBACK for flag in sample.flags]
+    return (sample.step, sample.time, sample.elapsed_s, flags, sample.values, sample.applied)
