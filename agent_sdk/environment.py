@@ -22,10 +22,12 @@ from agent_sdk.hold import AGENT, RENDER_MODES, Hold
 from agent_sdk.launch import OwnNode
 from agent_sdk.limits import Limits
 from agent_sdk.link import ControlLink, Link
+from agent_sdk.memory import Memory
+from agent_sdk.named import Named
 from agent_sdk.render import History
 from agent_sdk.rewards import AnyReward
 from agent_sdk.sample import SampleView
-from agent_sdk.snapshot import Snapshot
+from agent_sdk.snapshot import Snapshot, asked_for, take
 from bridge.affinity import Affinity
 from topics.errors import BusError, EpisodeChanged, InvalidConfig
 from topics.messages import MakeBranch, Mask, WeatherSeries
@@ -38,7 +40,7 @@ def _stop(bus: Bus, node: str) -> None:
         bus.stop(node)
 
 
-class BuildingEnv(gym.Env[Observation, Any]):
+class BuildingEnv(Named, gym.Env[Observation, Any]):
     """One building, one agent; `gym.make("zenostat/5zone-hot-continuous-v1")` and all others under `zenostat/`.
 
     Without `connect` it starts a node of its own over a private unix socket and ends it on `close()`; with
@@ -150,8 +152,11 @@ class BuildingEnv(gym.Env[Observation, Any]):
             self._actions = Actions(manifest)
             self.action_space = self._actions.space
             self.reward = self._hold.reward
-            self._reward = self.reward.bind(manifest) if self.reward is not None else None
-            self._limits = Limits(manifest) if manifest.task.terminate else None
+            self._memory: Memory[dict[int, float | None]] = Memory(
+                self.reward.bind(manifest) if self.reward is not None else None,
+                Limits(manifest) if manifest.task.terminate else None,
+                {},
+            )
             self._history = History(manifest) if render_mode == "rgb_array" else None
             if render_mode == "rerun":
                 self._hold.watch()
@@ -161,7 +166,6 @@ class BuildingEnv(gym.Env[Observation, Any]):
         self._time = manifest.task.time
         self._values = self._actions.values
         self._sample: SampleView | None = None
-        self._context: dict[int, float | None] = {}
         self._ended = False
         self._outputs = ""
         self._rulers: tuple[bytes, list[str]] = (b"", [])
@@ -201,13 +205,11 @@ class BuildingEnv(gym.Env[Observation, Any]):
         snapshot = self._asked(options or {})
         if snapshot is None:
             sample = self._sample = self.link.reset(seed=seed)
-            for remembers in (self._reward, self._limits):
-                if remembers is not None:
-                    remembers.reset()
-            self._context = {}
+            self._memory.forget()
+            self._memory.context = {}
         else:
             sample = self._sample = self._forking().reset(seed=seed, snapshot=snapshot.name)
-            self._recall(snapshot.remembered)
+            self._memory.restore(snapshot.remembered)
         self._ended = False
         values, info = sample.values, self._info(sample)
         (begun,) = self.link.accepted.begun
@@ -219,16 +221,9 @@ class BuildingEnv(gym.Env[Observation, Any]):
         return self._observed(sample, values, sample.time), info
 
     def _asked(self, options: Mapping[str, Any]) -> Snapshot | None:
-        snapshot = options.get("snapshot")
-        if unknown := sorted(set(options) - {"snapshot"}):
-            raise InvalidConfig(f"unknown reset options {unknown}; there is: 'snapshot'")
+        snapshot = asked_for(options, self.manifest)
         if self.manifest.branch_of:
             raise InvalidConfig("a branch has no sample 0 of its own; close it and make another one")
-        if snapshot is None:
-            return None
-        if not isinstance(snapshot, Snapshot):
-            raise InvalidConfig(f"options['snapshot'] is {snapshot!r}; what env.unwrapped.snapshot() gave is expected")
-        snapshot.check(self.manifest)
         return snapshot
 
     def snapshot(self) -> Snapshot:
@@ -239,11 +234,7 @@ class BuildingEnv(gym.Env[Observation, Any]):
             Refused: there are as many snapshots and branches as the node allows, or this is a branch.
             ForkFailed: the system has no memory for a fork; the episode goes on.
         """
-        link, sample = self._forking(), self._running()
-        taken = link.bus.snapshot(link.manifest.node, link.name)
-        return Snapshot(
-            link.bus, link.manifest.node, link.manifest.instance, taken.snapshot, sample, self._remembered()
-        )
+        return take(self._forking(), self._running(), self._memory.state())
 
     def branch(self, *, snapshot: Snapshot | None = None, released: bool = False) -> BuildingEnv:
         """Another environment that goes on from this very step on its own, while this one goes on.
@@ -271,7 +262,7 @@ class BuildingEnv(gym.Env[Observation, Any]):
             hold = undo.enter_context(link.bus.controller(name, name="env", level=self._level))
             branch = BuildingEnv(link=hold, reward=copy.deepcopy(self.reward))  # it may be an object with a memory
             branch._sample = hold.stand_at(sample.wire)
-            branch._recall(self._remembered() if snapshot is None else snapshot.remembered)
+            branch._memory.restore(self._memory.state() if snapshot is None else snapshot.remembered)
             branch._hold.also(undo.pop_all())
         return branch
 
@@ -285,17 +276,6 @@ class BuildingEnv(gym.Env[Observation, Any]):
         if self._sample is None or self._ended:
             raise EpisodeChanged("no episode runs; call reset() first")
         return self._sample
-
-    def _remembered(self) -> dict[str, Any]:
-        """What has to be known beside the building's own state to go on from here."""
-        reward = self._reward.state() if self._reward is not None else {}
-        return copy.deepcopy({"reward": reward, "limits": self._limits, "context": self._context})
-
-    def _recall(self, remembered: Mapping[str, Any]) -> None:
-        remembered = copy.deepcopy(dict(remembered))
-        if self._reward is not None:
-            self._reward.restore(remembered["reward"])
-        self._limits, self._context = remembered["limits"], remembered["context"]
 
     def step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Simulates one timestep under `action`.
@@ -320,11 +300,11 @@ class BuildingEnv(gym.Env[Observation, Any]):
         values, info, begin = sample.values, self._info(sample), sample.time - self._timestep
         truth = sample.truth if sample.wire.undisturbed else values
         info["action"] = commanded
-        reward = 0.0
-        if self._reward is not None:
-            total, info["reward_terms"], info["reward_measures"] = self._reward(truth, begin)
+        memory, reward = self._memory, 0.0
+        if memory.reward is not None:
+            total, info["reward_terms"], info["reward_measures"] = memory.reward(truth, begin)
             reward = float(total)
-        broken = self._limits.broken(truth) if self._limits is not None else ""
+        broken = memory.limits.broken(truth) if memory.limits is not None else ""
         if broken:
             info["terminated_by"] = broken
         truncated = sample.truncated
@@ -352,13 +332,13 @@ class BuildingEnv(gym.Env[Observation, Any]):
 
     def _command(self, action: ArrayLike) -> tuple[NDArray[np.float64], bytes | None]:
         values, mask = self._values(action), self._actions.mask
-        if self._context:
+        if self._memory.context:
             assert mask is not None
             kinds = bytearray(mask)
-            for index, value in self._context.items():
+            for index, value in self._memory.context.items():
                 kinds[index] = Mask.RELEASE if value is None else Mask.SET
                 values[index] = 0.0 if value is None else value
-            mask, self._context = bytes(kinds), {}
+            mask, self._memory.context = bytes(kinds), {}
         return values, mask
 
     def set_context(self, values: Mapping[str, float | None]) -> None:
@@ -367,7 +347,7 @@ class BuildingEnv(gym.Env[Observation, Any]):
         Raises:
             InvalidAction: an actuator that the node does not have, or that an action sets; a value out of bounds.
         """
-        self._context |= self._actions.context(values)
+        self._memory.context |= self._actions.context(values)
 
     def weather(self, columns: Sequence[str]) -> WeatherSeries:
         """Columns of the weather file that this episode reads, noise included; see `WeatherSeries`.
@@ -398,21 +378,6 @@ class BuildingEnv(gym.Env[Observation, Any]):
             **({"undisturbed": sample.truth} if wire.undisturbed else {}),
             **({"baseline": sample.baseline, "baseline_applied": sample.baseline_applied} if wire.baseline else {}),
         }
-
-    @property
-    def observation_names(self) -> tuple[str, ...]:
-        """Names of the observation's values: time fields, sensors, meters."""
-        return (*map(str, self.manifest.task.time), *self.manifest.names)
-
-    @property
-    def action_names(self) -> tuple[str, ...]:
-        """Names of the action's dimensions; of what the choices set where it is discrete."""
-        return tuple(self._actions.names)
-
-    def observation_dict(self, observation: ArrayLike) -> dict[str, float]:
-        """The observation's values by name, in the unit that the manifest says."""
-        values = np.asarray(observation).tolist()
-        return dict(zip(self.observation_names, values, strict=True))
 
     def close(self) -> None:
         """Lets go of the node, and ends it if it is this environment's own; twice is fine."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from agent_sdk.clock import clock
 from agent_sdk.sample import SampleView
 from topics import codec
-from topics.messages import Accepted, Flag, Manifest, Sample, WeatherSeries
+from topics.messages import Accepted, Flag, Manifest, WeatherSeries
 
 Floats = NDArray[np.float64]
 _TRUNCATED = int(Flag.TRUNCATED)
@@ -47,14 +47,16 @@ class Frame:
     """All slots of one sample.
 
     Attributes:
+        sample: as the link gave it.
         wire: the message.
         values: sensors, then meters, shape (slots, points), in manifest order and units; read-only.
         truncated: of which slots the run period is over, shape (slots,).
     """
 
-    __slots__ = ("_manifest", "truncated", "values", "wire")
+    __slots__ = ("_manifest", "sample", "truncated", "values", "wire")
 
-    def __init__(self, wire: Sample, manifest: Manifest) -> None:
+    def __init__(self, sample: SampleView) -> None:
+        self.sample, wire, manifest = sample, sample.wire, sample.manifest
         self.wire, self._manifest = wire, manifest
         points = len(manifest.sensors) + len(manifest.meters)
         self.values: Floats = codec.floats(wire.values, (manifest.slots, points), "values")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 from zenoh import ZError
 
 from agent_sdk.client import Bus
+from agent_sdk.link import ControlLink
 from agent_sdk.sample import SampleView
 from topics.errors import BusError, InvalidConfig, Refused
 from topics.messages import Manifest
@@ -66,3 +68,37 @@ class Snapshot:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+def take(link: ControlLink, sample: SampleView, remembered: dict[str, Any]) -> Snapshot:
+    """Keeps where a node stands, at `sample`, and what its environment has `remembered`.
+
+    Raises:
+        Refused: no episode runs; there are as many snapshots and branches as the node allows; or it is a branch.
+        ForkFailed: the system has no memory for a fork; the episode goes on.
+    """
+    node, bus = link.manifest.node, link.bus
+    return Snapshot(bus, node, link.manifest.instance, bus.snapshot(node, link.name).snapshot, sample, remembered)
+
+
+def asked_for(options: Mapping[str, Any], manifest: Manifest, others: Collection[str] = ()) -> Snapshot | None:
+    """The snapshot that the options of a reset name, if they name one.
+
+    Args:
+        options: of `reset`.
+        manifest: of the environment's node.
+        others: what else the options may name.
+
+    Raises:
+        InvalidConfig: an unknown option; no snapshot, or one that this environment cannot go back to.
+    """
+    known = ("snapshot", *others)
+    if unknown := sorted(set(options) - set(known)):
+        raise InvalidConfig(f"unknown reset options {unknown}; there is: {', '.join(map(repr, known))}")
+    snapshot = options.get("snapshot")
+    if snapshot is None:
+        return None
+    if not isinstance(snapshot, Snapshot):
+        raise InvalidConfig(f"options['snapshot'] is {snapshot!r}; what env.unwrapped.snapshot() gave is expected")
+    snapshot.check(manifest)
+    return snapshot

@@ -19,9 +19,13 @@ from agent_sdk.hold import AGENT, RENDER_MODES, Hold
 from agent_sdk.infos import Infos, joined, masked, only
 from agent_sdk.launch import OwnNode
 from agent_sdk.limits import Limits
+from agent_sdk.link import ControlLink
+from agent_sdk.memory import Memory
+from agent_sdk.named import Named
 from agent_sdk.render import History
 from agent_sdk.rewards import AnyReward
 from agent_sdk.slot import Seeds, Slot, seeds_of, slots_of
+from agent_sdk.snapshot import Snapshot, asked_for, take
 from agent_sdk.wrappers import apply_wrappers
 from bridge.affinity import Affinity
 from topics.errors import EpisodeChanged, InvalidConfig, near
@@ -35,7 +39,7 @@ MOST = 256
 """Slots of a node."""
 
 
-class BuildingVectorEnv(VectorEnv[Observations, Any, NDArray[Any]]):
+class BuildingVectorEnv(Named, VectorEnv[Observations, Any, NDArray[Any]]):
     """One node with an engine for each environment; `gym.make_vec("zenostat/5zone-hot-continuous-v1", num_envs=8)`.
 
     All engines simulate their timestep at the same time, and a step is one frame there and one back. Slot i is what
@@ -87,8 +91,11 @@ class BuildingVectorEnv(VectorEnv[Observations, Any, NDArray[Any]]):
             self.action_space = batch_space(self.single_action_space, num_envs)
             self.observation_space = batch_space(self.single_observation_space, num_envs)
             self.reward = self._hold.reward
-            self._reward = self.reward.bind(manifest) if self.reward is not None else None
-            self._limits = Limits(manifest, num_envs) if manifest.task.terminate else None
+            self._memory: Memory[list[dict[int, float | None]]] = Memory(
+                self.reward.bind(manifest) if self.reward is not None else None,
+                Limits(manifest, num_envs) if manifest.task.terminate else None,
+                [{} for _ in range(num_envs)],
+            )
             self._histories = [History(manifest) for _ in range(num_envs)] if render_mode == "rgb_array" else []
             if render_mode == "rerun":
                 self._hold.watch()
@@ -101,7 +108,6 @@ class BuildingVectorEnv(VectorEnv[Observations, Any, NDArray[Any]]):
         self._frame: Frame | None = None
         self._seen = np.zeros(self.observation_space.shape or (), np.float32)
         self._over = np.zeros(num_envs, np.bool_)
-        self._context: list[dict[int, float | None]] = [{} for _ in self.envs]
         self._outputs = [""] * num_envs
         self._rulers: tuple[bytes, list[str]] = (b"", [])
         self._ruled_by: NDArray[np.object_] = np.empty(num_envs, object)
@@ -114,34 +120,47 @@ class BuildingVectorEnv(VectorEnv[Observations, Any, NDArray[Any]]):
 
         Seeds and infos are those of `BuildingEnv.reset`. The observations of the other slots are their latest.
 
+        `options={"snapshot": snap}` goes back to a `snapshot()` instead, in all slots.
+
         Raises:
-            InvalidConfig: other options, no such mask, or no such seeds.
+            InvalidConfig: other options, no such mask, no such seeds; a snapshot that is closed, of another node, or of
+                a node that has ended.
+            EngineDied, ForkFailed: an engine of the snapshot; the running episodes go on.
         """
         self._hold.check_open()
-        slots = slots_of(options or {}, self.num_envs)
+        options = options or {}
+        snapshot = asked_for(options, self.manifest, ["reset_mask"])
+        if snapshot is not None and "reset_mask" in options:
+            raise InvalidConfig("a snapshot is of all slots; leave out reset_mask")
+        slots = slots_of(options, self.num_envs)
         seeds = seeds_of(seed, slots, self.num_envs)
         if self._frame is None and len(slots) < self.num_envs:
             raise EpisodeChanged("call reset() for all slots first")
         if isinstance(seed, int):
             super().reset(seed=seed)
-        infos = self._begin(slots, seeds)
+        infos = self._begin(slots, seeds, snapshot)
         return self._seen.copy(), infos
 
-    def _begin(self, slots: list[int], seeds: list[int | None] | None = None) -> Infos:
-        """New episodes in these slots; their infos. The observations go to `_seen`."""
+    def _begin(
+        self, slots: list[int], seeds: list[int | None] | None = None, snapshot: Snapshot | None = None
+    ) -> Infos:
+        """New episodes in these slots, or going back; their infos. The observations go to `_seen`."""
         whole = len(slots) == self.num_envs
         self._frame = None
         first = seeds[0] if seeds and self.num_envs == 1 else seeds
         link = self.link
-        frame = Frame(link.reset(seed=first, slots=None if whole else slots).wire, self.manifest)
-        self._forget(None if whole else slots)
+        to = snapshot.name if snapshot is not None else ""
+        frame = Frame(link.reset(seed=first, slots=None if whole else slots, snapshot=to))
+        self._memory.forget(None if whole else slots)
         times = frame.times
         self._seen[slots] = frame.observed(times, times)[slots]
         for slot in slots:
-            self._over[slot], self._context[slot] = False, {}
+            self._over[slot], self._memory.context[slot] = False, {}
             if self._histories:
                 self._histories[slot].clear()
                 self._histories[slot].add(times[slot], frame.values[slot])
+        if snapshot is not None:
+            self._memory.restore(snapshot.remembered)
         self._frame = frame
         begun: Infos = {}
         for slot, how in zip(slots, link.accepted.begun, strict=True):
@@ -152,10 +171,20 @@ class BuildingVectorEnv(VectorEnv[Observations, Any, NDArray[Any]]):
         these[slots] = True
         return only(masked(self._of_sample(frame), every), these) | begun
 
-    def _forget(self, slots: list[int] | None) -> None:
-        for remembers in (self._reward, self._limits):
-            if remembers is not None:
-                remembers.reset(slots)
+    def snapshot(self) -> Snapshot:
+        """Keeps where all slots stand, to go back there by `reset(options={"snapshot": snap})` any number of times.
+
+        Raises:
+            EpisodeChanged: an episode is over, or none has begun.
+            Refused: there are as many snapshots and branches as the node allows.
+            ForkFailed: the system has no memory for a fork; the episodes go on.
+        """
+        self._hold.check_open()
+        if not isinstance(self.link, ControlLink):
+            raise InvalidConfig("this environment has no node: nothing that could be forked")
+        if self._frame is None or self._over.any():
+            raise EpisodeChanged("call reset() first: each slot must be in an episode")
+        return take(self.link, self._frame.sample, self._memory.state())
 
     # Timesteps
 
@@ -176,7 +205,7 @@ class BuildingVectorEnv(VectorEnv[Observations, Any, NDArray[Any]]):
             return self._seen.copy(), np.zeros(self.num_envs), none, none.copy(), begun
         link = self.link
         link.send(commanded if self.num_envs > 1 else commanded[0], mask, still=again)
-        frame = self._frame = Frame(link.receive().wire, self.manifest)
+        frame = self._frame = Frame(link.receive())
         rewards, terminated, truncated, infos = self._outcome(frame, commanded, again)
         ended = terminated | truncated
         if self._mode is AutoresetMode.SAME_STEP:
@@ -208,14 +237,15 @@ class BuildingVectorEnv(VectorEnv[Observations, Any, NDArray[Any]]):
         told = self._of_sample(frame)
         told["action"] = commanded
         rewards = np.zeros(count)
-        if self._reward is not None:
-            rewards[:], told["reward_terms"], told["reward_measures"] = self._reward(frame.values, begins)
-        broken = self._limits.broken_slots(frame.values) if self._limits is not None else {}
+        memory = self._memory
+        if memory.reward is not None:
+            rewards[:], told["reward_terms"], told["reward_measures"] = memory.reward(frame.values, begins)
+        broken = memory.limits.broken_slots(frame.values) if memory.limits is not None else {}
         observed, live, infos = frame.observed(begins, ends), np.ones(count, np.bool_), {}
         infos = masked(told, live)
         truncated = frame.truncated
         if again:
-            self._forget(again)  # they are at sample 0 in this frame, and have gone nowhere
+            self._memory.forget(again)  # they are at sample 0 in this frame, and have gone nowhere
             live[again], observed[again] = False, self._seen[again]
             rewards[again] = 0.0
             infos = only(infos, live.copy())
@@ -273,14 +303,15 @@ class BuildingVectorEnv(VectorEnv[Observations, Any, NDArray[Any]]):
 
     def _command(self, actions: ArrayLike, unread: Sequence[int]) -> tuple[NDArray[np.float64], bytes | None]:
         values, mask = self._actions.rows(actions, self.num_envs, unread), self._mask
-        if any(self._context):
+        contexts = self._memory.context
+        if any(contexts):
             assert mask is not None
             kinds = np.frombuffer(mask, np.uint8).reshape(values.shape).copy()
-            for slot, context in enumerate(self._context):
+            for slot, context in enumerate(contexts):
                 for index, value in context.items():
                     kinds[slot, index] = Mask.RELEASE if value is None else Mask.SET
                     values[slot, index] = 0.0 if value is None else value
-                self._context[slot] = {}
+                contexts[slot] = {}
             mask = kinds.tobytes()
         return values, mask
 
@@ -291,7 +322,7 @@ class BuildingVectorEnv(VectorEnv[Observations, Any, NDArray[Any]]):
 
     def set_slot_context(self, slot: int, values: Mapping[str, float | None]) -> None:
         """See `BuildingEnv.set_context`."""
-        self._context[slot] |= self._actions.context(values)
+        self._memory.context[slot] |= self._actions.context(values)
 
     # What can be asked
 
@@ -308,20 +339,6 @@ class BuildingVectorEnv(VectorEnv[Observations, Any, NDArray[Any]]):
     def slot_weather(self, slot: int, columns: Sequence[str]) -> WeatherSeries:
         """See `BuildingEnv.weather`."""
         return self.link.weather(columns, slot) if slot else self.link.weather(columns)
-
-    @property
-    def observation_names(self) -> tuple[str, ...]:
-        """Names of the values of each slot's observation: time fields, sensors, meters."""
-        return (*map(str, self.manifest.task.time), *self.manifest.names)
-
-    @property
-    def action_names(self) -> tuple[str, ...]:
-        """Names of the dimensions of each slot's action; of what the choices set where it is discrete."""
-        return tuple(self._actions.names)
-
-    def observation_dict(self, observation: ArrayLike) -> dict[str, float]:
-        """The values of one slot's observation by name, in the unit that the manifest says."""
-        return dict(zip(self.observation_names, np.asarray(observation).tolist(), strict=True))
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
         """What a method (or an attribute) of each slot gives; see `Slot`."""

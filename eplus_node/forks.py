@@ -135,6 +135,7 @@ class Forks:
         name, folder = self._place("s")
         exchange = self._runner.exchange
         try:
+            held = positions(folder)  # first: what fails after the fork would leave its engines
             engines = self._runner.engines.fork(lambda link: self._child(link, folder))
             taken = Snapshot(
                 name,
@@ -144,7 +145,7 @@ class Forks:
                 engines,
                 exchange.held(),
                 self._runner.injection.state() if self._runner.injection is not None else None,
-                positions(folder),
+                held,
                 folder,
             )
         except BaseException:

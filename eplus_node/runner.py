@@ -20,13 +20,13 @@ import zenoh
 
 from bridge.latencies import Latencies
 from bridge.lockstep import Exchange, Input
-from bridge.pace import Pace
 from bridge.timer import Timer
 from eplus_node.config import Plan
 from eplus_node.engines import Engines
 from eplus_node.injection import Injection
 from eplus_node.inlets import INBOX, MOST_SHELVED, Inlets
 from eplus_node.outlets import Outlets
+from eplus_node.pacing import Pacing
 from models.episode import series
 from models.scenario import dump
 from models.weather import find_column
@@ -40,14 +40,10 @@ from topics.messages import (
     Event,
     EventKind,
     Flag,
-    GoSteps,
     Manifest,
     Message,
     Mode,
-    Pause,
-    Resume,
     ScenarioText,
-    SetPace,
     State,
     Statistics,
     Status,
@@ -105,14 +101,8 @@ class Runner:
         self._close = ExitStack()
         self.timer = Timer()
         self.injection: Injection | None = None
-        self.pace = Pace(plan.period.step_s, manifest.speed)
-        self.paused = False
-        self.steps_left = 0
-        self._timesteps = 0  # of all episodes and slots: what the schedule counts
-        self._into_s = 0.0  # of the timestep in which it was paused
-        self._overdue_at_s = 0.0
+        self.pacing = Pacing(self)
         self._told = b""  # to the engines
-        self._alarm: int | None = None
         self._step_took, self._cycle = Latencies(), Latencies()
         self._sampled_s = 0.0
         self.stopping = False
@@ -135,10 +125,7 @@ class Runner:
         inlets.request(keys.CLAIM, Claim, self._claim)
         inlets.request(keys.WEATHER, WeatherQuery, self._weather)
         inlets.request(keys.STOP, Stop, self._stop, at_once=self.hurry)
-        inlets.request(keys.PACE, SetPace, self._set_pace)
-        inlets.request(keys.PAUSE, Pause, self._pause)
-        inlets.request(keys.RESUME, Resume, self._resume)
-        inlets.request(keys.STEP, GoSteps, self._go_steps)
+        self.pacing.declare()
         inlets.request(keys.FAULTS, FaultPlan, self._set_faults)
         self._close.callback(self.timer.close)
         self.outlets = self._close.enter_context(Outlets(self.session, self.manifest))
@@ -159,7 +146,7 @@ class Runner:
         """Serves until it is told to stop."""
         try:
             while True:
-                if self._may_go():
+                if self.exchange.due() and self.pacing.may_go():
                     self._advance()
                     if self.exchange.mode is not Mode.LOCKSTEP:
                         self._hear_all()
@@ -168,34 +155,6 @@ class Runner:
         except Stopped:
             self.exchange.take(Input.STOP)
             self.event(self.exchange.event(EventKind.STOPPED, "the node was told to stop"))
-
-    def _may_go(self) -> bool:
-        """Whether the next timestep is due, by the exchange and by the clock; if not by the clock, it wakes then."""
-        exchange = self.exchange
-        if not exchange.due() or self._stands:
-            return False
-        if exchange.mode is not Mode.PACED or self.steps_left:
-            return True
-        due_s = self.pace.due_s(self._timesteps + 1)
-        if monotonic() >= due_s:
-            return True
-        self._call_at(due_s, self.inlets.wake)
-        return False
-
-    @property
-    def _stands(self) -> bool:
-        """Whether it stands still because somebody said so."""
-        return self.paused and not self.steps_left
-
-    def _call_at(self, due_s: float, call: Callable[[], None]) -> None:
-        """Has the timer's thread do something later, in place of what it was to do later."""
-        self._forget_alarm()
-        self._alarm = self.timer.at(due_s, call)
-
-    def _forget_alarm(self) -> None:
-        alarm, self._alarm = self._alarm, None
-        if alarm is not None:
-            self.timer.cancel(alarm)
 
     def leave(self) -> None:
         """Ends the loop, in its own thread; told twice (a request, then its owner's end), it goes on ending."""
@@ -257,10 +216,7 @@ class Runner:
     def _advance(self) -> None:
         """One timestep: the commands that rule it to the engines, its sample to the bus."""
         exchange = self.exchange
-        if self._alarm is not None:
-            self._forget_alarm()
-        if self.steps_left:
-            self.steps_left, self._into_s = self.steps_left - 1, 0.0
+        self.pacing.goes()
         began_s = exchange.now_s = monotonic()
         if exchange.expiring:
             self.tell(exchange.expire(exchange.step[0] * self.plan.period.step_s))
@@ -276,11 +232,9 @@ class Runner:
             self.fail(error)
             return
         exchange.sampled(last)
-        self._timesteps += 1
         self.publish()
         self._step_took.add(exchange.now_s - began_s)
-        if exchange.mode is Mode.PACED and not self.paused and self.pace.came(exchange.now_s, self._timesteps):
-            self._overran()
+        self.pacing.came(exchange.now_s)
         if exchange.state is State.ENDED:
             self.event(exchange.event(EventKind.ENDED, f"the run period is over after {exchange.step[0]} timesteps"))
 
@@ -320,7 +274,7 @@ class Runner:
             self._cycle.add(now_s - self._sampled_s)
         self._sampled_s = now_s
         exchange.listen()
-        self._set_deadline(now_s)
+        self.pacing.wait(now_s)
         self.outlets.points(values, exchange.episode[0], exchange.step[0], self._begin + elapsed[0])
         if self._observer is not None:
             self._observer(self)
@@ -349,8 +303,7 @@ class Runner:
             self.injection.begin(slots, seeds)
         self.exchange.fallback = False
         self._told = b""
-        self._into_s = 0.0
-        self.pace.anchor(monotonic(), self._timesteps)
+        self.pacing.begin()
 
     def left(self, who: str) -> None:
         """A controller has gone; the policy takes its place after the time of grace."""
@@ -366,32 +319,9 @@ class Runner:
         except EpisodeAborted as error:
             self.fail(error)
 
-    def _set_deadline(self, now_s: float) -> None:
-        """From now on the present step waits no longer than it may; not while the node stands still."""
-        deadline_s = self.exchange.deadline_s
-        if deadline_s is not None and self.exchange.mode is Mode.LOCKSTEP and not self._stands:
-            self._overdue_at_s = now_s + deadline_s
-            self._call_at(self._overdue_at_s, lambda: self.inlets.shelve(self._overdue))
-
-    def _overdue(self) -> None:
-        # It may come from the shelf after its step has gone on; the present one has a later deadline then.
-        if self._stands or self.exchange.mode is not Mode.LOCKSTEP or monotonic() < self._overdue_at_s:
-            return
-        try:
-            self.tell(self.exchange.overdue())
-        except EpisodeAborted as error:
-            self.fail(error)
-
-    def _overran(self) -> None:
-        pace = self.pace
-        if pace.overruns & (pace.overruns - 1) == 0:  # the first, the second, the fourth…: the count is in the status
-            at_worst = f"{pace.behind_s:.3g} s at worst"
-            text = f"overrun {pace.overruns}: the sample of step {self.exchange.step[0]} came late, {at_worst}"
-            self.event(self.exchange.event(EventKind.PACE, text))
-
     def fail(self, error: ZenostatError) -> None:
         """The episode is over for an engine's fault, or by policy; a reset begins another one."""
-        self._forget_alarm()
+        self.pacing.forget()
         self.exchange.take(Input.FAIL)
         said = errors.to_wire(error)
         self.failure, self.failure_error = said["message"], said["error"]
@@ -411,7 +341,7 @@ class Runner:
         waited, known = exchange.missing(), len(exchange.claims.by_name)
         self.tell(exchange.claim(claim))
         if claim.required and (not waited or len(exchange.claims.by_name) > known):
-            self._set_deadline(exchange.now_s)
+            self.pacing.wait(exchange.now_s)
         return Accepted(episode=self.exchange.episode)
 
     def inject(self, faults: FaultPlan) -> None:
@@ -431,51 +361,6 @@ class Runner:
         self.outlets.manifest(self.manifest)
         named = ", ".join(faults.names) or "none"
         self.event(self.exchange.event(EventKind.FAULT, f"faults are set: {named}"))
-        return Accepted(episode=self.exchange.episode)
-
-    def _set_pace(self, asked: SetPace) -> Message:
-        if (asked.speed is not None) is not (asked.mode is Mode.PACED):
-            raise Refused("a speed and the mode 'paced' go together; the other modes have none")
-        mode, speed, now_s = asked.mode, asked.speed or self.manifest.speed, monotonic()
-        self._forget_alarm()
-        self._into_s = self._went_s(now_s)
-        self.exchange.mode, self.pace.speed = mode, speed
-        self.pace.anchor(now_s, self._timesteps, self._into_s)
-        self._set_deadline(now_s)
-        self.manifest = self.manifest.model_copy(update={"mode": mode, "speed": speed})
-        self.outlets.manifest(self.manifest)
-        text = f"{speed:g} times the wall clock" if mode is Mode.PACED else str(mode)
-        return self._paced(text, asked.source)
-
-    def _went_s(self, now_s: float) -> float:
-        """How far the present timestep has gone by the clock, in simulated seconds."""
-        if self.paused:
-            return self._into_s
-        return self.pace.into_s(now_s, self._timesteps) if self.exchange.mode is Mode.PACED else 0.0
-
-    def _pause(self, asked: Pause) -> Message:
-        self._into_s = self._went_s(monotonic())
-        self.paused, self.steps_left = True, 0
-        self._forget_alarm()
-        return self._paced("paused", asked.source)
-
-    def _resume(self, asked: Resume) -> Message:
-        if self.paused:
-            now_s = monotonic()
-            self.paused, self.steps_left = False, 0
-            self.pace.anchor(now_s, self._timesteps, self._into_s)
-            self._set_deadline(now_s)
-        return self._paced("goes on", asked.source)
-
-    def _go_steps(self, asked: GoSteps) -> Message:
-        if not self.paused:
-            raise Refused("the node is not paused; pause it first")
-        self.steps_left += asked.steps
-        self._set_deadline(monotonic())
-        return self._paced(f"timesteps to go: {self.steps_left}", asked.source)
-
-    def _paced(self, text: str, source: str) -> Message:
-        self.event(self.exchange.event(EventKind.PACE, text, source))
         return Accepted(episode=self.exchange.episode)
 
     def _weather(self, query: WeatherQuery) -> Message:
@@ -517,8 +402,8 @@ class Runner:
         return Statistics(
             step=self._step_took.spread(),
             cycle=self._cycle.spread(),
-            overruns=self.pace.overruns,
-            behind_s=self.pace.behind_s,
+            overruns=self.pacing.pace.overruns,
+            behind_s=self.pacing.pace.behind_s,
             missed=counts.missed,
             late=counts.late,
             rejected=counts.rejected,
@@ -537,8 +422,8 @@ class Runner:
             mode=exchange.mode,
             episode=exchange.episode,
             step=exchange.step,
-            speed=self.pace.speed,
-            paused=self.paused,
+            speed=self.pacing.pace.speed,
+            paused=self.pacing.paused,
             policy=exchange.policy,
             steps=self.plan.period.steps,
             time=[self.plan.period.time(step).isoformat() for step in exchange.step],

@@ -393,7 +393,7 @@ def test_steps_that_cannot_be() -> None:
         ({"seed": -1}, "a number from 0 on"),
         ({"seed": [1]}, "each of 2 slots"),
         ({"seed": [1, -2]}, "each of 2 slots"),
-        ({"options": {"mask": 1}}, "unknown reset options ['mask']; there is: reset_mask"),
+        ({"options": {"mask": 1}}, "unknown reset options ['mask']; there is: 'snapshot', 'reset_mask'"),
         ({"options": {"reset_mask": [1, 0]}}, "a bool array of shape (2,)"),
         ({"options": {"reset_mask": np.array([False, False])}}, "at least one True"),
         ({"options": {"reset_mask": np.array([True])}}, "a bool array of shape (2,)"),
@@ -588,3 +588,62 @@ def test_each_slot_tells_the_weather_that_it_reads(scratch: Path) -> None:
             env.link.weather(["dry_bulb_temperature"], 2)
     finally:
         env.close()
+
+
+# Snapshots
+
+
+def test_all_slots_go_back_exactly_any_number_of_times(scratch: Path) -> None:
+    """With the weather of each, and what reward and limits remembered; slots had begun at different times."""
+    packs.sinergym()
+    warm = {"points": ["air_temperature"], "low": 15.0, "high": 40.0, "for_h": 2.0}
+    form = {**ONE_DAY, "terminate": [warm], "reward": {"kind": "peak"}, "autoreset_mode": AutoresetMode.DISABLED}
+    envs = gym.make_vec(
+        "zenostat/5zone-hot-continuous-stochastic-v1", num_envs=3, vectorization_mode="vector_entry_point", **form
+    )
+    assert isinstance(envs, BuildingVectorEnv)
+    rng = np.random.default_rng(3)
+    low, high = envs.single_action_space.low, envs.single_action_space.high
+    actions = rng.uniform(low, high, (60, 3, len(low))).astype(np.float32)
+    envs.reset(seed=5)
+    for row in actions[:10]:
+        envs.step(row)
+    envs.reset(options={"reset_mask": np.array([False, True, False])})
+    for row in actions[10:15]:
+        stood = envs.step(row)
+    with envs.snapshot() as kept:
+        straight = [envs.step(row) for row in actions[15:40]]
+        for _ in range(2):
+            seen, info = envs.reset(options={"snapshot": kept})
+            np.testing.assert_array_equal(seen, stood[0])
+            assert info["step"].tolist() == [15, 5, 15]
+            assert info["start"].tolist() == ["snapshot"] * 3
+            weather = [envs.envs[slot].weather(["dry_bulb_temperature"]).values for slot in range(3)]
+            assert len(set(weather)) == 3
+            for row, expected in zip(actions[15:40], straight, strict=True):
+                assert [differ(*pair) for pair in zip(envs.step(row), expected, strict=True)] == [""] * 5
+            for row in actions[40:43]:
+                envs.step(row)
+    with pytest.raises(InvalidConfig, match="is closed; take another one"):
+        envs.reset(options={"snapshot": kept})
+    envs.close()
+
+
+def test_snapshots_of_slots_that_cannot_be(small: BuildingVectorEnv) -> None:
+    with pytest.raises(EpisodeChanged, match=r"call reset\(\) first"):
+        small.snapshot()
+    small.reset(seed=1)
+    kept = small.snapshot()
+    with pytest.raises(InvalidConfig, match="a snapshot is of all slots; leave out reset_mask"):
+        small.reset(options={"snapshot": kept, "reset_mask": np.array([True, False, False])})
+    for _ in range(small.manifest.steps):
+        small.step(small.action_space.sample())
+    with pytest.raises(EpisodeChanged, match="each slot must be in an episode"):
+        small.snapshot()
+    assert small.reset(options={"snapshot": kept})[1]["step"].tolist() == [0, 0, 0]
+    fake = fakes(2)
+    fake.reset()
+    with pytest.raises(InvalidConfig, match="has no node"):
+        fake.snapshot()
+    with pytest.raises(InvalidConfig, match=r"of node .*; this environment is on"):
+        fake.reset(options={"snapshot": kept})
