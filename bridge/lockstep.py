@@ -26,13 +26,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-import numpy as np
-from numpy.typing import NDArray
-
 from bridge.claims import Claimant, Claims
+from bridge.commanded import Commanded, Held
 from bridge.priority import PriorityArray
 from topics import codec
-from topics.errors import BadMessage, EpisodeAborted, near
+from topics.errors import BadMessage, EpisodeAborted
 from topics.messages import (
     Actuator,
     Claim,
@@ -40,7 +38,6 @@ from topics.messages import (
     ControllerStatus,
     Event,
     EventKind,
-    Mask,
     Mode,
     Policy,
     State,
@@ -104,32 +101,14 @@ class Counts:
 
 
 @dataclass(slots=True)
-class _Expiry:
-    at_s: float
-    level: int
-    actuator: int
-    source: str
-
-
-@dataclass(frozen=True, slots=True)
-class Held:
-    """What was commanded up to a sample and holds on: a part of a snapshot."""
-
-    array: PriorityArray
-    expiries: tuple[_Expiry, ...] = ()
-
-    def of_slot(self, slot: int, slots: int) -> Held:
-        """What holds in one slot, for each of `slots` new ones."""
-        return Held(self.array.of_slot(slot, slots), self.expiries)
-
-
-@dataclass(slots=True)
 class Exchange:
     """The state of one node's exchange.
 
     Attributes:
         actuators: in manifest order.
         slots: engines in the node.
+        commanded: what the actuators are commanded.
+        claims: by whom.
         mode: who sets the pace.
         touched: of each slot, whether it was commanded or has moved since it began.
         ended: of each slot, whether its episode is over.
@@ -150,6 +129,7 @@ class Exchange:
     episode: list[int] = field(default_factory=list)
     step: list[int] = field(default_factory=list)
     counts: Counts = field(default_factory=Counts)
+    commanded: Commanded = field(init=False)
     claims: Claims = field(init=False)
     touched: list[bool] = field(init=False)
     ended: list[bool] = field(init=False)
@@ -163,12 +143,6 @@ class Exchange:
     _answers: set[int] = field(default_factory=set)
     _pending: set[str] = field(default_factory=set)
     _answered: set[str] = field(default_factory=set)
-    _expiries: list[_Expiry] = field(default_factory=list)
-    _limits: NDArray[np.float64] = field(init=False)
-    _clipped: NDArray[np.float64] = field(init=False)
-    _size: int = field(init=False)
-    _array: PriorityArray = field(init=False)
-    _index: dict[str, int] = field(init=False)
     _head: bytes = field(init=False, default=b"")
     _all: range = field(init=False)
     _moved: list[bool] = field(init=False)
@@ -180,15 +154,8 @@ class Exchange:
         self.ended = [False] * self.slots
         self.moving = self._all = range(self.slots)
         self._moved = [True] * self.slots
-        most = float(np.finfo(np.float64).max)  # an unbounded actuator takes any finite value
-        low = [-most if a.low is None else a.low for a in self.actuators]
-        high = [most if a.high is None else a.high for a in self.actuators]
-        self._limits = np.tile(np.array([low, high]).reshape(2, -1), self.slots)
-        self._clipped = np.empty(self._limits.shape[1])
-        self._size = self._clipped.nbytes
-        self._array = PriorityArray(self.slots, len(self.actuators))
-        self._index = {a.name: i for i, a in enumerate(self.actuators)}
-        self.claims = Claims(self.actuators, self._array)
+        self.commanded = Commanded(self.actuators, self.slots)
+        self.claims = Claims(self.actuators, self.commanded.array)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -198,7 +165,7 @@ class Exchange:
     @property
     def ruler_names(self) -> list[str]:
         """Names that the indices of `go` refer to."""
-        return self._array.names
+        return self.commanded.array.names
 
     def take(self, what: Input) -> None:
         """Moves on by the table.
@@ -247,7 +214,7 @@ class Exchange:
             self._heard = {}
         self._answered = set()
         self._answers = set()
-        self._head = b"" if any(self.ended) else codec.command_head(self.episode, self.step, self._size)
+        self._head = b"" if any(self.ended) else codec.command_head(self.episode, self.step, self.commanded.size)
 
     def reset(self, slots: Sequence[int] | None = None) -> None:
         """A new episode begins, in all slots or in some: what was set there is released.
@@ -257,21 +224,19 @@ class Exchange:
         self.take(Input.RESET)
         if slots is None or len(set(slots)) == self.slots:
             self.episode = [episode + 1 for episode in self.episode]
-            self._array.clear()
-            self._expiries.clear()
+            self.commanded.clear()
             self.claims.begin_episode()
             return
         self.episode = [episode + (slot in slots) for slot, episode in enumerate(self.episode)]
-        self._array.release(slots)
+        self.commanded.array.release(slots)
 
     def held(self) -> Held:
         """What holds at the present sample."""
-        return Held(self._array.copy(), tuple(self._expiries))
+        return self.commanded.held()
 
     def hold(self, held: Held) -> None:
         """Has that hold again; between `reset` and `ready`, or at the very beginning."""
-        self._array.restore(held.array)
-        self._expiries = [*held.expiries]
+        self.commanded.hold(held)
         self.claims.begin_episode()
 
     def due(self) -> bool:
@@ -301,7 +266,7 @@ class Exchange:
             self.touched = self._moved
         else:
             self.touched = [was or slot in self.moving for slot, was in enumerate(self.touched)]
-        return self._array.resolve()
+        return self.commanded.array.resolve()
 
     def _missed(self) -> bool:
         """Counts the required controllers without which the timestep goes on; whether there are any."""
@@ -326,7 +291,7 @@ class Exchange:
         """
         renewed = claim.controller in self.claims.by_name
         claimant, gone = self.claims.take(claim, self.now_s)
-        self._expiries = [e for e in self._expiries if not (e.level == claim.level and claimant.allowed[e.actuator])]
+        self.commanded.claimed(claimant)
         for name in (*gone, claim.controller):
             self._pending.discard(name)
             self._answered.discard(name)
@@ -411,11 +376,11 @@ class Exchange:
         """
         if said != _USUAL and not codec.names(Command, said):
             return False
-        head = self._head
-        if head and controller in self._pending and len(payload) == len(head) + self._size and payload.startswith(head):
+        head, size = self._head, self.commanded.size
+        if head and controller in self._pending and len(payload) == len(head) + size and payload.startswith(head):
             claimant, raw = self.claims.by_name[controller], payload[len(head) :]
-            if claimant.whole and not claimant.silent and self.state is State.WAITING and self._within(raw):
-                self._array.put_all(claimant.level, claimant.source, raw)
+            usual = claimant.whole and not claimant.silent and self.state is State.WAITING
+            if usual and self.commanded.put_usual(claimant, raw):
                 self._took(claimant, self._all)
                 return True
         return False
@@ -466,7 +431,7 @@ class Exchange:
             what = f"slot {over} is over; reset it, or" if answered else "no slot is answered;"
             return self.rejected(f"{what} leave out (step None) only those that are to stand still", controller)
         try:
-            self._apply(claimant, command, answered)
+            self.commanded.put(claimant, command, answered)
         except BadMessage as error:
             return self.rejected(str(error), controller)
         self._took(claimant, answered)
@@ -513,97 +478,34 @@ class Exchange:
         went = (now for episode, step, now in reversed(self._went) if (episode[slot], step[slot]) == at)
         return next(went, None)
 
-    def _apply(self, claimant: Claimant, command: Command, answered: Sequence[int]) -> None:
-        values = codec.floats(command.values, self.shape, "values")
-        whole = len(answered) == self.slots
-        if command.mask is None and claimant.whole and whole:
-            self._check(values)
-            self._array.put_all(claimant.level, claimant.source, command.values)
-            return
-        mask = self._mask(claimant, command)
-        if not whole:
-            mask = np.where(np.isin(np.arange(self.slots), answered)[:, None], mask, np.uint8(Mask.KEEP))
-        self._check(np.where(mask == Mask.SET, values, self._limits[0].reshape(self.shape)))
-        self._array.put(claimant.level, claimant.source, np.where(mask == Mask.SET, values, np.nan), mask != Mask.KEEP)
-
-    def _mask(self, claimant: Claimant, command: Command) -> NDArray[np.uint8]:
-        if command.mask is None:
-            mask = np.full(self.shape, Mask.SET, np.uint8)
-        else:
-            mask = codec.octets(command.mask, self.shape, "mask")
-        if mask.size and mask.max() > Mask.RELEASE:
-            raise BadMessage(f"mask has {int(mask.max())}; 0 keeps, 1 sets, 2 releases")
-        if (mask[:, ~claimant.allowed] != Mask.KEEP).any():
-            _, index = np.argwhere((mask != Mask.KEEP) & ~claimant.allowed)[0]
-            raise BadMessage(f"{self.actuators[index].name!r} is not among the actuators it claimed")
-        return mask
-
-    def _within(self, raw: bytes) -> bool:
-        """Whether clipping would change nothing; a quick yes, while a no (also for -0.0) wants `_check`."""
-        low, high = self._limits
-        clipped = self._clipped
-        np.fmin(np.fmax(np.frombuffer(raw), low, out=clipped), high, out=clipped)
-        return clipped.tobytes() == raw
-
-    def _check(self, values: NDArray[np.float64]) -> None:
-        """All values, shape (slots, actuators), finite and within bounds, or `BadMessage`."""
-        low, high = self._limits.reshape(2, *self.shape)
-        wrong = ~((values >= low) & (values <= high))  # true for NaN
-        if wrong.any():
-            slot, index = np.argwhere(wrong)[0]
-            raise BadMessage(self._out_of_bounds(int(index), float(values[slot, index])))
-
-    def _out_of_bounds(self, index: int, value: float) -> str:
-        actuator = self.actuators[index]
-        low, high = (str(b) if b is not None else "unbounded" for b in (actuator.low, actuator.high))
-        return f"{actuator.name} = {value:g} {actuator.unit}; its bounds are {low} to {high}"
-
     def write(self, name: str, write: Write, elapsed_s: float) -> Event:
         """A device or a person writes one actuator; it rules from the next timestep on."""
-        if name not in self._index:
-            return self.rejected(f"no actuator {name!r}; {near(name, self._index)}", write.source)
-        index = self._index[name]
-        if write.value is not None:
-            actuator = self.actuators[index]
-            low, high = self._limits[:, index]
-            if not low <= write.value <= high:
-                return self.rejected(self._out_of_bounds(index, write.value), write.source)
-            text = f"{name} = {write.value:g} {actuator.unit} at priority {write.priority}"
-        else:
-            text = f"{name} released at priority {write.priority}"
+        try:
+            index = self.commanded.find(name, write)
+        except BadMessage as error:
+            return self.rejected(str(error), write.source)
         holder = self.claims.holder(write.priority, index)
         if holder is not None:
             return self.rejected(f"level {write.priority} of {name!r} is claimed by {holder.name!r}", write.source)
-        self._set(write.priority, write.source, index, write.value)
-        self._expiries = [e for e in self._expiries if (e.level, e.actuator) != (write.priority, index)]
-        if write.value is not None and write.for_s is not None:
-            self._expiries.append(_Expiry(elapsed_s + write.for_s, write.priority, index, write.source))
-        return self.event(EventKind.WRITTEN, text, write.source)
-
-    def _set(self, level: int, source: str, index: int, value: float | None) -> None:
         self.touched = self._moved
-        who = self._array.source(source, self.claims.sources)
-        self._array.put_one(level, who, index, np.nan if value is None else value)
-
-    @property
-    def expiring(self) -> bool:
-        """Whether anything was written for a time."""
-        return bool(self._expiries)
+        who = self.commanded.array.source(write.source, self.claims.sources)
+        return self.event(EventKind.WRITTEN, self.commanded.write(index, write, who, elapsed_s), write.source)
 
     def nobody(self) -> tuple[bytes, bytes]:
         """What `go` returns where nobody commands."""
         return PriorityArray(*self.shape).resolve()
 
+    @property
+    def expiring(self) -> bool:
+        """Whether anything was written for a time."""
+        return self.commanded.expiring
+
     def expire(self, elapsed_s: float) -> list[Event]:
         """Releases what was written for a time that is over."""
-        over = [e for e in self._expiries if e.at_s <= elapsed_s]
-        self._expiries = [e for e in self._expiries if e.at_s > elapsed_s]
-        for e in over:
-            self._set(e.level, e.source, e.actuator, None)
-        return [
-            self.event(EventKind.EXPIRED, f"{self.actuators[e.actuator].name} released at priority {e.level}", e.source)
-            for e in over
-        ]
+        over = self.commanded.expire(elapsed_s)
+        if over:
+            self.touched = self._moved
+        return [self.event(EventKind.EXPIRED, text, source) for text, source in over]
 
     # Words
 

@@ -16,7 +16,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from bridge.lockstep import Exchange, Held
+from bridge.commanded import Held
+from bridge.lockstep import Exchange
 from eplus_node.engines import Engines
 from eplus_node.injection import State as Faulty
 from eplus_node.link import EngineLink, one_for_each

@@ -1,0 +1,183 @@
+"""What is commanded to the actuators: values at 16 levels, within their bounds, some of them for a time.
+
+Rules without I/O. Shapes are (slots, actuators).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bridge.claims import Claimant
+from bridge.priority import PriorityArray
+from topics import codec
+from topics.errors import BadMessage, near
+from topics.messages import Actuator, Command, Mask, Write
+
+
+@dataclass(frozen=True, slots=True)
+class Expiry:
+    """A single point that is released at a time of the episode."""
+
+    at_s: float
+    level: int
+    actuator: int
+    source: str
+
+
+@dataclass(frozen=True, slots=True)
+class Held:
+    """What was commanded up to a sample and holds on: a part of a snapshot."""
+
+    array: PriorityArray
+    expiries: tuple[Expiry, ...] = ()
+
+    def of_slot(self, slot: int, slots: int) -> Held:
+        """What holds in one slot, for each of `slots` new ones."""
+        return Held(self.array.of_slot(slot, slots), self.expiries)
+
+
+class Commanded:
+    """Of one node.
+
+    Args:
+        actuators: in manifest order.
+        slots: engines in the node.
+
+    Attributes:
+        array: who commands what, at which level.
+        size: bytes of the values of all actuators of all slots.
+    """
+
+    def __init__(self, actuators: tuple[Actuator, ...], slots: int) -> None:
+        self._actuators, self._shape = actuators, (slots, len(actuators))
+        most = float(np.finfo(np.float64).max)  # an unbounded actuator takes any finite value
+        low = [-most if a.low is None else a.low for a in actuators]
+        high = [most if a.high is None else a.high for a in actuators]
+        self._bounds = np.tile(np.array([low, high]).reshape(2, -1), slots)
+        self._clipped = np.empty(self._bounds.shape[1])
+        self._index = {a.name: i for i, a in enumerate(actuators)}
+        self._expiries: list[Expiry] = []
+        self.array = PriorityArray(*self._shape)
+        self.size = self._clipped.nbytes
+
+    def clear(self) -> None:
+        """Releases everything, for a new episode."""
+        self.array.clear()
+        self._expiries = []
+
+    def held(self) -> Held:
+        """What holds now."""
+        return Held(self.array.copy(), tuple(self._expiries))
+
+    def hold(self, held: Held) -> None:
+        """Has that hold again."""
+        self.array.restore(held.array)
+        self._expiries = [*held.expiries]
+
+    # A controller's command
+
+    def put_usual(self, claimant: Claimant, raw: bytes) -> bool:
+        """Sets all actuators of all slots to raw values, if it is plain that they are within bounds; whether it was.
+
+        False also for some that are (-0.0 at a bound of 0): `put` looks at them closely.
+        """
+        low, high = self._bounds
+        clipped = self._clipped
+        np.fmin(np.fmax(np.frombuffer(raw), low, out=clipped), high, out=clipped)
+        if clipped.tobytes() != raw:
+            return False
+        self.array.put_all(claimant.level, claimant.source, raw)
+        return True
+
+    def put(self, claimant: Claimant, command: Command, answered: Sequence[int]) -> None:
+        """Sets and releases what a command says, in the slots that it answers.
+
+        Raises:
+            BadMessage: wrong sizes, a value out of bounds or not finite, or an actuator that was not claimed; nothing
+                is changed.
+        """
+        values = codec.floats(command.values, self._shape, "values")
+        whole = len(answered) == self._shape[0]
+        if command.mask is None and claimant.whole and whole:
+            self._check(values)
+            self.array.put_all(claimant.level, claimant.source, command.values)
+            return
+        mask = self._mask(claimant, command)
+        if not whole:
+            mask = np.where(np.isin(np.arange(self._shape[0]), answered)[:, None], mask, np.uint8(Mask.KEEP))
+        self._check(np.where(mask == Mask.SET, values, self._bounds[0].reshape(self._shape)))
+        self.array.put(claimant.level, claimant.source, np.where(mask == Mask.SET, values, np.nan), mask != Mask.KEEP)
+
+    def _mask(self, claimant: Claimant, command: Command) -> NDArray[np.uint8]:
+        if command.mask is None:
+            mask = np.full(self._shape, Mask.SET, np.uint8)
+        else:
+            mask = codec.octets(command.mask, self._shape, "mask")
+        if mask.size and mask.max() > Mask.RELEASE:
+            raise BadMessage(f"mask has {int(mask.max())}; 0 keeps, 1 sets, 2 releases")
+        if (mask[:, ~claimant.allowed] != Mask.KEEP).any():
+            _, index = np.argwhere((mask != Mask.KEEP) & ~claimant.allowed)[0]
+            raise BadMessage(f"{self._actuators[index].name!r} is not among the actuators it claimed")
+        return mask
+
+    def _check(self, values: NDArray[np.float64]) -> None:
+        low, high = self._bounds.reshape(2, *self._shape)
+        wrong = ~((values >= low) & (values <= high))  # true for NaN
+        if wrong.any():
+            slot, index = np.argwhere(wrong)[0]
+            raise BadMessage(self._out_of_bounds(int(index), float(values[slot, index])))
+
+    def _out_of_bounds(self, index: int, value: float) -> str:
+        actuator = self._actuators[index]
+        low, high = (str(b) if b is not None else "unbounded" for b in (actuator.low, actuator.high))
+        return f"{actuator.name} = {value:g} {actuator.unit}; its bounds are {low} to {high}"
+
+    # Single points
+
+    def find(self, name: str, write: Write) -> int:
+        """The index of the actuator that is written.
+
+        Raises:
+            BadMessage: there is none of that name, or the value is out of its bounds.
+        """
+        if name not in self._index:
+            raise BadMessage(f"no actuator {name!r}; {near(name, self._index)}")
+        index = self._index[name]
+        if write.value is not None:
+            low, high = self._bounds[:, index]
+            if not low <= write.value <= high:
+                raise BadMessage(self._out_of_bounds(index, write.value))
+        return index
+
+    def write(self, index: int, write: Write, source: int, elapsed_s: float) -> str:
+        """Sets or releases one actuator of all slots; says so in words."""
+        self.array.put_one(write.priority, source, index, np.nan if write.value is None else write.value)
+        self._expiries = [e for e in self._expiries if (e.level, e.actuator) != (write.priority, index)]
+        actuator = self._actuators[index]
+        if write.value is None:
+            return f"{actuator.name} released at priority {write.priority}"
+        if write.for_s is not None:
+            self._expiries.append(Expiry(elapsed_s + write.for_s, write.priority, index, write.source))
+        return f"{actuator.name} = {write.value:g} {actuator.unit} at priority {write.priority}"
+
+    def claimed(self, claimant: Claimant) -> None:
+        """What was written for a time where somebody claims holds no longer than the claim says."""
+        level, allowed = claimant.level, claimant.allowed
+        self._expiries = [e for e in self._expiries if not (e.level == level and allowed[e.actuator])]
+
+    @property
+    def expiring(self) -> bool:
+        """Whether anything was written for a time."""
+        return bool(self._expiries)
+
+    def expire(self, elapsed_s: float) -> list[tuple[str, str]]:
+        """Releases what was written for a time that is over: for each what is to be said, and who had written it."""
+        over = [e for e in self._expiries if e.at_s <= elapsed_s]
+        self._expiries = [e for e in self._expiries if e.at_s > elapsed_s]
+        for e in over:
+            self.array.put_one(e.level, 0, e.actuator, np.nan)
+        return [(f"{self._actuators[e.actuator].name} released at priority {e.level}", e.source) for e in over]
