@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import zenoh
 
 from bridge.access import ROLES, control
+from topics import codec
 from topics.errors import BusError, EndpointTaken, Faults, InvalidConfig, NothingThere
 from topics.keys import Role
 
@@ -26,6 +27,9 @@ if TYPE_CHECKING:
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 DEFAULT_TLS_ENDPOINT = "tls/127.0.0.1:7447"
+MOST_BYTES = 4 * codec.MAX_BYTES
+"""Larger messages are dropped as they come in, by Zenoh: they would fill the memory before anybody could look."""
+
 _CONNECT_MS = 2000
 _FORM = re.compile(r"(tcp|unixsock-stream)/\S+|tls/[^\s#?;]+:\d+")
 _LOOPBACK = re.compile(r"(tcp|tls)/(127\.\d+\.\d+\.\d+|localhost|\[::1\]):\d+")
@@ -182,6 +186,7 @@ def _settings(listen: Sequence[str], connect: Sequence[str], *, wait: bool, mode
         "connect/timeout_ms": -1 if wait else _CONNECT_MS,
         "connect/exit_on_failure": not wait,
         "scouting/multicast/enabled": False,
+        "transport/link/rx/max_message_size": MOST_BYTES,
     }
 
 

@@ -14,6 +14,7 @@ from nodes import SMALL, NodeProgram, Program, until
 from zenoh.handlers import FifoChannel
 
 import agent_sdk
+from bridge.session import MOST_BYTES
 from topics import codec, keys
 from topics.errors import NothingThere, Refused
 from topics.messages import Claim, Event, EventKind, State
@@ -188,6 +189,16 @@ def test_a_strangers_faulty_write_changes_nothing_and_is_named(bus: agent_sdk.Bu
         after = link.receive()
         assert set(after.ruled_by.values()) == {""}
         assert after.wire.rejected == rejected + 3
+
+
+def test_a_message_that_is_too_large_is_refused_by_name_and_a_larger_one_not_taken_in(bus: agent_sdk.Bus) -> None:
+    with events_of(bus) as events:
+        before = bus.status("office").rejected
+        key = keys.COMMAND.at("office", name="huge")
+        bus.session.put(key, bytes(MOST_BYTES + 1))
+        bus.session.put(key, bytes(MOST_BYTES // 2))
+        assert f"at most {codec.MAX_BYTES}" in next_event(events, EventKind.REJECTED).text
+        assert bus.status("office").rejected == before + 1
 
 
 # Several controllers
