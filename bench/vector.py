@@ -48,6 +48,7 @@ def _kinds(stack: ExitStack, seconds: float) -> dict[str, Callable[[], float]]:
     pinned = [start("bare", core=cores[place % len(cores)]) for place in range(max(BARE))]
     kinds = {f"bare, {count} free": pace.rate_of(free[:count], seconds) for count in BARE}
     kinds |= {f"bare, {count} pinned": pace.rate_of(pinned[:count], seconds) for count in BARE}
+    kinds["engines together, no bus"] = pace.rate_of([start("engines", count=SLOTS)], seconds, each=SLOTS)
     kinds["slots, no environment"] = pace.rate_of([start("slots", count=SLOTS)], seconds, each=SLOTS)
     kinds[OURS] = pace.rate_of([start("vector", count=SLOTS, mode="vector_entry_point")], seconds, each=SLOTS)
     kinds[ASYNC] = pace.rate_of([start("vector", count=SLOTS, mode="async")], seconds, each=SLOTS)

@@ -13,6 +13,7 @@ import tempfile
 import threading
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -166,6 +167,32 @@ def environment(found: dict[str, Any], pace: Pace, *, monitors: int = 0, **more:
         _in_turn(lambda: env.step(action), pace, memory_mb=memory_mb)
 
 
+def engines(found: dict[str, Any], pace: Pace, *, count: int) -> None:
+    """Engines of one node that step together by its sockets alone: no bus, no node, no controller."""
+    from eplus_node.engines import Engines
+    from eplus_node.link import EngineLink, Run
+
+    folder = Path(tempfile.mkdtemp())
+    checked, files = scenes.prepared(found, folder)
+    cores, points, period = sorted(os.sched_getaffinity(0)), checked.points, checked.period
+    run = Run(files.model, files.weather, folder, period.steps, period.steps_per_hour, points)
+    with ExitStack() as stack:
+        first = EngineLink(run)
+        stack.callback(first.close)
+        first.receive()
+        links = []
+        for number in range(count):
+            own = folder / f"slot-{number}"
+            own.mkdir()
+            links.append(first.fork(replace(run, folder=own, cpus=(cores[number % len(cores)],))))
+            stack.callback(links[-1].close)
+            links[-1].receive()
+        values = np.tile(scenes.setpoints(points.actuators), count).tobytes()
+        together, nobody = Engines(links), bytes(len(values) // 8)
+        together.begin(range(count))
+        _in_turn(lambda: together.step(values, nobody, range(count)), pace)
+
+
 def slots(found: dict[str, Any], pace: Pace, *, count: int, **more: Any) -> None:
     """Slots of one node, without an environment around them: what the bus and the node take of it."""
     from agent_sdk.client import connect
@@ -208,7 +235,7 @@ def vector(found: dict[str, Any], pace: Pace, *, count: int, mode: str, **more: 
 
 
 IN_PROCESS = {"bare": bare, "callback": callback, "queues": queues}
-ACROSS = {"env": environment, "slots": slots, "vector": vector}
+ACROSS = {"env": environment, "engines": engines, "slots": slots, "vector": vector}
 
 
 def main() -> None:
