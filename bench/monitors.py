@@ -11,7 +11,7 @@ from rich.table import Table
 from bench import pace
 from bench.pace import Worker
 
-SCENES = {"five-zone": 1000, "office-small": 400}
+SCENES = {"five-zone": 4000, "office-small": 2000}
 COUNTS = (0, 1, 3, 10)
 _SETTLE_S = 0.5
 """For the monitors' backlog, which would fall on the next kind."""
@@ -19,7 +19,7 @@ _SETTLE_S = 0.5
 
 def measure(*, quick: bool) -> dict[str, Any]:
     """Microseconds a step by number of monitors, and times none."""
-    return {scene: _of(scene, steps, 3 if quick else 16) for scene, steps in SCENES.items()}
+    return {scene: _of(scene, steps, 3 if quick else 9) for scene, steps in SCENES.items()}
 
 
 def _of(scene: str, steps: int, count: int) -> dict[str, Any]:

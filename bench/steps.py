@@ -11,8 +11,8 @@ from rich.table import Table
 from bench import pace
 from bench.pace import Worker
 
-SCENES = {"five-zone": 1000, "office-small": 400, "office-medium": 300}
-"""And the steps of a burst."""
+SCENES = {"five-zone": 8000, "office-small": 3000, "office-medium": 2000}
+"""And the steps of a burst: some seconds, so that what each side has learnt of the other's waiting counts."""
 KINDS: dict[str, tuple[str, dict[str, Any]]] = {
     "EnergyPlus alone": ("bare", {}),
     "callback in its process": ("callback", {}),
@@ -27,7 +27,7 @@ REFERENCE = "thread and two queues"
 
 def measure(*, quick: bool) -> dict[str, Any]:
     """Microseconds a step of each kind, and times the reference."""
-    return {scene: _of(scene, steps, 4 if quick else 24) for scene, steps in SCENES.items()}
+    return {scene: _of(scene, steps, 3 if quick else 9) for scene, steps in SCENES.items()}
 
 
 def _of(scene: str, steps: int, count: int) -> dict[str, Any]:

@@ -23,8 +23,6 @@ app = typer.Typer(
 
 FOLDER = Path("zenostat-keys")
 
-Keys = Annotated[Path | None, typer.Option(help="Folder made by `zenostat keys init`: TLS, with rules for each role.")]
-CertificateName = Annotated[str | None, typer.Option(help="Certificate of another name than the role's.")]
 Hosts = Annotated[
     list[str] | None,
     typer.Option("--host", help="Name or address of a node's machine, besides those of the loopback; repeated."),

@@ -12,7 +12,7 @@ import typer
 
 from bridge.session import DEFAULT_ENDPOINT, default_endpoint
 from cli.console import err, out, until_signal
-from cli.keys import CertificateName, Keys
+from cli.options import CertificateName, Keys
 from topics.errors import InvalidConfig
 from topics.keys import Role
 

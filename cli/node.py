@@ -12,7 +12,7 @@ from bridge.affinity import Affinity
 from bridge.session import DEFAULT_ENDPOINT, default_endpoint, exposure
 from cli import statistics
 from cli.console import out, progress
-from cli.keys import CertificateName, Keys
+from cli.options import CertificateName, Keys
 from topics.errors import InvalidConfig
 from topics.messages import Mode, Policy, State
 

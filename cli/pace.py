@@ -10,8 +10,8 @@ import typer
 
 from bridge.session import default_endpoint
 from cli.console import out
-from cli.keys import CertificateName, Keys
-from cli.write import Endpoint, Node, person
+from cli.options import CertificateName, Connect, Keys
+from cli.write import Node, person
 from topics.errors import InvalidConfig
 from topics.messages import Mode
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 def pace(
     node: Node,
     speed: Annotated[str, typer.Argument(help="Simulated seconds in a second; or lockstep, or free.")],
-    connect: Endpoint = None,
+    connect: Connect = None,
     keys: Keys = None,
     certificate: CertificateName = None,
 ) -> None:
@@ -34,7 +34,7 @@ def pace(
     _ask(node, connect, keys, certificate, lambda bus: bus.pace(node, number, mode=mode, source=person()))
 
 
-def pause(node: Node, connect: Endpoint = None, keys: Keys = None, certificate: CertificateName = None) -> None:
+def pause(node: Node, connect: Connect = None, keys: Keys = None, certificate: CertificateName = None) -> None:
     """Has a node stand still, in whatever mode.
 
     Example: `zenostat pause office`
@@ -42,7 +42,7 @@ def pause(node: Node, connect: Endpoint = None, keys: Keys = None, certificate: 
     _ask(node, connect, keys, certificate, lambda bus: bus.pause(node, source=person()))
 
 
-def resume(node: Node, connect: Endpoint = None, keys: Keys = None, certificate: CertificateName = None) -> None:
+def resume(node: Node, connect: Connect = None, keys: Keys = None, certificate: CertificateName = None) -> None:
     """Has a node go on; a paced one from where it stands, without catching up.
 
     Example: `zenostat resume office`
@@ -53,7 +53,7 @@ def resume(node: Node, connect: Endpoint = None, keys: Keys = None, certificate:
 def step(
     node: Node,
     steps: Annotated[int, typer.Argument(min=1, max=1_000_000, help="Timesteps.")] = 1,
-    connect: Endpoint = None,
+    connect: Connect = None,
     keys: Keys = None,
     certificate: CertificateName = None,
 ) -> None:
@@ -68,7 +68,7 @@ def faults(
     node: Node,
     file: Annotated[Path | None, typer.Argument(help="A plan (YAML); see docs/faults.md.")] = None,
     clear: Annotated[bool, typer.Option("--clear", help="No more faults.")] = False,
-    connect: Endpoint = None,
+    connect: Connect = None,
     keys: Keys = None,
     certificate: CertificateName = None,
 ) -> None:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from bridge.session import DEFAULT_ENDPOINT, default_endpoint
-from cli.keys import CertificateName, Keys
+from bridge.session import default_endpoint
+from cli.options import CertificateName, Connect, Keys
 from cli.points import show, show_json
 from topics.errors import UnknownName, near
 from topics.keys import Role
@@ -40,7 +40,7 @@ def read(
     node: Annotated[str, typer.Argument(help="The node's name.")],
     points: Annotated[list[str] | None, typer.Argument(help="Names of points; all if left out.")] = None,
     slot: Annotated[int, typer.Option(min=0, help="Which engine of a node that has several.")] = 0,
-    connect: Annotated[str | None, typer.Option(help="Endpoint of the bus.", show_default=DEFAULT_ENDPOINT)] = None,
+    connect: Connect = None,
     keys: Keys = None,
     certificate: CertificateName = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,

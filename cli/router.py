@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from cli.console import err, out, until_signal
-from cli.keys import CertificateName, Keys
+from cli.options import CertificateName, Keys
 
 
 def router(

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from bridge.session import DEFAULT_ENDPOINT, default_endpoint
+from bridge.session import default_endpoint
 from cli.console import out, progress
-from cli.keys import CertificateName, Keys
+from cli.options import CertificateName, Connect, Keys
 from topics.errors import InvalidConfig
 from topics.keys import safe
 
@@ -40,7 +40,7 @@ def run(
         int | None,
         typer.Option(min=0, help="Of what the controller draws, and of the first episode that this command begins."),
     ] = None,
-    connect: Annotated[str | None, typer.Option(help="Endpoint of the bus.", show_default=DEFAULT_ENDPOINT)] = None,
+    connect: Connect = None,
     keys: Keys = None,
     certificate: CertificateName = None,
     level: Annotated[int, typer.Option(min=1, max=16, help="Priority level; 1 is the highest.")] = 10,

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
-import typer
 from rich.table import Table
 
-from bridge.session import DEFAULT_ENDPOINT, default_endpoint
+from bridge.session import default_endpoint
 from cli.console import out
-from cli.keys import CertificateName, Keys
+from cli.options import CertificateName, Connect, Keys
 from topics.keys import Role
 from topics.messages import ControllerStatus, Mode, Spread, Status
 
 
 def status(
-    connect: Annotated[str | None, typer.Option(help="Endpoint of the bus.", show_default=DEFAULT_ENDPOINT)] = None,
+    connect: Connect = None,
     keys: Keys = None,
     certificate: CertificateName = None,
 ) -> None:

@@ -14,9 +14,9 @@ from rich.live import Live
 from rich.markup import escape
 from rich.table import Table
 
-from bridge.session import DEFAULT_ENDPOINT, default_endpoint
+from bridge.session import default_endpoint
 from cli.console import err, out
-from cli.keys import CertificateName, Keys
+from cli.options import CertificateName, Connect, Keys
 from cli.read import Row, check_points, rows, shown, where
 from topics.errors import NodeLost
 from topics.keys import Role
@@ -34,7 +34,7 @@ def watch(
     points: Annotated[list[str] | None, typer.Argument(help="Names of points; all if left out.")] = None,
     steps: Annotated[int | None, typer.Option(min=1, help="End after so many samples.")] = None,
     slot: Annotated[int, typer.Option(min=0, help="Which engine of a node that has several.")] = 0,
-    connect: Annotated[str | None, typer.Option(help="Endpoint of the bus.", show_default=DEFAULT_ENDPOINT)] = None,
+    connect: Connect = None,
     keys: Keys = None,
     certificate: CertificateName = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print a line of JSON a sample.")] = False,

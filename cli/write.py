@@ -9,9 +9,9 @@ from typing import Annotated
 
 import typer
 
-from bridge.session import DEFAULT_ENDPOINT, default_endpoint
+from bridge.session import default_endpoint
 from cli.console import out
-from cli.keys import CertificateName, Keys
+from cli.options import CertificateName, Connect, Keys
 from topics.errors import InvalidConfig
 
 _SECONDS = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
@@ -20,7 +20,6 @@ _FORM = re.compile(rf"(\d+(?:\.\d+)?)({'|'.join(_SECONDS)})")
 Node = Annotated[str, typer.Argument(help="The node's name.")]
 Point = Annotated[str, typer.Argument(help="An actuator's name; `zenostat read NODE` lists them.")]
 Priority = Annotated[int, typer.Option(min=1, max=16, help="1 is the highest; 8 is a person's.")]
-Endpoint = Annotated[str | None, typer.Option("--connect", help="Endpoint of the bus.", show_default=DEFAULT_ENDPOINT)]
 Source = Annotated[str | None, typer.Option(help="Who writes; you at this machine if left out. It is made unique.")]
 
 
@@ -32,7 +31,7 @@ def write(
     for_: Annotated[
         str | None, typer.Option("--for", metavar="TIME", help="Simulated time that it holds: 90s, 15min, 2h, 1d.")
     ] = None,
-    connect: Endpoint = None,
+    connect: Connect = None,
     keys: Keys = None,
     certificate: CertificateName = None,
     source: Source = None,
@@ -53,7 +52,7 @@ def release(
     node: Node,
     point: Point,
     priority: Priority = 8,
-    connect: Endpoint = None,
+    connect: Connect = None,
     keys: Keys = None,
     certificate: CertificateName = None,
     source: Source = None,

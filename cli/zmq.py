@@ -10,15 +10,15 @@ from typing import Annotated
 
 import typer
 
-from bridge.session import DEFAULT_ENDPOINT, default_endpoint
+from bridge.session import default_endpoint
 from cli.console import out
-from cli.keys import CertificateName, Keys
+from cli.options import CertificateName, Connect, Keys
 from topics.errors import InvalidConfig
 from topics.keys import Role
 
 
 def zmq(
-    connect: Annotated[str | None, typer.Option(help="Endpoint of the bus.", show_default=DEFAULT_ENDPOINT)] = None,
+    connect: Connect = None,
     keys: Keys = None,
     certificate: CertificateName = None,
     node: Annotated[str, typer.Option(help="Only this node; all by default.")] = "*",
