@@ -17,6 +17,7 @@ import gymnasium as gym
 from agent_sdk.controllers import Acts, Agent, BuildingControl, create, load_controller
 from agent_sdk.environment import BuildingEnv
 from agent_sdk.metrics import Result, Tally
+from agent_sdk.settings import of_scenario
 from topics.errors import InvalidConfig, near
 
 Maker = Callable[..., Acts]
@@ -169,7 +170,7 @@ def evaluate(
     """
     if episodes < 1 or seed < 0:
         raise InvalidConfig(f"episodes={episodes}, seed={seed}: at least one episode and a seed of at least 0 expected")
-    settings = {**_settings(scenario), **given}
+    settings = {**of_scenario(scenario), **given}
     makers = _makers(controllers)
     shares = _shares(makers, parameters or {}, seed)
     rows: dict[str, list[Row]] = {}
@@ -201,14 +202,6 @@ def _episodes(
         )
         rows.append(Row(name, number, seed, weather, result))
     return rows
-
-
-def _settings(scenario: str | Path | Mapping[str, Any]) -> dict[str, Any]:
-    if isinstance(scenario, Mapping):
-        return dict(scenario)
-    if Path(scenario).suffix in (".yaml", ".yml"):
-        return {"file": scenario}
-    return {"scenario": str(scenario).removeprefix("zenostat/")}
 
 
 def _is_the_buildings(maker: Maker) -> bool:

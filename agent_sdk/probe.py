@@ -22,7 +22,7 @@ from agent_sdk.effects import Effect, Held, Ranges, Side, effect_of
 from agent_sdk.environment import BuildingEnv
 from agent_sdk.link import ControlLink
 from agent_sdk.sample import SampleView
-from agent_sdk.settings import OF_A_NODE
+from agent_sdk.settings import OF_A_NODE, of_scenario
 from topics.errors import BusError, Faults, InvalidConfig, SimulatorError, UnknownName, near
 from topics.messages import Actuator, MakeBranch, Manifest
 
@@ -101,7 +101,7 @@ def probe(
         UsageError: something that cannot be; no branch has been made then.
         SimulatorError, BusError: the episode itself failed. A branch that EnergyPlus gives up in is a note.
     """
-    settings = {**_settings(scenario), **given, "reward": None}  # it decides nothing here
+    settings = {**of_scenario(scenario), **given, "reward": None}  # it decides nothing here
     if unknown := sorted(set(settings) - {*OF_A_NODE, "affinity", "reward"}):
         raise InvalidConfig(f"{', '.join(unknown)}: no settings of a scenario; {near(unknown[0], OF_A_NODE)}")
     with warnings.catch_warnings():
@@ -113,14 +113,6 @@ def probe(
         assert isinstance(link, ControlLink)
         with _Branches(link, asked.length) as branches:
             return _Episode(asked, branches, progress).run(link, seed)
-
-
-def _settings(scenario: str | Path | Mapping[str, Any]) -> dict[str, Any]:
-    if isinstance(scenario, Mapping):
-        return dict(scenario)
-    if Path(scenario).suffix in (".yaml", ".yml"):
-        return {"file": scenario}
-    return {"scenario": str(scenario).removeprefix("zenostat/")}
 
 
 class Asked:

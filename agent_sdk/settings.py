@@ -25,6 +25,15 @@ OF_A_NODE = (
 """The arguments that a node decides by."""
 
 
+def of_scenario(scenario: str | Path | Mapping[str, Any]) -> dict[str, Any]:
+    """The arguments of an environment: a scenario's id or file, or those themselves."""
+    if isinstance(scenario, Mapping):
+        return dict(scenario)
+    if Path(scenario).suffix in (".yaml", ".yml"):
+        return {"file": scenario}
+    return {"scenario": str(scenario).removeprefix("zenostat/")}
+
+
 def for_node(given: Mapping[str, Any], name: str, slots: int = 1) -> dict[str, Any]:
     """What the user gave (None left out), as the settings of a node of that many slots.
 

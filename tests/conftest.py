@@ -11,7 +11,9 @@ from pathlib import Path
 
 import pytest
 from hypothesis import settings
-from nodes import nothing_left
+from nodes import SMALL, NodeProgram, nothing_left
+
+import agent_sdk
 
 # No deadlines: beside running simulations an example may take any time.
 settings.register_profile("zenostat", deadline=None)
@@ -43,6 +45,20 @@ def module_folder() -> Iterator[Path]:
     """The same for a module."""
     with _short_folder() as made:
         yield made
+
+
+@pytest.fixture
+def node(scratch: Path) -> Iterator[NodeProgram]:
+    """A node `office` with the small building, as a program."""
+    with NodeProgram(scratch / "node", **SMALL) as program:
+        yield program
+
+
+@pytest.fixture
+def bus(node: NodeProgram) -> Iterator[agent_sdk.Bus]:
+    """The bus of `node`."""
+    with agent_sdk.connect(node.endpoint, affinity="off") as connected:
+        yield connected
 
 
 @pytest.fixture

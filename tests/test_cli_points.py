@@ -33,18 +33,6 @@ def zenostat(endpoint: str, *arguments: str) -> subprocess.CompletedProcess[str]
     return subprocess.run(command, capture_output=True, text=True, timeout=100, env={**os.environ, "COLUMNS": "200"})
 
 
-@pytest.fixture
-def node(scratch: Path) -> Iterator[NodeProgram]:
-    with NodeProgram(scratch / "node", **SMALL) as running:
-        yield running
-
-
-@pytest.fixture
-def bus(node: NodeProgram) -> Iterator[agent_sdk.Bus]:
-    with agent_sdk.connect(node.endpoint, affinity="off") as made:
-        yield made
-
-
 @pytest.fixture(scope="module")
 def standing(module_folder: Path) -> Iterator[agent_sdk.Bus]:
     """A node that no test of a mistake may change."""

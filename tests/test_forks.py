@@ -5,37 +5,20 @@ from __future__ import annotations
 import os
 import signal
 from pathlib import Path
-from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import packs
 import psutil
 import pytest
+from forking import KINDS, SMALL, make
 from nodes import engines_of, until
 
-import agent_sdk  # noqa: F401  # registers the environments
 from agent_sdk.environment import BuildingEnv
 from topics.errors import EngineDied
 
-SMALL = "zenostat/ref-small-office-USA_CO_Denver-continuous-v1"
-DAY = {"begin": "07-03", "end": "07-03", "affinity": "off"}
-
-KINDS = {
-    "five zones": "5zone-hot-continuous-v1",
-    "data centre, DX": "datacenter_dx-hot-continuous-v1",
-    "data centre, chilled water": "datacenter_cw-hot-continuous-v1",
-    "medium office with EMS": "office-medium-USA_CO_Denver-continuous-v1",
-    "photovoltaics and battery": "shop-hot-continuous-v1",
-    "battery that is controlled": "officegrid-hot-continuous-v1",
+ALL = KINDS | {
     "many zones, whose points fill more than a socket takes at once": "outpatient-USA_FL_Orlando-continuous-v1",
 }
-
-
-def make(name: str, **given: Any) -> BuildingEnv:
-    env = gym.make(name if "/" in name else f"zenostat/{name}", **(DAY | given)).unwrapped
-    assert isinstance(env, BuildingEnv)
-    return env
 
 
 def play(env: BuildingEnv, *, steps: int | None = None) -> tuple[str, np.ndarray]:
@@ -59,7 +42,7 @@ def engines(env: BuildingEnv) -> list[psutil.Process]:
     return engines_of(env.own_node.pid)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ALL)
 def test_a_fork_is_a_fresh_start_to_the_bit(kind: str, scratch: Path) -> None:
     """An environment that keeps EnergyPlus's files starts each episode afresh; the other one forks.
 
@@ -67,7 +50,7 @@ def test_a_fork_is_a_fresh_start_to_the_bit(kind: str, scratch: Path) -> None:
     waiting through a whole episode.
     """
     packs.sinergym()
-    fresh, forking = make(KINDS[kind], keep=scratch / "kept"), make(KINDS[kind])
+    fresh, forking = make(ALL[kind], keep=scratch / "kept"), make(ALL[kind])
     began, expected = play(fresh)
     again, second = play(fresh)
     assert (began, again) == ("ready", "started")

@@ -427,18 +427,6 @@ def test_lockstep_with_lost_commands_goes_on_by_its_deadline(scratch: Path) -> N
     assert [s.step for s in ran] == [[k] for k in range(LAST + 1)]
 
 
-@pytest.fixture
-def node(scratch: Path) -> Iterator[NodeProgram]:
-    with NodeProgram(scratch / "node", **SMALL) as program:
-        yield program
-
-
-@pytest.fixture
-def bus(node: NodeProgram) -> Iterator[Bus]:
-    with agent_sdk.connect(node.endpoint, affinity="off") as connected:
-        yield connected
-
-
 # Environments
 
 

@@ -132,18 +132,6 @@ def test_no_pace_on_the_command_line() -> None:
 # Real nodes
 
 
-@pytest.fixture
-def node(scratch: Path) -> Iterator[NodeProgram]:
-    with NodeProgram(scratch / "node", **SMALL) as program:
-        yield program
-
-
-@pytest.fixture
-def bus(node: NodeProgram) -> Iterator[Bus]:
-    with agent_sdk.connect(node.endpoint, affinity="off") as connected:
-        yield connected
-
-
 def arrivals(samples: Iterator[SampleView], steps: int) -> list[tuple[int, float]]:
     """So many samples: the step of each, and when it came by the clock that all processes share."""
     found = []

@@ -126,12 +126,6 @@ def keeping(sample: Sample, **given: Any) -> dict[str, Any]:
 
 
 @pytest.fixture
-def node(scratch: Path) -> Iterator[NodeProgram]:
-    with NodeProgram(scratch / "node", **SMALL) as program:
-        yield program
-
-
-@pytest.fixture
 def gateway(node: NodeProgram) -> Iterator[GatewayProgram]:
     with GatewayProgram(node.endpoint) as program:
         yield program
