@@ -377,7 +377,7 @@ class Node:
 
     def _snapshot(self, asked: TakeSnapshot) -> Message:
         taken = self.forks.snapshot(
-            asked, lambda folder: [s.position(folder / str(i)) for i, s in enumerate(self._supplies)]
+            asked, lambda folder: [s.position(folder / f"slot-{i}") for i, s in enumerate(self._supplies)]
         )
         text = f"snapshot {taken.name} at step {taken.step[0]}"
         self.runner.event(self.exchange.event(EventKind.SNAPSHOT, text, asked.controller))

@@ -11,7 +11,7 @@ import gymnasium as gym
 import numpy as np
 import psutil
 import pytest
-from nodes import until
+from nodes import engines_of, until
 
 import agent_sdk  # noqa: F401  # registers the environments
 from agent_sdk.environment import BuildingEnv
@@ -88,15 +88,7 @@ def without_rewards(rows: Sequence[Row]) -> list[Row]:
 def engines(env: BuildingEnv) -> list[psutil.Process]:
     """The engines of its node that run, the youngest last."""
     assert env.own_node is not None
-    running = [child for child in psutil.Process(env.own_node.pid).children() if _runs(child)]
-    return sorted(running, key=lambda engine: (engine.create_time(), engine.pid))
-
-
-def _runs(process: psutil.Process) -> bool:
-    try:
-        return "eplus_node.engine" in process.cmdline()
-    except psutil.Error:
-        return False
+    return engines_of(env.own_node.pid)
 
 
 def new_engine(env: BuildingEnv, make_one: Callable[[], Any]) -> tuple[Any, psutil.Process]:

@@ -137,14 +137,15 @@ class NodeProgram:
 
 def engines_of(node_pid: int) -> list[psutil.Process]:
     """The engines of a node, the one that simulates its episode last; before it, one may wait to be forked."""
-    engines = [child for child in psutil.Process(node_pid).children() if "eplus_node.engine" in _command(child)]
+    engines = [child for child in psutil.Process(node_pid).children() if "eplus_node.engine" in command_of(child)]
     return sorted(engines, key=lambda engine: (engine.create_time(), engine.pid))
 
 
-def _command(process: psutil.Process) -> list[str]:
+def command_of(process: psutil.Process) -> list[str]:
+    """Its command line; empty if it has ended."""
     try:
         return process.cmdline()
-    except psutil.NoSuchProcess:
+    except psutil.Error:
         return []
 
 
@@ -229,7 +230,12 @@ def _temporary_folder(process: psutil.Process) -> str | None:
 
 def remains(folder: Path) -> list[str]:
     """What runs left in a place of temporary files: their folders and sockets."""
-    return sorted(str(p) for p in folder.rglob("*") if p.name.startswith("zenostat-") or p.is_socket())
+    return sorted(str(p) for p in within(folder) if p.name.startswith("zenostat-") or p.is_socket())
+
+
+def within(folder: Path) -> list[Path]:
+    """All files and folders below one, but for those that vanish meanwhile."""
+    return [Path(where, name) for where, folders, files in os.walk(folder) for name in (*folders, *files)]
 
 
 @contextmanager

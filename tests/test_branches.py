@@ -26,7 +26,7 @@ from forking import (
     same,
     without_rewards,
 )
-from nodes import until
+from nodes import until, within
 
 from topics.errors import (
     EngineDied,
@@ -241,7 +241,7 @@ def test_a_fork_that_fails_leaves_the_episode_as_it_was(
     with env.branch(), env.snapshot() as snapshot:
 
         def held() -> tuple[int, int, int, list[str]]:
-            return node.num_fds(), node.num_threads(), len(node.children()), sorted(map(str, scratch.rglob("*")))
+            return node.num_fds(), node.num_threads(), len(node.children()), sorted(map(str, within(scratch)))
 
         before = held()
         faults.set(what)
@@ -258,7 +258,7 @@ def test_a_fork_that_fails_leaves_the_episode_as_it_was(
         status = env.link.bus.status(env.manifest.node)
         assert (len(status.snapshots), len(status.branches)) == (1, 1)
         faults.clear()
-        assert held() == before
+        until(lambda: held() == before, "all is as it was")
         with env.branch() as branch:
             same(go(branch, mine[20:]), straight[21:])
         got += go(env, mine[20:])
@@ -397,7 +397,7 @@ def _held(env: Any, scratch: Path) -> dict[str, Any]:
         "processes": len(node.children()),
         "descriptors": node.num_fds(),
         "branches' threads": len(bus.status("building").branches),
-        "files": sorted(str(path) for path in scratch.rglob("*") if "-fork" not in str(path)),
+        "files": sorted(str(path) for path in within(scratch) if "-fork" not in str(path)),
         "shared memory": Path(f"/proc/{node.pid}/maps").read_text().count("/dev/shm/"),
         "nodes": bus.nodes(),
         "controllers": bus.controllers(),

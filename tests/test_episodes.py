@@ -12,7 +12,7 @@ import numpy as np
 import psutil
 import pytest
 from builders import manifest, sensor
-from nodes import until
+from nodes import command_of, until
 
 from agent_sdk.environment import BuildingEnv
 from agent_sdk.limits import Limits
@@ -158,7 +158,7 @@ def test_the_live_view_opens_with_the_environment_and_ends_with_it(
     env = make(render_mode="rerun")
 
     def monitors() -> list[psutil.Process]:
-        return [c for c in psutil.Process().children() if "monitor" in c.cmdline()]
+        return [c for c in psutil.Process().children() if "monitor" in command_of(c)]
 
     assert len(monitors()) == 1
     env.reset(seed=0)

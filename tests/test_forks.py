@@ -10,8 +10,8 @@ import numpy as np
 import packs
 import psutil
 import pytest
-from forking import KINDS, SMALL, make
-from nodes import engines_of, until
+from forking import KINDS, SMALL, engines, make
+from nodes import until, within
 
 from agent_sdk.environment import BuildingEnv
 from topics.errors import EngineDied
@@ -35,11 +35,6 @@ def play(env: BuildingEnv, *, steps: int | None = None) -> tuple[str, np.ndarray
 def play_on(env: BuildingEnv) -> None:
     for _ in range(5):
         env.step(env.action_space.sample())
-
-
-def engines(env: BuildingEnv) -> list[psutil.Process]:
-    assert env.own_node is not None
-    return engines_of(env.own_node.pid)
 
 
 @pytest.mark.parametrize("kind", ALL)
@@ -70,14 +65,15 @@ def test_many_resets_leave_nothing(scratch: Path) -> None:
     node = psutil.Process(env.own_node.pid)
 
     def held() -> tuple[int, int, int]:
-        return len(engines(env)), node.num_fds(), len([*scratch.rglob("*")])
+        return len(engines(env)), node.num_fds(), len(within(scratch))
 
     for _ in range(3):
         play(env, steps=2)
+    until(lambda: len(engines(env)) == 2, "the former engines have ended")
     before = held()
     for _ in range(50):
         assert play(env, steps=2)[0] == "forked"
-    assert held() == before
+    until(lambda: held() == before, "all is as it was")
     env.close()
 
 
@@ -134,7 +130,7 @@ def test_the_engine_of_the_next_weather_is_started_ahead(scratch: Path) -> None:
     for seed, start in ((5, "started"), (6, "started"), (7, "started"), (None, "started"), (None, "ahead")):
         assert began(env, seed)[0] == start
     assert len(engines(env)) == 2
-    assert len([*env.own_node.folder.rglob("*.epw")]) == 2
+    assert len([path for path in within(env.own_node.folder) if path.suffix == ".epw"]) == 2
     env.close()
     plain.close()
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import packs
 import pytest
-from nodes import SMALL, nothing_left, programs_of, until
+from nodes import SMALL, command_of, nothing_left, programs_of, until
 
 from agent_sdk.effects import Held, Ranges, effect_of
 from agent_sdk.environment import BuildingEnv
@@ -313,7 +313,8 @@ def test_ctrl_c_leaves_nothing_behind(scratch: Path) -> None:
         )
         try:
             until(
-                lambda: len([p for p in programs_of(scratch) if "eplus_node.engine" in p.cmdline()]) > 2, "it branches"
+                lambda: len([p for p in programs_of(scratch) if "eplus_node.engine" in command_of(p)]) > 2,
+                "it branches",
             )
             run.send_signal(signal.SIGINT)
             _, said = run.communicate(timeout=60)

@@ -13,6 +13,7 @@ import packs
 import psutil
 import pytest
 import yaml
+from nodes import command_of
 
 import agent_sdk
 from agent_sdk.environment import BuildingEnv
@@ -297,7 +298,7 @@ def test_a_fault_of_a_file_is_one_clear_error(fault: str, scratch: Path) -> None
     changed, kind, words = FAULTS[fault]
     with pytest.raises(kind, match=f"(?s){words}"):
         gym.make("zenostat/Scenario-v1", file=written(scratch, **changed), affinity="off")
-    assert not [c for c in psutil.Process().children(recursive=True) if "eplus_node" in " ".join(c.cmdline())]
+    assert not [c for c in psutil.Process().children(recursive=True) if "eplus_node" in " ".join(command_of(c))]
 
 
 @pytest.mark.parametrize(
