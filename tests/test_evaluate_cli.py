@@ -136,7 +136,7 @@ def test_ctrl_c_leaves_nothing_behind(scratch: Path) -> None:
             run.kill()
             run.wait()
         assert run.returncode == 130
-        assert "Traceback" not in said
+        assert "Traceback" not in said, said
     assert list(scratch.glob("*rows*")) == []
 
 
