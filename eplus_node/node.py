@@ -95,13 +95,10 @@ class Node:
         return self.runner.exchange
 
     def _place(self) -> None:
-        """Which cores are whose; several slots take them in turn, and the node goes where there is room."""
+        """Which cores are whose; several slots have all of them, and the node a part of one."""
         config = self.config
         self._cpus = affinity.allowed()
         self._engine_cpu, self.cpu = config.engine_cpu, config.cpu
-        if config.slots > 1:
-            self._engine_cpu = self.cpu = None
-            return
         if config.cpu is None:
             self._engine_cpu, self.cpu = affinity.pick_cores(config.affinity)
         affinity.pin(self.cpu)
@@ -141,8 +138,9 @@ class Node:
             cpus = () if self._engine_cpu is None else (self._engine_cpu,)
             poll = self._engine_cpu != self.cpu
             return [Supply(self.plan, self._folder, waiting, cpus=cpus, poll=poll)]
-        cores = self._cpus if self.config.affinity is not affinity.Affinity.OFF else ()
-        own = [(cores[slot % len(cores)],) if cores else () for slot in range(slots)]
+        # In blocks, the node's core last: engines there may have it before it has told all others to go.
+        cores = sorted(self._cpus, key=lambda core: core == self.cpu) if self.cpu is not None else []
+        own = [(cores[slot * len(cores) // slots],) if cores else () for slot in range(slots)]
         return [Supply(self.plan, self._folder, waiting, place=f"slot-{slot}", cpus=own[slot]) for slot in range(slots)]
 
     def _weather_file(self, slot: int) -> Path:
