@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from copy import copy
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -61,7 +62,7 @@ _SILENT = {
 """Everything that EnergyPlus can leave unwritten, but for `eplusout.err` and `eplusout.end`."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Building:
     """A model's name, its objects, a key of its content, and what was done to bring it to the engine's version."""
 
@@ -69,6 +70,15 @@ class Building:
     objects: dict[str, Objects]
     content: str
     notes: tuple[str, ...] = ()
+
+    def find(self, kind: str, name: str) -> dict[str, Any]:
+        """The fields of an object, by its type and name in any case; empty if there is none."""
+        return self._by_name.get((kind.casefold(), name.casefold()), {})
+
+    @cached_property
+    def _by_name(self) -> dict[tuple[str, str], dict[str, Any]]:
+        objects = [(kind, name, fields) for kind, named in self.objects.items() for name, fields in named.items()]
+        return {(kind.casefold(), name.casefold()): fields for kind, name, fields in reversed(objects)}
 
     @property
     def run_period(self) -> dict[str, Any]:

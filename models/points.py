@@ -174,15 +174,15 @@ def _texts(what: str, name: str, spec: Sequence[object], form: str, least: int, 
 
 def find_variable(survey: Survey, name: str, variable: str, key: str) -> Variable:
     """The variable of that name and key, in any case; `UnknownName` lists near ones."""
+    found = survey.by_variable.get((variable.casefold(), key.casefold()))
+    if found is not None:
+        return found
     same = [v for v in survey.variables if v.name.casefold() == variable.casefold()]
     if not same:
         raise UnknownName(
             f"sensor {name!r}: the model has no variable {variable!r}; "
             + near(variable, (v.name for v in survey.variables))
         )
-    for candidate in same:
-        if candidate.key.casefold() == key.casefold():
-            return candidate
     raise UnknownName(f"sensor {name!r}: {variable!r} has no key {key!r}; {near(key, (v.key for v in same))}")
 
 
@@ -233,7 +233,7 @@ def _actuator(building: Building, survey: Survey, name: str, spec: Sequence[obje
     feedback = _FEEDBACK.get((found.component_type, found.control_type))
     if found.control_type == "Schedule Value":
         feedback = "Schedule Value"
-    if feedback and not _has_variable(survey, feedback, found.key):
+    if feedback and (feedback.casefold(), found.key.casefold()) not in survey.by_variable:
         feedback = None
     return Actuator(
         name=name,
@@ -260,31 +260,23 @@ def _bound(name: str, said: object) -> float | None:
     return value
 
 
-def _has_variable(survey: Survey, name: str, key: str) -> bool:
-    return any(v.name == name and v.key.casefold() == key.casefold() for v in survey.variables)
-
-
 def find_actuator(survey: Survey, name: str, component: str, control: str, key: str) -> ActuatorPoint:
     """The actuator of those three names, in any case; `UnknownName` says which of them is wrong."""
-
-    def same(one: str, other: str) -> bool:
-        return one.casefold() == other.casefold()
-
-    of_type = [a for a in survey.actuators if same(a.component_type, component)]
+    found = survey.by_actuator.get((component.casefold(), control.casefold(), key.casefold()))
+    if found is not None:
+        return found
+    of_type = [a for a in survey.actuators if a.component_type.casefold() == component.casefold()]
     if not of_type:
         raise UnknownName(
             f"actuator {name!r}: the model has no component type {component!r}; "
             + near(component, (a.component_type for a in survey.actuators))
         )
-    of_control = [a for a in of_type if same(a.control_type, control)]
+    of_control = [a for a in of_type if a.control_type.casefold() == control.casefold()]
     if not of_control:
         raise UnknownName(
             f"actuator {name!r}: {component!r} has no control type {control!r}; "
             + near(control, (a.control_type for a in of_type))
         )
-    for candidate in of_control:
-        if same(candidate.key, key):
-            return candidate
     raise UnknownName(
         f"actuator {name!r}: {component!r}, {control!r} has no key {key!r}; {near(key, (a.key for a in of_control))}"
     )
@@ -295,22 +287,11 @@ def actuator_bounds(building: Building, actuator: ActuatorPoint) -> tuple[float 
     if actuator.component_type == THERMOSTAT and actuator.control_type in _SETPOINT_BOUNDS:
         return _SETPOINT_BOUNDS[actuator.control_type]
     if actuator.control_type == "Schedule Value":
-        for kind, schedules in building.objects.items():
-            if kind.casefold() == actuator.component_type.casefold():
-                return _schedule_limits(building, schedules, actuator.key)
+        schedule = building.find(actuator.component_type, actuator.key)
+        bounds = building.find("ScheduleTypeLimits", str(schedule.get("schedule_type_limits_name", "")))
+        low, high = bounds.get("lower_limit_value"), bounds.get("upper_limit_value")
+        return (None if low is None else float(low), None if high is None else float(high))
     return limits(actuator.unit)
-
-
-def _schedule_limits(
-    building: Building, schedules: Mapping[str, Mapping[str, object]], key: str
-) -> tuple[float | None, float | None]:
-    fields = next((f for n, f in schedules.items() if n.casefold() == key.casefold()), {})
-    named = str(fields.get("schedule_type_limits_name", "")).casefold()
-    for name, bounds in building.objects.get("ScheduleTypeLimits", {}).items():
-        if name.casefold() == named:
-            low, high = bounds.get("lower_limit_value"), bounds.get("upper_limit_value")
-            return (None if low is None else float(low), None if high is None else float(high))
-    return (None, None)
 
 
 def thermostat_zones(survey: Survey) -> dict[str, str]:

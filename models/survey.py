@@ -8,7 +8,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
@@ -66,14 +66,27 @@ class InternalVariable:
     unit: str
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Survey:
-    """The points of one model."""
+    """The points of one model. Its dictionaries have casefolded names: EnergyPlus takes any case."""
 
     variables: tuple[Variable, ...]
     meters: tuple[MeterPoint, ...]
     actuators: tuple[ActuatorPoint, ...]
     internal: tuple[InternalVariable, ...] = ()
+
+    @cached_property
+    def by_variable(self) -> dict[tuple[str, str], Variable]:
+        """Variables by name and key."""
+        return {(v.name.casefold(), v.key.casefold()): v for v in reversed(self.variables)}
+
+    @cached_property
+    def by_actuator(self) -> dict[tuple[str, str, str], ActuatorPoint]:
+        """Actuators by component type, control type and key."""
+        return {
+            (a.component_type.casefold(), a.control_type.casefold(), a.key.casefold()): a
+            for a in reversed(self.actuators)
+        }
 
 
 def survey(building: Building, weather: Path) -> Survey:
