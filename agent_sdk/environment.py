@@ -221,10 +221,9 @@ class BuildingEnv(Named, gym.Env[Observation, Any]):
         return self._observed(sample, values, sample.time), info
 
     def _asked(self, options: Mapping[str, Any]) -> Snapshot | None:
-        snapshot = asked_for(options, self.manifest)
         if self.manifest.branch_of:
             raise InvalidConfig("a branch has no sample 0 of its own; close it and make another one")
-        return snapshot
+        return asked_for(options, self.manifest)
 
     def snapshot(self) -> Snapshot:
         """Keeps where the episode stands, to go back there by `reset(options={"snapshot": snap})` any number of times.
