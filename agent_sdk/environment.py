@@ -22,12 +22,12 @@ from agent_sdk.hold import AGENT, RENDER_MODES, Hold
 from agent_sdk.launch import OwnNode
 from agent_sdk.limits import Limits
 from agent_sdk.link import ControlLink, Link
-from agent_sdk.memory import Memory
+from agent_sdk.memory import EpisodeMemory
 from agent_sdk.named import Named
 from agent_sdk.render import History
 from agent_sdk.rewards import AnyReward
 from agent_sdk.sample import SampleView
-from agent_sdk.snapshot import Snapshot, asked_for, take
+from agent_sdk.snapshot import Snapshot, asked_for, forking, take
 from bridge.affinity import Affinity
 from topics.errors import BusError, EpisodeChanged, InvalidConfig
 from topics.messages import MakeBranch, Mask, WeatherSeries
@@ -152,7 +152,7 @@ class BuildingEnv(Named, gym.Env[Observation, Any]):
             self._actions = Actions(manifest)
             self.action_space = self._actions.space
             self.reward = self._hold.reward
-            self._memory: Memory[dict[int, float | None]] = Memory(
+            self._memory: EpisodeMemory[dict[int, float | None]] = EpisodeMemory(
                 self.reward.bind(manifest) if self.reward is not None else None,
                 Limits(manifest) if manifest.task.terminate else None,
                 {},
@@ -267,9 +267,7 @@ class BuildingEnv(Named, gym.Env[Observation, Any]):
 
     def _forking(self) -> ControlLink:
         self._hold.check_open()
-        if not isinstance(self.link, ControlLink):
-            raise InvalidConfig("this environment has no node: nothing that could be forked")
-        return self.link
+        return forking(self.link)
 
     def _running(self) -> SampleView:
         if self._sample is None or self._ended:

@@ -14,7 +14,7 @@ C = TypeVar("C")
 
 
 @dataclass(slots=True)
-class Memory(Generic[C]):
+class EpisodeMemory(Generic[C]):
     """Of one building, or of several slots.
 
     Attributes:

@@ -70,6 +70,13 @@ class Snapshot:
         self.close()
 
 
+def forking(link: object) -> ControlLink:
+    """The hold on a node that can fork; `InvalidConfig` if it is none, as of a fake building."""
+    if not isinstance(link, ControlLink):
+        raise InvalidConfig("this environment has no node: nothing that could be forked")
+    return link
+
+
 def take(link: ControlLink, sample: SampleView, remembered: dict[str, Any]) -> Snapshot:
     """Keeps where a node stands, at `sample`, and what its environment has `remembered`.
 

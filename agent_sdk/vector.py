@@ -19,13 +19,12 @@ from agent_sdk.hold import AGENT, RENDER_MODES, Hold
 from agent_sdk.infos import Infos, joined, masked, only
 from agent_sdk.launch import OwnNode
 from agent_sdk.limits import Limits
-from agent_sdk.link import ControlLink
-from agent_sdk.memory import Memory
+from agent_sdk.memory import EpisodeMemory
 from agent_sdk.named import Named
 from agent_sdk.render import History
 from agent_sdk.rewards import AnyReward
 from agent_sdk.slot import Seeds, Slot, seeds_of, slots_of
-from agent_sdk.snapshot import Snapshot, asked_for, take
+from agent_sdk.snapshot import Snapshot, asked_for, forking, take
 from agent_sdk.wrappers import apply_wrappers
 from bridge.affinity import Affinity
 from topics.errors import EpisodeChanged, InvalidConfig, near
@@ -91,7 +90,7 @@ class BuildingVectorEnv(Named, VectorEnv[Observations, Any, NDArray[Any]]):
             self.action_space = batch_space(self.single_action_space, num_envs)
             self.observation_space = batch_space(self.single_observation_space, num_envs)
             self.reward = self._hold.reward
-            self._memory: Memory[list[dict[int, float | None]]] = Memory(
+            self._memory: EpisodeMemory[list[dict[int, float | None]]] = EpisodeMemory(
                 self.reward.bind(manifest) if self.reward is not None else None,
                 Limits(manifest, num_envs) if manifest.task.terminate else None,
                 [{} for _ in range(num_envs)],
@@ -180,11 +179,10 @@ class BuildingVectorEnv(Named, VectorEnv[Observations, Any, NDArray[Any]]):
             ForkFailed: the system has no memory for a fork; the episodes go on.
         """
         self._hold.check_open()
-        if not isinstance(self.link, ControlLink):
-            raise InvalidConfig("this environment has no node: nothing that could be forked")
+        link = forking(self.link)
         if self._frame is None or self._over.any():
             raise EpisodeChanged("call reset() first: each slot must be in an episode")
-        return take(self.link, self._frame.sample, self._memory.state())
+        return take(link, self._frame.sample, self._memory.state())
 
     # Timesteps
 

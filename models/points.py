@@ -309,12 +309,15 @@ def thermostat_zones(survey: Survey) -> dict[str, str]:
 
 def default_sensors(survey: Survey) -> dict[str, tuple[str, str]]:
     """Outdoor temperature and humidity, HVAC power, and each conditioned zone's air and occupants."""
-    has = {(v.name, v.key.casefold()) for v in survey.variables}
     found = {name: (variable, key) for name, (variable, key) in _SITE_SENSORS.items()}
     for zone, name in thermostat_zones(survey).items():
         for suffix, variable in _ZONE_SENSORS.items():
             found[f"{name}_{suffix}"] = (variable, zone)
-    return {name: spec for name, spec in found.items() if (spec[0], spec[1].casefold()) in has}
+    return {
+        name: (variable, key)
+        for name, (variable, key) in found.items()
+        if (variable.casefold(), key.casefold()) in survey.by_variable
+    }
 
 
 def default_meters(survey: Survey) -> dict[str, str]:

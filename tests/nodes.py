@@ -11,7 +11,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -208,6 +208,21 @@ class Program:
         for pipe in (self.process.stdin, self.process.stdout, self.process.stderr):
             with suppress(BrokenPipeError):
                 pipe.close()
+
+
+def interrupted(command: Sequence[str], when: Callable[[], Any], what: str, *, cwd: Path) -> None:
+    """Ctrl-C in a program once `when` holds: it ends with 130, says no traceback and leaves nothing in `cwd`."""
+    with nothing_left(cwd):
+        run = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=cwd)
+        try:
+            until(when, what)
+            run.send_signal(signal.SIGINT)
+            _, said = run.communicate(timeout=60)
+        finally:
+            run.kill()
+            run.wait()
+        assert run.returncode == 130
+        assert "Traceback" not in said, said
 
 
 def programs_of(folder: Path) -> list[psutil.Process]:

@@ -5,13 +5,12 @@ from __future__ import annotations
 import csv
 import json
 import re
-import signal
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-from nodes import SMALL, nothing_left, until
+from nodes import SMALL, interrupted
 
 from cli.evaluate import check_file, write
 from topics.errors import InvalidConfig
@@ -120,23 +119,8 @@ def test_ctrl_c_leaves_nothing_behind(scratch: Path) -> None:
         "class Told(ComfortBandRules):\n    def act(self, sample):\n"
         "        if sample.step == 40:\n            open('told', 'w').close()\n        return super().act(sample)\n"
     )
-    with nothing_left(scratch):
-        run = subprocess.Popen(
-            [*ZENOSTAT, "office.yaml", "--controller", "told.py:Told", "--out", "rows.csv"],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            cwd=scratch,
-        )
-        try:
-            until((scratch / "told").exists, "it simulates")
-            run.send_signal(signal.SIGINT)
-            _, said = run.communicate(timeout=60)
-        finally:
-            run.kill()
-            run.wait()
-        assert run.returncode == 130
-        assert "Traceback" not in said, said
+    command = [*ZENOSTAT, "office.yaml", "--controller", "told.py:Told", "--out", "rows.csv"]
+    interrupted(command, (scratch / "told").exists, "it simulates", cwd=scratch)
     assert list(scratch.glob("*rows*")) == []
 
 
