@@ -5,9 +5,9 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, suppress
-from datetime import timedelta
+from datetime import datetime, timedelta
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -175,7 +175,8 @@ class BuildingEnv(Named, gym.Env[Observation, Any]):
     @property
     def link(self) -> Link:
         """The hold on the node; an own node's bus is joined when it is first needed."""
-        return cast("Link", self._hold.link)
+        link: Link = self._hold.link
+        return link
 
     @property
     def own_node(self) -> OwnNode | None:
@@ -211,14 +212,14 @@ class BuildingEnv(Named, gym.Env[Observation, Any]):
             sample = self._sample = self._forking().reset(seed=seed, snapshot=snapshot.name)
             self._memory.restore(snapshot.remembered)
         self._ended = False
-        values, info = sample.values, self._info(sample)
+        values, now, info = sample.values, sample.time, self._info(sample)
         (begun,) = self.link.accepted.begun
         self._outputs = begun.outputs
         info |= {"weather": begun.weather, "weather_noise": begun.drawn, "start": begun.start}
         if self._history is not None:
             self._history.clear()
-            self._history.add(sample.time, values)
-        return self._observed(sample, values, sample.time), info
+            self._history.add(now, values)
+        return self._observed(values, now, now), info
 
     def _asked(self, options: Mapping[str, Any]) -> Snapshot | None:
         if self.manifest.branch_of:
@@ -292,9 +293,11 @@ class BuildingEnv(Named, gym.Env[Observation, Any]):
             self._hold.check_open()
             raise EpisodeChanged("the episode is over; call reset()" if previous else "call reset() before step()")
         commanded, mask = self._command(action)
-        self.link.send(commanded, mask)
-        sample = self._sample = self.link.receive()
-        values, info, begin = sample.values, self._info(sample), sample.time - self._timestep
+        link = self.link
+        link.send(commanded, mask)
+        sample = self._sample = link.receive()
+        values, end, info = sample.values, sample.time, self._info(sample)
+        begin = end - self._timestep
         truth = sample.truth if sample.wire.undisturbed else values
         info["action"] = commanded
         memory, reward = self._memory, 0.0
@@ -309,8 +312,8 @@ class BuildingEnv(Named, gym.Env[Observation, Any]):
         if self._ended and self._outputs:
             info["outputs"] = self._outputs
         if self._history is not None:
-            self._history.add(sample.time, values)
-        return self._observed(sample, values, begin), reward, bool(broken), truncated, info
+            self._history.add(end, values)
+        return self._observed(values, begin, end), reward, bool(broken), truncated, info
 
     def render(self) -> Any:
         """With `rgb_array` a picture of the last day, shape (640, 960, 3), uint8; with `rerun` nothing: it is live."""
@@ -354,10 +357,10 @@ class BuildingEnv(Named, gym.Env[Observation, Any]):
         """
         return self.link.weather(columns)
 
-    def _observed(self, sample: SampleView, values: NDArray[np.float64], begin: Any) -> Observation:
+    def _observed(self, values: NDArray[np.float64], begin: datetime, end: datetime) -> Observation:
         if not self._time:
             return values.astype(np.float32)
-        return np.concatenate([clock(self._time, begin, sample.time), values]).astype(np.float32)
+        return np.concatenate([clock(self._time, begin, end), values], dtype=np.float32, casting="same_kind")
 
     def _info(self, sample: SampleView) -> dict[str, Any]:
         wire = sample.wire
@@ -365,16 +368,19 @@ class BuildingEnv(Named, gym.Env[Observation, Any]):
             me = self.link.name
             self._rulers = (wire.ruler, wire.rulers)
             self._ruled_by = tuple(AGENT if who == me else who for who in sample.ruled_by.values())
-        return {
+        info = {
             "time": wire.time[0],
-            "step": sample.step,
+            "step": wire.step[0],
             "applied": sample.applied,
             "ruled_by": self._ruled_by,
             "late": wire.late,
             "rejected": wire.rejected,
-            **({"undisturbed": sample.truth} if wire.undisturbed else {}),
-            **({"baseline": sample.baseline, "baseline_applied": sample.baseline_applied} if wire.baseline else {}),
         }
+        if wire.undisturbed:
+            info["undisturbed"] = sample.truth
+        if wire.baseline:
+            info |= {"baseline": sample.baseline, "baseline_applied": sample.baseline_applied}
+        return info
 
     def close(self) -> None:
         """Lets go of the node, and ends it if it is this environment's own; twice is fine."""

@@ -51,6 +51,8 @@ if TYPE_CHECKING:
 
 # Plain numbers: what a signal raises while NumPy looks at an enum's member is lost, a Ctrl-C for one.
 _KEEP, _SET, _RELEASE = int(Mask.KEEP), int(Mask.SET), int(Mask.RELEASE)
+_TRUNCATED = int(Flag.TRUNCATED)
+_FLOAT = np.dtype("<f8")
 _INBOX = 1024
 _MEET_S = 10.0
 
@@ -80,7 +82,7 @@ class Link(Protocol):
 
 def _is_after(new: Sample, old: Sample) -> bool:
     """Whether a slot has gone on; of the same episodes."""
-    return any(step > was for step, was in zip(new.step, old.step, strict=True))
+    return new.step > old.step or any(step > was for step, was in zip(new.step, old.step, strict=True))
 
 
 class ControlLink:
@@ -238,8 +240,9 @@ class ControlLink:
                 raise EpisodeChanged(f"node {self.manifest.node!r} was reset by somebody else{self._where()}")
 
     def _keep(self, sample: SampleView) -> SampleView:
-        self._latest = sample
-        self._answered = self._over = all(flag & Flag.TRUNCATED for flag in sample.wire.flags)
+        self._latest, flags = sample, sample.wire.flags
+        over = flags[0] & _TRUNCATED != 0 and all(flag & _TRUNCATED for flag in flags)
+        self._answered = self._over = over
         return sample
 
     def _next(self, *, changes: bool) -> SampleView:
@@ -319,7 +322,7 @@ class ControlLink:
         if isinstance(values, np.ndarray):
             if values.shape != self._shape:
                 raise InvalidAction(f"values of shape {values.shape}; {self._shape} expected: one for each actuator")
-            return values.astype("<f8", copy=False).tobytes(), given
+            return (values if values.dtype == _FLOAT else values.astype(_FLOAT)).tobytes(), given
         slots, count = self.manifest.slots, len(self.manifest.actuators)
         row, mask = np.zeros(count), np.full(count, _KEEP, np.uint8)
         for name, value in (values or {}).items():

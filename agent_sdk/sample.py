@@ -13,6 +13,8 @@ from topics import codec
 from topics.errors import UnknownName, near
 from topics.messages import Flag, Manifest, Sample
 
+_TRUNCATED, _FALLBACK = int(Flag.TRUNCATED), int(Flag.FALLBACK)
+
 
 class Answerer(Protocol):
     """Where an answer goes."""
@@ -29,11 +31,7 @@ class SampleView:
     def __init__(
         self, wire: Sample, manifest: Manifest, index: Mapping[str, int], link: Answerer | None = None, slot: int = 0
     ) -> None:
-        self.wire = wire
-        self.manifest = manifest
-        self.slot = slot
-        self._index = index
-        self._link = link
+        self.wire, self.manifest, self.slot, self._index, self._link = wire, manifest, slot, index, link
 
     @property
     def episode(self) -> int:
@@ -53,48 +51,44 @@ class SampleView:
     @property
     def truncated(self) -> bool:
         """Whether this is the episode's last sample: the run period is over."""
-        return bool(self.wire.flags[self.slot] & Flag.TRUNCATED)
+        return bool(self.wire.flags[self.slot] & _TRUNCATED)
 
     @property
     def fallback(self) -> bool:
         """Whether the timestep that this sample closes went on without a command of a required controller."""
-        return bool(self.wire.flags[self.slot] & Flag.FALLBACK)
+        return bool(self.wire.flags[self.slot] & _FALLBACK)
 
     @property
     def values(self) -> NDArray[np.float64]:
         """Sensors, then meters, shape (points,), in manifest order and units."""
-        manifest = self.manifest
-        shape = (manifest.slots, len(manifest.sensors) + len(manifest.meters))
-        row: NDArray[np.float64] = codec.floats(self.wire.values, shape, "values")[self.slot]
-        return row
+        return self._points(self.wire.values, "values")
 
     @property
     def truth(self) -> NDArray[np.float64]:
         """What EnergyPlus said: `values`, but for the faults that the node injects into them."""
-        manifest, raw = self.manifest, self.wire.undisturbed
-        shape = (manifest.slots, len(manifest.sensors) + len(manifest.meters))
-        return codec.floats(raw, shape, "undisturbed")[self.slot] if raw else self.values
+        raw = self.wire.undisturbed
+        return self._points(raw, "undisturbed") if raw else self.values
 
     @property
     def applied(self) -> NDArray[np.float64]:
         """What each actuator really was, shape (actuators,); NaN where EnergyPlus does not tell."""
-        shape = (self.manifest.slots, len(self.manifest.actuators))
-        row: NDArray[np.float64] = codec.floats(self.wire.applied, shape, "applied")[self.slot]
-        return row
+        return self._actuators(self.wire.applied, "applied")
 
     @property
     def baseline(self) -> NDArray[np.float64] | None:
         """Like `values`, of the building left to its own control; None unless the node runs it."""
-        manifest = self.manifest
-        shape = (manifest.slots, len(manifest.sensors) + len(manifest.meters))
-        return codec.floats(self.wire.baseline, shape, "baseline")[self.slot] if manifest.baseline else None
+        return self._points(self.wire.baseline, "baseline") if self.manifest.baseline else None
 
     @property
     def baseline_applied(self) -> NDArray[np.float64] | None:
         """Like `applied`, what the building's own control sets its actuators to in `baseline`."""
-        shape = (self.manifest.slots, len(self.manifest.actuators))
-        raw = self.wire.baseline_applied
-        return codec.floats(raw, shape, "baseline_applied")[self.slot] if self.manifest.baseline else None
+        return self._actuators(self.wire.baseline_applied, "baseline_applied") if self.manifest.baseline else None
+
+    def _points(self, raw: bytes, what: str) -> NDArray[np.float64]:
+        return codec.row(raw, self.slot, self.manifest.slots, len(self._index), what)
+
+    def _actuators(self, raw: bytes, what: str) -> NDArray[np.float64]:
+        return codec.row(raw, self.slot, self.manifest.slots, len(self.manifest.actuators), what)
 
     @property
     def ruled_by(self) -> dict[str, str]:

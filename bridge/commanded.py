@@ -17,6 +17,9 @@ from topics import codec
 from topics.errors import BadMessage, near
 from topics.messages import Actuator, Command, Mask, Write
 
+_FEW = 8
+"""Values that are looked at one by one in less time than it takes to make arrays of them."""
+
 
 @dataclass(frozen=True, slots=True)
 class Expiry:
@@ -59,6 +62,8 @@ class Commanded:
         high = [most if a.high is None else a.high for a in actuators]
         self._bounds = np.tile(np.array([low, high]).reshape(2, -1), slots)
         self._clipped = np.empty(self._bounds.shape[1])
+        self._few = len(low) * slots <= _FEW
+        self._low, self._high = low * slots, high * slots
         self._index = {a.name: i for i, a in enumerate(actuators)}
         self._expiries: list[Expiry] = []
         self.array = PriorityArray(*self._shape)
@@ -83,13 +88,18 @@ class Commanded:
     def put_usual(self, claimant: Claimant, raw: bytes) -> bool:
         """Sets all actuators of all slots to raw values, if it is plain that they are within bounds; whether it was.
 
-        False also for some that are (-0.0 at a bound of 0): `put` looks at them closely.
+        False also for some that are (of many, -0.0 at a bound of 0): `put` looks at them closely.
         """
-        low, high = self._bounds
-        clipped = self._clipped
-        np.fmin(np.fmax(np.frombuffer(raw), low, out=clipped), high, out=clipped)
-        if clipped.tobytes() != raw:
-            return False
+        if self._few:
+            for value, low, high in zip(memoryview(raw).cast("d"), self._low, self._high, strict=True):
+                if not low <= value <= high:  # NaN is not
+                    return False
+        else:
+            low, high = self._bounds
+            clipped = self._clipped
+            np.fmin(np.fmax(np.frombuffer(raw), low, out=clipped), high, out=clipped)
+            if clipped.tobytes() != raw:
+                return False
         self.array.put_all(claimant.level, claimant.source, raw)
         return True
 

@@ -84,6 +84,10 @@ TRANSITIONS: dict[tuple[State, Input], State] = {
 }
 
 
+# For each timestep: Python 3.11 looks at an enum's member by raising and catching an error.
+_GO, _SAMPLED, _OVER, _WAITING, _LOCKSTEP = Input.GO, Input.SAMPLED, Input.ENDED, State.WAITING, Mode.LOCKSTEP
+
+
 class IllegalInput(RuntimeError):
     """An input that the present state has no row for: a mistake in the program, not of a peer."""
 
@@ -199,16 +203,19 @@ class Exchange:
             for slot, over in zip(self.moving, last, strict=True):
                 steps[slot] += 1
                 ended[slot] = over
-        self.take(Input.ENDED if all(ended) else Input.SAMPLED)
+        self.take(_OVER if all(ended) else _SAMPLED)
         self.step, self.ended = steps, ended
 
     def listen(self) -> None:
         """Gets ready for the answers to the present sample; apart from `sampled` so that the sample goes first."""
-        required = [c for c in self.claims.by_name.values() if c.required]
-        self._pending = {c.name for c in required if not c.waived}
-        self._falls = len(self._pending) < len(required)
-        if self._falls and not self._pending and self.deadline_s is not None:
-            self._pending = {c.name for c in required}  # nobody is there: the deadline sets the pace
+        waived: set[str] = set()
+        self._pending = set()
+        for claimant in self.claims.by_name.values():
+            if claimant.required:
+                (waived if claimant.waived else self._pending).add(claimant.name)
+        self._falls = bool(waived)
+        if waived and not self._pending and self.deadline_s is not None:
+            self._pending = waived  # nobody is there: the deadline sets the pace
         self._told_s, self._overdue_s = self.now_s, None
         if self._heard:
             self._heard = {}
@@ -241,11 +248,16 @@ class Exchange:
 
     def due(self) -> bool:
         """Whether the next timestep may be simulated now."""
-        if self.state is not State.WAITING:
+        if self.state is not _WAITING:
             return False
-        if self.mode is not Mode.LOCKSTEP:
+        if self.mode is not _LOCKSTEP:
             return True
-        return not self._pending and any(c.required for c in self.claims.by_name.values())
+        if self._pending:
+            return False
+        for claimant in self.claims.by_name.values():  # noqa: SIM110  # a generator costs more than the usual one
+            if claimant.required:
+                return True
+        return False
 
     def missing(self) -> list[str]:
         """Required controllers that have not answered the present sample."""
@@ -253,10 +265,10 @@ class Exchange:
 
     def go(self) -> tuple[bytes, bytes]:
         """Starts the timestep: the values that rule it (float64, NaN: the building's own) and who set them (uint8)."""
-        self.take(Input.GO)
+        self.take(_GO)
         self.fallback = self._falls and self._missed()
         self._went.append((self.episode, self.step, self.now_s))
-        if not self._answers or len(self._answers) == self.slots or self.mode is not Mode.LOCKSTEP:
+        if not self._answers or len(self._answers) == self.slots or self.mode is not _LOCKSTEP:
             self.moving = self._all
         else:
             self.moving = sorted(self._answers)
@@ -270,7 +282,7 @@ class Exchange:
 
     def _missed(self) -> bool:
         """Counts the required controllers without which the timestep goes on; whether there are any."""
-        lockstep = self.mode is Mode.LOCKSTEP
+        lockstep = self.mode is _LOCKSTEP
         missed = [
             c
             for c in self.claims.by_name.values()
@@ -379,7 +391,7 @@ class Exchange:
         head, size = self._head, self.commanded.size
         if head and controller in self._pending and len(payload) == len(head) + size and payload.startswith(head):
             claimant, raw = self.claims.by_name[controller], payload[len(head) :]
-            usual = claimant.whole and not claimant.silent and self.state is State.WAITING
+            usual = claimant.whole and not claimant.silent and self.state is _WAITING
             if usual and self.commanded.put_usual(claimant, raw):
                 self._took(claimant, self._all)
                 return True

@@ -58,7 +58,8 @@ class Order(IntEnum):
     FORK = 3
 
 
-_SAMPLE, _STEP = float(Said.SAMPLE), float(Order.STEP)
+# Plain numbers for each timestep: Python 3.11 looks at an enum's member by raising and catching an error.
+_SAMPLE, _STEP, _FORK = float(Said.SAMPLE), float(Order.STEP), float(Order.FORK)
 
 
 class Engine:
@@ -267,7 +268,7 @@ class Engine:
                 got = 0
             if not got:
                 leave(0)  # the node has gone or wants no more of this run
-            if command[0] != Order.FORK:
+            if command[0] != _FORK:
                 break
             self._fork()  # both then tell the sample that they stand at: the child its first, the parent again
         if command[0] != _STEP:

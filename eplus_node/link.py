@@ -34,6 +34,7 @@ T = TypeVar("T")
 _FINISH_S = 30.0
 # Fewer page tables, so that a fork copies less: it takes half the time (docs/performance.md).
 _HUGE_PAGES = {"GLIBC_TUNABLES": "glibc.malloc.hugetlb=1"}
+_FAILED, _LAST = float(Said.FAILED), float(Said.LAST)
 _OF_A_CHILD = ("folder", "keep", "parent", "cpus", "poll", "branch")
 
 
@@ -243,6 +244,7 @@ class EngineLink:
         values = len(points.sensors) + len(points.meters)
         self._frame_bytes = memoryview(bytearray(8 * (2 + values + len(self._told))))
         self._frame: NDArray[np.float64] = np.frombuffer(self._frame_bytes)
+        self._said = self._frame_bytes.cast("d")
         self._values_bytes = self._frame_bytes[16 : 16 + 8 * values]
         self._feedback_bytes = self._frame_bytes[16 + 8 * values :]
         self._finish = struct.pack("=dd", Order.FINISH, 0.0) + bytes(8 * len(points.actuators))
@@ -356,10 +358,10 @@ class EngineLink:
             got = got + more if more else 0
         if not got:
             raise EngineDied(self._last_words())
-        said = self._frame[0]
-        if said == Said.FAILED:
+        said = self._said[0]
+        if said == _FAILED:
             raise ModelRefused(self._refusal(int(self._frame[1])))
-        self.last = bool(said == Said.LAST)
+        self.last = said == _LAST
 
     def _try_read(self) -> int | None:
         try:

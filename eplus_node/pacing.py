@@ -14,6 +14,8 @@ from topics.messages import Accepted, EventKind, GoSteps, Message, Mode, Pause, 
 if TYPE_CHECKING:
     from eplus_node.runner import Runner
 
+_PACED = Mode.PACED
+
 
 class Pacing:
     """The clock's part of a runner, whose thread calls everything here.
@@ -48,7 +50,7 @@ class Pacing:
         """Whether the next timestep is due by the clock; if not, the runner's thread is woken when it is."""
         if self._stands:
             return False
-        if self._runner.exchange.mode is not Mode.PACED or self.steps_left:
+        if self._runner.exchange.mode is not _PACED or self.steps_left:
             return True
         due_s = self.pace.due_s(self._timesteps + 1)
         if monotonic() >= due_s:
@@ -66,7 +68,7 @@ class Pacing:
     def came(self, now_s: float) -> None:
         """Its sample has come."""
         self._timesteps += 1
-        if self._runner.exchange.mode is not Mode.PACED or self.paused:
+        if self._runner.exchange.mode is not _PACED or self.paused:
             return
         if self.pace.came(now_s, self._timesteps):
             self._overran()

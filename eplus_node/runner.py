@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from datetime import timedelta
+from datetime import datetime, timedelta
 from pathlib import Path
 from time import monotonic
 
@@ -55,6 +55,8 @@ from topics.messages import (
 
 _NO_FLAG, _FIRST, _TRUNCATED = int(Flag.NONE), int(Flag.FIRST), int(Flag.TRUNCATED)
 _FALLBACK = int(Flag.FALLBACK)
+# For each timestep: Python 3.11 looks at an enum's member by raising and catching an error.
+_LOCKSTEP, _WAITING, _ENDED = Mode.LOCKSTEP, State.WAITING, State.ENDED
 
 Observer = Callable[["Runner"], None]
 
@@ -148,7 +150,7 @@ class Runner:
             while True:
                 if self.exchange.due() and self.pacing.may_go():
                     self._advance()
-                    if self.exchange.mode is not Mode.LOCKSTEP:
+                    if self.exchange.mode is not _LOCKSTEP:
                         self._hear_all()
                 else:
                     self._listen(wait=True)
@@ -207,7 +209,7 @@ class Runner:
     def _clear_shelf(self) -> None:
         self.exchange.now_s = monotonic()
         self.inlets.clear_shelf()
-        if self.exchange.state is State.WAITING and not self.engines.alive:
+        if self.exchange.state is _WAITING and not self.engines.alive:
             try:
                 self.engines.raise_dead()
             except SimulatorError as error:
@@ -235,26 +237,30 @@ class Runner:
         self.publish()
         self._step_took.add(exchange.now_s - began_s)
         self.pacing.came(exchange.now_s)
-        if exchange.state is State.ENDED:
+        if exchange.state is _ENDED:
             self.event(exchange.event(EventKind.ENDED, f"the run period is over after {exchange.step[0]} timesteps"))
 
     def publish(self) -> None:
         """The present sample."""
         exchange, counts, engines = self.exchange, self.exchange.counts, self.engines
-        elapsed = [step * self._step_time for step in exchange.step]
-        fell = _FALLBACK if exchange.fallback else _NO_FLAG
+        steps, fell = exchange.step, _FALLBACK if exchange.fallback else _NO_FLAG
+        now, times, elapsed_s = self._clock(steps)
+        if True in exchange.ended or 0 in steps:
+            flags = [
+                (_TRUNCATED if over else _NO_FLAG if step else _FIRST) | fell
+                for over, step in zip(exchange.ended, steps, strict=True)
+            ]
+        else:
+            flags = [fell] * len(steps)
         values, undisturbed, injection = engines.values_bytes(), b"", self.injection
         if injection is not None:
             undisturbed, values = values, injection.sensed(values, exchange.step)
         self._latest = codec.pack(
             episode=exchange.episode,
-            step=exchange.step,
-            time=[(self._begin + passed).isoformat() for passed in elapsed],
-            elapsed_s=[passed.total_seconds() for passed in elapsed],
-            flags=[
-                (_TRUNCATED if over else _NO_FLAG if step else _FIRST) | fell
-                for over, step in zip(exchange.ended, exchange.step, strict=True)
-            ],
+            step=steps,
+            time=times,
+            elapsed_s=elapsed_s,
+            flags=flags,
             values=values,
             applied=engines.applied,
             ruler=engines.ruler,
@@ -270,14 +276,24 @@ class Runner:
         else:
             self._publish_disturbed(injection)
         now_s = exchange.now_s = monotonic()
-        if any(exchange.step):
+        if any(steps):
             self._cycle.add(now_s - self._sampled_s)
         self._sampled_s = now_s
         exchange.listen()
         self.pacing.wait(now_s)
-        self.outlets.points(values, exchange.episode[0], exchange.step[0], self._begin + elapsed[0])
+        self.outlets.points(values, exchange.episode[0], steps[0], now)
         if self._observer is not None:
             self._observer(self)
+
+    def _clock(self, steps: list[int]) -> tuple[datetime, list[str], list[float]]:
+        """Simulated time of slot 0; as text, and in seconds since its episode's begin, that of each slot."""
+        first, slots = steps[0], len(steps)
+        passed = first * self._step_time
+        now = self._begin + passed
+        if steps.count(first) == slots:
+            return now, [now.isoformat()] * slots, [passed.total_seconds()] * slots
+        each = [step * self._step_time for step in steps]
+        return now, [(self._begin + one).isoformat() for one in each], [one.total_seconds() for one in each]
 
     def _publish_disturbed(self, injection: Injection) -> None:
         payload, now_s = self._latest, monotonic()

@@ -25,6 +25,8 @@ def indices(found: Sequence[int]) -> Indices:
 
 def total(values: NDArray[np.float64], at: Indices) -> Any:
     """The sum of some points, with the leading shape of `values`."""
+    if len(at) == 1:
+        return values.take(at[0], axis=-1)
     return np.add.reduce(values.take(at, axis=-1), axis=-1)
 
 
