@@ -1,6 +1,7 @@
 """Samples of the bus as live plots in Rerun.
 
-A stream listens through a ring, so it can be as slow as it likes: a node never waits for it. Each episode has
+A stream hears what nodes say in batches, through a ring, so it can be as slow as it likes: a node never waits for it.
+Each episode has
 an entity of its own, `/{node}/episode_0000/{quantity}`, one vector of scalars a step, over two timelines:
 `simulated` (the building's local standard time) and `step`.
 """
@@ -24,7 +25,7 @@ from zenoh.handlers import RingChannel
 
 from topics import codec, keys
 from topics.errors import BadMessage
-from topics.messages import Event, EventKind, Manifest, Meter, Sample, Sensor
+from topics.messages import Batch, Event, EventKind, Manifest, Meter, Sample, Sensor
 
 RING = 65536
 PERIOD_S = 0.1
@@ -59,6 +60,7 @@ class _Node:
     quantities: list[_Quantity]
     episode: int = -1
     step: int = -1
+    asked: tuple[int, int] | None = None  # the place of a sample that was asked for; batches may still have older ones
     samples: list[Sample] = field(default_factory=list)
 
 
@@ -91,7 +93,7 @@ class RerunStream:
 
     Attributes:
         samples: how many were logged.
-        missed: steps that were overwritten in the ring before they could be logged.
+        missed: steps that were lost on their way here, or overwritten in the ring before they could be logged.
         left: whether a node that was listened to has gone.
     """
 
@@ -102,6 +104,7 @@ class RerunStream:
         self._session = session
         self._nodes: dict[str, _Node] = {}
         self._all = node == "*"
+        self._came: dict[str, float] = {}  # nodes that have said nothing yet, and since when they are there
         self._passed_over: set[str] = set()  # branches, which come and go by the hundred, unless one is asked for
         self._close = ExitStack()
         self.recording = rr.RecordingStream("zenostat")
@@ -109,11 +112,11 @@ class RerunStream:
         self._close.callback(self.recording.disconnect)
         self._close.callback(self.recording.flush)
         declare = self._close.enter_context
-        self._inbox = declare(session.declare_subscriber(keys.stream(node), RingChannel(RING)))
+        self._inbox = declare(session.declare_subscriber(keys.BATCH.at(node), RingChannel(RING)))
         self._tokens = declare(
             session.liveliness().declare_subscriber(keys.NODE_TOKEN.at(node, name="*"), RingChannel(256), history=True)
         )
-        self._close.callback(self.pump)
+        self._close.callback(self._finish)
         self.samples += self._catch_up(node)  # asked for, since a new liveliness subscriber knows nothing yet
 
     def __enter__(self) -> RerunStream:
@@ -132,6 +135,10 @@ class RerunStream:
             time.sleep(PERIOD_S)
             self.pump()
 
+    def _finish(self) -> None:
+        time.sleep(2 * PERIOD_S)  # for the batches that nodes are gathering
+        self.pump()
+
     def pump(self) -> int:
         """Logs what has come in since the last time; returns the number of samples."""
         messages = []
@@ -146,15 +153,19 @@ class RerunStream:
 
     def _look_around(self, heard: set[str]) -> int:
         """Meets silent nodes that have come, with the sample that they stand at, and notes those that have gone."""
-        took = 0
+        took, now_s = 0, time.monotonic()
         while (token := self._tokens.try_recv()) is not None:
             if token.kind == zenoh.SampleKind.DELETE:
                 self.left = True
                 continue
             name = keys.node_of(str(token.key_expr))
+            self._came.setdefault(name, now_s)
+        for name, since_s in [*self._came.items()]:
             if name in heard or name in self._nodes or name in self._passed_over:
-                continue
-            took += self._catch_up(name)
+                del self._came[name]
+            elif now_s - since_s > 3 * PERIOD_S:  # no batch comes
+                del self._came[name]
+                took += self._catch_up(name)
         return took
 
     def _catch_up(self, name: str) -> int:
@@ -163,35 +174,51 @@ class RerunStream:
         for reply in self._session.get(keys.SAMPLE.at(name), target=zenoh.QueryTarget.ALL):
             if reply.ok is not None:
                 who = keys.node_of(str(reply.ok.key_expr))
-                took += self._take_sample(who, codec.decode(Sample, reply.ok.payload.to_bytes()))
+                took += self._take_sample(who, codec.decode(Sample, reply.ok.payload.to_bytes()), asked=True)
         return took
 
     def _take(self, message: zenoh.Sample) -> int:
-        key, payload, said = str(message.key_expr), message.payload.to_bytes(), str(message.encoding)
-        name = keys.node_of(key)
+        name, took = keys.node_of(str(message.key_expr)), 0
         try:
-            if key == keys.SAMPLE.at(name):
-                return self._take_sample(name, codec.decode(Sample, payload, said))
-            if key == keys.MANIFEST.at(name):
-                self._meet(codec.decode(Manifest, payload, said))
-            elif key == keys.EVENT.at(name):
-                self._log_event(name, codec.decode(Event, payload, said))
+            batch = codec.decode(Batch, message.payload.to_bytes(), str(message.encoding))
         except BadMessage as error:
-            self.recording.log(f"{name}/events", rr.TextLog(f"unreadable message: {error}", level="WARN"))
+            self._log_unreadable(name, error)
+            return 0
+        for sent in batch.messages:
+            try:
+                took += self._take_one(name, sent.topic, sent.payload)
+            except BadMessage as error:
+                self._log_unreadable(name, error)
+        return took
+
+    def _take_one(self, name: str, topic: str, payload: bytes) -> int:
+        if topic == keys.SAMPLE.key:
+            return self._take_sample(name, codec.decode(Sample, payload))
+        if topic == keys.MANIFEST.key:
+            self._meet(codec.decode(Manifest, payload))
+        elif topic == keys.EVENT.key:
+            self._log_event(name, codec.decode(Event, payload))
         return 0
 
-    def _take_sample(self, name: str, sample: Sample) -> int:
+    def _take_sample(self, name: str, sample: Sample, *, asked: bool = False) -> int:
         if name in self._passed_over:
             return 0
         node = self._nodes.get(name) or self._ask(name)
         if node is None:
             return 0  # a branch, or it has gone before it could be asked what its values mean
+        place = (sample.episode[0], sample.step[0])
+        if asked:
+            node.asked = place
+        elif node.asked is not None:
+            if place <= node.asked:
+                return 0  # of before it was asked for, or that one again
+            node.asked = None
         if sample.episode[0] != node.episode:
             self._log(node)
             node.episode, node.step = sample.episode[0], -1
             self._begin_episode(node)
         elif sample.step[0] <= node.step:
-            return 0  # asked for and heard as well
+            return 0  # heard, and asked for as well
         else:
             self.missed += sample.step[0] - node.step - 1
         node.step = sample.step[0]
@@ -213,7 +240,7 @@ class RerunStream:
             known = self._nodes[manifest.node] = _Node(manifest, _quantities(manifest))
         else:
             self._log(known)
-            known.manifest, known.quantities = manifest, _quantities(manifest)
+            known.manifest, known.quantities, known.asked = manifest, _quantities(manifest), None
         return known
 
     def _entity(self, node: _Node, quantity: _Quantity) -> str:
@@ -257,6 +284,9 @@ class RerunStream:
             table = (applied if quantity.of_actuators else values)[:, quantity.places]
             columns = rr.Scalars.columns(scalars=table.ravel()).partition([table.shape[1]] * len(samples))
             rr.send_columns(self._entity(node, quantity), [simulated, step], columns, recording=self.recording)
+
+    def _log_unreadable(self, name: str, error: BadMessage) -> None:
+        self.recording.log(f"{name}/events", rr.TextLog(f"unreadable message: {error}", level="WARN"))
 
     def _log_event(self, name: str, event: Event) -> None:
         grave = event.kind in (EventKind.FAILED, EventKind.REJECTED, EventKind.LATE, EventKind.WARNING)

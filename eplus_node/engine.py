@@ -82,6 +82,7 @@ class Engine:
         self.steps = int(spec["steps"])
         self.steps_per_hour = int(spec["steps_per_hour"])
         self.zone_steps = 0
+        self.zone_step_min = 0.0
         self.minute = 0.0
         self.near = False  # in the run period, warm-up included
         self.live = False  # after the warm-up
@@ -157,6 +158,7 @@ class Engine:
         if self.api.exchange.kind_of_sim(state) != RUN_PERIOD:
             return
         self._find_handles(state)
+        self.zone_step_min = self.zone_step_h(state) * 60.0
         self.near = True
 
     def _find_handles(self, state: int) -> None:
@@ -188,7 +190,7 @@ class Engine:
         # EnergyPlus weighs by differences of the minute within the hour, whose rounding goes on from step to
         # step until the hour ends: only so the sum is the same to the last bit.
         end = self.minute + self.system_step_h(state) * 60.0
-        share = (end - self.minute) / (self.zone_step_h(state) * 60.0)
+        share = (end - self.minute) / self.zone_step_min
         self.minute = end
         if share == 1.0 and not self.totals:
             return  # one system timestep fills the zone timestep: its value is read at the end

@@ -130,7 +130,7 @@ class Runner:
         self.pacing.declare()
         inlets.request(keys.FAULTS, FaultPlan, self._set_faults)
         self._close.callback(self.timer.close)
-        self.outlets = self._close.enter_context(Outlets(self.session, self.manifest))
+        self.outlets = self._close.enter_context(Outlets(self.session, self.manifest, self.timer))
 
     def show(self) -> None:
         """Tells of its presence, once all else is there."""

@@ -14,11 +14,14 @@ import pytest
 import rerun as rr
 from nodes import SMALL, NodeProgram, until
 from rerun.chunk import RrdReader
+from zenoh.handlers import RingChannel
 
 import agent_sdk
 from bridge.rerun_program import screenshot, web_viewer
 from bridge.rerun_stream import RerunStream
 from bridge.session import open_session
+from topics import codec, keys
+from topics.messages import Batch, Event, EventKind
 
 
 def _recorded(path: Path) -> dict[str, dict[int, list[float]]]:
@@ -60,6 +63,25 @@ def test_recording_has_each_sample_of_each_episode_to_the_bit(scratch):
         assert sorted(plot) == list(range(97))
         for step, values in enumerate(samples):
             assert plot[step] == values[temperatures].tolist()
+
+
+def test_batches_have_all_that_was_streamed_in_the_order_sent(scratch):
+    with NodeProgram(scratch / "node", **SMALL) as node, open_session(connect=[node.endpoint]) as session:
+        one_by_one = session.declare_subscriber(keys.stream("office"), RingChannel(1000))
+        batches = session.declare_subscriber(keys.BATCH.at("office"), RingChannel(1000))
+        assert list(session.get(keys.SAMPLE.at("office")))  # the node has met both now
+        _run(node.endpoint)
+        _run(node.endpoint, reset=True)
+        with agent_sdk.connect(node.endpoint, affinity="off") as bus:
+            bus.stop("office")
+        assert node.process.wait(30) == 0
+        heard = [(str(m.key_expr).rpartition("/")[2], m.payload.to_bytes()) for m in iter(one_by_one.try_recv, None)]
+        came = [codec.decode(Batch, m.payload.to_bytes(), str(m.encoding)) for m in iter(batches.try_recv, None)]
+    gathered = [(sent.topic, sent.payload) for batch in came for sent in batch.messages]
+    assert gathered == heard
+    assert [topic for topic, _ in heard].count("sample") == 96 + 97  # the first one was there before
+    assert codec.decode(Event, heard[-1][1]).kind is EventKind.STOPPED
+    assert len(came) < len(heard) / 4
 
 
 def test_late_monitor_learns_the_manifest_and_the_sample_the_node_stands_at(scratch):

@@ -27,7 +27,7 @@ _NO_PAYLOAD = {
     QUESTION: "A Zenoh query (`get`) without a payload.",
     PRESENCE: "A Zenoh liveliness token: there as long as who declared it; it carries no payload.",
 }
-_BYTES = {"mask", "ruler"}
+_BYTES = {"mask", "ruler", "payload"}
 _TRAVEL = {
     Delivery.DROP: {"primitive": "put", "congestion_control": "drop"},
     Delivery.BLOCK: {"primitive": "put", "congestion_control": "block"},

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from topics.errors import BadMessage, near
-from topics.messages import SCHEMA, Claim, Manifest, Message, Sample, Status
+from topics.messages import SCHEMA, Batch, Claim, Manifest, Message, Sample, Status
 
 M = TypeVar("M", bound=Message)
 
@@ -26,7 +26,7 @@ MAX_BYTES = 8 * 1024 * 1024
 MOST_ENTRIES = 4_000
 """Entries of all lists and maps of a message together; more are refused before they are looked at."""
 
-MOST_OF = {Claim: 20_000, Manifest: 1_000_000, Sample: 100_000, Status: 100_000}
+MOST_OF = {Batch: 100_000, Claim: 20_000, Manifest: 1_000_000, Sample: 100_000, Status: 100_000}
 """The same, of messages that name points, and of a node's for many slots."""
 
 _MOST_FAULTS = 10

@@ -15,6 +15,7 @@ from topics.messages import (
     SCHEMA,
     Accepted,
     Ask,
+    Batch,
     Branched,
     Claim,
     Command,
@@ -85,6 +86,7 @@ METER = Topic("meter/{name}", Role.NODE, PointValue, Delivery.DROP)
 COMMAND = Topic("command/{name}", Role.CONTROLLER, Command, Delivery.BLOCK)
 ACTUATOR = Topic("actuator/{name}", Role.ANYONE, Write, Delivery.BLOCK)
 EVENT = Topic("event", Role.NODE, Event, Delivery.DROP)
+BATCH = Topic("batch/stream", Role.NODE, Batch, Delivery.DROP)
 CLAIM = Topic("rpc/claim", Role.CONTROLLER, Claim, Delivery.QUERY, reply=Accepted)
 RESET = Topic("rpc/reset", Role.CONTROLLER, Reset, Delivery.QUERY, reply=Accepted)
 SNAPSHOT = Topic("rpc/snapshot", Role.CONTROLLER, TakeSnapshot, Delivery.QUERY, reply=SnapshotTaken)
@@ -110,6 +112,7 @@ TOPICS = (
     COMMAND,
     ACTUATOR,
     EVENT,
+    BATCH,
     CLAIM,
     RESET,
     SNAPSHOT,

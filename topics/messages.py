@@ -362,6 +362,19 @@ class PointValue(Message):
     time: str
 
 
+class Sent(Message):
+    """A message as it was sent: its topic below the root (`sample`, `event` or `manifest`), and its bytes."""
+
+    topic: str
+    payload: Raw
+
+
+class Batch(Message):
+    """What a node has streamed since its last batch, in the order sent: for whoever need not know it at once."""
+
+    messages: list[Sent]
+
+
 class EventKind(StrEnum):
     """What an event tells."""
 
