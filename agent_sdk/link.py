@@ -114,7 +114,7 @@ class ControlLink:
             self._open(bus.session, claim)
             undo.pop_all()
         near_node = self.manifest.host == affinity.host()
-        self._polling = Polling(enabled=near_node and placement is Affinity.NODE)
+        self._await_message = Polling(enabled=near_node and placement is Affinity.NODE).over(self._try_recv, self._recv)
 
     def _open(self, session: zenoh.Session, claim: Claim) -> None:
         """Listens first, claims last: nothing that the node says afterwards is missed."""
@@ -250,7 +250,7 @@ class ControlLink:
         if self._ended is not None:
             raise self._ended
         while True:
-            message = self._polling.wait(self._try_recv, self._recv)
+            message = self._await_message()
             key = str(message.key_expr)
             if key == self._sample_key:
                 return self._view(codec.decode(Sample, message.payload.to_bytes(), str(message.encoding)))

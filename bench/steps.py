@@ -21,6 +21,8 @@ KINDS: dict[str, tuple[str, dict[str, Any]]] = {
     "env.step, node and engine on one core": ("env", {"affinity": "node"}),
     "env.step, controller there too": ("env", {"affinity": "together"}),
     "env.step, not placed": ("env", {"affinity": "off"}),
+    "bare bytes, node and engine on one core": ("chain", {"affinity": "node"}),
+    "bare bytes, controller there too": ("chain", {"affinity": "together"}),
 }
 REFERENCE = "thread and two queues"
 

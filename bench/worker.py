@@ -89,6 +89,15 @@ class InProcess:
             self.api.exchange.set_actuator_value(state, handle, value)
 
 
+def chain(run: InProcess, pace: Pace, *, affinity: str) -> None:
+    """Across processes over Zenoh as `env.step` is, with bare bytes and nothing done to them."""
+    from bench.chain import Chain
+    from bridge.affinity import Affinity
+
+    with Chain(run, Path(tempfile.mkdtemp()), Affinity(affinity)) as made:
+        _in_turn(made.step, pace)
+
+
 class _FirstTick:
     """Begins at the first tick, which is sample 0."""
 
@@ -234,7 +243,7 @@ def vector(found: dict[str, Any], pace: Pace, *, count: int, mode: str, **more: 
         _in_turn(lambda: envs.step(action), pace)
 
 
-IN_PROCESS = {"bare": bare, "callback": callback, "queues": queues}
+IN_PROCESS: dict[str, Callable[..., None]] = {"bare": bare, "callback": callback, "queues": queues, "chain": chain}
 ACROSS = {"env": environment, "engines": engines, "slots": slots, "vector": vector}
 
 
@@ -246,7 +255,8 @@ def main() -> None:
         os.sched_setaffinity(0, {core})
     pace = Pace()
     if kind in IN_PROCESS:
-        IN_PROCESS[kind](InProcess(found, Path(tempfile.mkdtemp())), pace)
+        with suppress(Over):
+            IN_PROCESS[kind](InProcess(found, Path(tempfile.mkdtemp())), pace, **options)
         return
     with suppress(Over):
         ACROSS[kind](found, pace, **options)

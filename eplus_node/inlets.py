@@ -86,6 +86,8 @@ class Inlets:
                 came = self._try_recv()
             except zenoh.ZError:  # undeclared
                 return
+            except RuntimeError:  # being undeclared just now: pyo3 lends it to one thread at a time
+                came = None
             if came is None:
                 over.wait(0.001)
 

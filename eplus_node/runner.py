@@ -220,7 +220,7 @@ class Runner:
         exchange = self.exchange
         self.pacing.goes()
         began_s = exchange.now_s = monotonic()
-        if exchange.expiring:
+        if exchange.commanded.expiring:
             self.tell(exchange.expire(exchange.step[0] * self.plan.period.step_s))
         values, ruler = exchange.go()
         if self.injection is not None:

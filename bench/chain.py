@@ -1,0 +1,121 @@
+"""The least that a step across processes can cost: the same hand-overs, with bare bytes and nothing done to them.
+
+EnergyPlus in a process of its own, two pipes, a process with a Zenoh session, a unix socket, and this process.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zenoh
+from numpy.typing import NDArray
+from zenoh.handlers import FifoChannel
+
+from bridge import affinity
+from bridge.affinity import Affinity
+from bridge.session import open_session
+from topics.errors import BusError
+
+_SAMPLE, _COMMAND = "sample", "command"
+_MOST = 1 << 16
+_PATIENCE_S = 60.0
+
+Simulate = Callable[[Callable[[], bytes], Callable[[bytes], None]], None]
+
+
+class Chain:
+    """Steps an engine by bare bytes; `with Chain(run, folder, placement) as chain`.
+
+    Args:
+        run: a `bench.worker.InProcess`, which simulates in a process forked from this one.
+        folder: for the socket.
+        placement: `node` or `together`; see `bridge.affinity`.
+    """
+
+    def __init__(self, run: Any, folder: Path, placement: Affinity) -> None:
+        core, _ = affinity.pick_cores(placement)
+        endpoint = f"unixsock-stream/{folder}/chain"
+        self._action: NDArray[np.float64] = run.action
+        with ExitStack() as undo:
+            orders, frames = os.pipe(), os.pipe()  # both processes are forked before there is a Zenoh session here
+            self._fork(undo, lambda: _engine(run, orders[0], frames[1], core), (orders[1], frames[0]))
+            self._fork(undo, lambda: _node(endpoint, frames[0], orders[1], core), (orders[0], frames[1]))
+            for end in (*orders, *frames):
+                os.close(end)
+            with affinity.threads_started_on(core):
+                session = undo.enter_context(_opened(endpoint))
+                samples = undo.enter_context(session.declare_subscriber(_SAMPLE, FifoChannel(16)))
+                commands = undo.enter_context(session.declare_publisher(_COMMAND))
+            if placement is Affinity.TOGETHER:
+                affinity.pin(core)
+            until = time.monotonic() + _PATIENCE_S
+            while not commands.matching_status.matching and time.monotonic() < until:
+                time.sleep(0.01)
+            self._recv, self._put = samples.recv, commands.put
+            self._put(b"")  # asks for sample 0
+            self._recv()
+            self._close = undo.pop_all()
+
+    def __enter__(self) -> Chain:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._close.close()
+
+    def step(self) -> None:
+        """Sends a command and waits for the next sample."""
+        self._put(self._action.tobytes())
+        np.frombuffer(self._recv().payload.to_bytes()).astype(np.float32)
+
+    @staticmethod
+    def _fork(undo: ExitStack, work: Callable[[], None], others: tuple[int, ...]) -> None:
+        child = os.fork()
+        if child == 0:
+            try:
+                for end in others:
+                    os.close(end)
+                work()
+            finally:
+                os._exit(0)
+        undo.callback(os.waitpid, child, 0)
+        undo.callback(os.kill, child, signal.SIGKILL)
+
+
+def _engine(run: Any, orders: int, frames: int, core: int | None) -> None:
+    affinity.pin(core)
+
+    def exchange(state: Any) -> None:
+        os.write(frames, np.array(run.read(state)).tobytes())
+        order = os.read(orders, _MOST)
+        if not order:
+            os._exit(0)
+        run.set(state, np.frombuffer(order).tolist())
+
+    run.run(exchange, None)
+
+
+def _node(endpoint: str, frames: int, orders: int, core: int | None) -> None:
+    affinity.pin(core)
+    with open_session(listen=[endpoint]) as session:
+        commands = session.declare_subscriber(_COMMAND, FifoChannel(16))
+        samples = session.declare_publisher(_SAMPLE)
+        commands.recv()
+        while frame := os.read(frames, _MOST):
+            samples.put(frame)
+            os.write(orders, commands.recv().payload.to_bytes())
+
+
+def _opened(endpoint: str) -> zenoh.Session:
+    until = time.monotonic() + _PATIENCE_S
+    while time.monotonic() < until:
+        with suppress(BusError):
+            return open_session(connect=[endpoint])
+        time.sleep(0.1)
+    return open_session(connect=[endpoint])
