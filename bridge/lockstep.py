@@ -507,11 +507,6 @@ class Exchange:
         """What `go` returns where nobody commands."""
         return PriorityArray(*self.shape).resolve()
 
-    @property
-    def expiring(self) -> bool:
-        """Whether anything was written for a time."""
-        return self.commanded.expiring
-
     def expire(self, elapsed_s: float) -> list[Event]:
         """Releases what was written for a time that is over."""
         over = self.commanded.expire(elapsed_s)

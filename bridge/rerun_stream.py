@@ -1,9 +1,8 @@
 """Samples of the bus as live plots in Rerun.
 
 A stream hears what nodes say in batches, through a ring, so it can be as slow as it likes: a node never waits for it.
-Each episode has
-an entity of its own, `/{node}/episode_0000/{quantity}`, one vector of scalars a step, over two timelines:
-`simulated` (the building's local standard time) and `step`.
+Each episode has an entity of its own, `/{node}/episode_0000/{quantity}`, one vector of scalars a step, over two
+timelines: `simulated` (the building's local standard time) and `step`.
 """
 
 from __future__ import annotations

@@ -1,16 +1,9 @@
-"""What a node says: its manifest, samples, single points and events; and all but the points once more in batches.
-
-A listener that is sent each sample costs a step some wake-ups, which monitors need not: they are sent ten batches a
-second, by the timer's thread.
-"""
+"""What a node says: its manifest, samples, single points and events."""
 
 from __future__ import annotations
 
-import threading
-from collections import deque
 from contextlib import ExitStack
 from datetime import datetime
-from typing import Any
 
 import numpy as np
 import zenoh
@@ -18,6 +11,7 @@ from zenoh import CongestionControl
 from zenoh.handlers import Callback
 
 from bridge.timer import Timer
+from eplus_node.batches import Batches
 from topics import codec, keys
 from topics.messages import Event, EventKind, Manifest, PointValue
 
@@ -27,10 +21,6 @@ EVENTS_A_STEP = 20
 WRITTEN_A_STEP = 1000
 """Likewise writes that were taken: a controller that waits for a reset cannot take in any number of events."""
 
-BATCH_S = 0.1
-"""How long a message waits for its batch at most."""
-
-_BATCH_BYTES = 1 << 20
 _MANIFEST, _SAMPLE, _EVENT = keys.MANIFEST.key, keys.SAMPLE.key, keys.EVENT.key
 _REFUSALS = (EventKind.REJECTED, EventKind.LATE, EventKind.DUPLICATE)
 
@@ -40,7 +30,6 @@ class Outlets:
 
     def __init__(self, session: zenoh.Session, manifest: Manifest, timer: Timer) -> None:
         self._session = session
-        self._timer = timer
         self._node = manifest.node
         self._close = ExitStack()
         self._watched: dict[int, zenoh.Publisher] = {}
@@ -48,12 +37,7 @@ class Outlets:
         self._put_sample = self._publisher(keys.SAMPLE).put
         self._put_event = self._publisher(keys.EVENT).put
         self._put_manifest = self._publisher(keys.MANIFEST).put
-        self._batch: deque[dict[str, Any]] = deque()
-        self._batched = self._batch_due = self._closed = False
-        self._sends_batches = threading.Lock()
-        batches = self._publisher(keys.BATCH)
-        self._put_batch = batches.put
-        batches.declare_matching_listener(Callback(self._on_monitors, indirect=False))
+        self._batches = Batches(self._publisher(keys.BATCH), timer)
         topics = [(keys.SENSOR, s.name, s.unit) for s in manifest.sensors]
         topics += [(keys.METER, m.name, m.unit) for m in manifest.meters]
         self._units = [unit for _, _, unit in topics]
@@ -65,9 +49,7 @@ class Outlets:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._send_batch()
-        with self._sends_batches:
-            self._closed = True
+        self._batches.close()
         self._close.close()
 
     def _publisher(self, topic: keys.Topic, name: str = "") -> zenoh.Publisher:
@@ -96,14 +78,14 @@ class Outlets:
         """What the node is; again when its weather has changed."""
         payload = codec.encode(manifest)
         self._put_manifest(payload)
-        if self._batched:
-            self._add(_MANIFEST, payload)
+        if self._batches.wanted:
+            self._batches.add(_MANIFEST, payload)
 
     def sample(self, payload: bytes) -> None:
         """One step's frame."""
         self._put_sample(payload)
-        if self._batched:
-            self._add(_SAMPLE, payload)
+        if self._batches.wanted:
+            self._batches.add(_SAMPLE, payload)
         self._events_left, self._written_left = EVENTS_A_STEP, WRITTEN_A_STEP
 
     def points(self, values: bytes, episode: int, step: int, time: datetime) -> None:
@@ -127,28 +109,5 @@ class Outlets:
                 return
         payload = codec.encode(event)
         self._put_event(payload)
-        if self._batched:
-            self._add(_EVENT, payload)
-
-    # Batches
-
-    def _on_monitors(self, status: zenoh.MatchingStatus) -> None:
-        self._batched = status.matching
-
-    def _add(self, topic: str, payload: bytes) -> None:
-        self._batch.append({"topic": topic, "payload": payload})
-        if not self._batch_due:
-            self._batch_due = True
-            self._timer.at(self._timer.clock() + BATCH_S, self._send_batch)
-
-    def _send_batch(self) -> None:
-        """Sends what has gathered; the timer's thread, or at the end the node's own."""
-        self._batch_due = False  # first: who adds something from now on has it sent later
-        batch = self._batch
-        with self._sends_batches:
-            while batch and not self._closed:
-                messages, size = [], 0
-                while batch and size < _BATCH_BYTES:
-                    messages.append(batch.popleft())
-                    size += len(messages[-1]["payload"])
-                self._put_batch(codec.pack(messages=messages))
+        if self._batches.wanted:
+            self._batches.add(_EVENT, payload)

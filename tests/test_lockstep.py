@@ -47,7 +47,7 @@ def unchanged(at: Exchange, act: Callable[[], object], *, count: str) -> object:
         c.model_copy(update=uncounted) for c in before.controllers()
     ]
     assert at.due() == before.due()
-    assert at.expiring == before.expiring
+    assert at.commanded.expiring == before.commanded.expiring
     if at.state is State.WAITING:
         assert repr(ruling(at)) == repr(ruling(before))
     return result
@@ -653,7 +653,7 @@ def test_a_write_for_1800_s_rules_two_timesteps_of_900_s(priority: int) -> None:
         ruled.append(advance(at)[1])
     assert ruled == [["", "wall"], ["", "wall"], ["", ""], ["", ""]]
     assert told_of == [(2, EventKind.EXPIRED, "wall")]
-    assert not at.expiring
+    assert not at.commanded.expiring
 
 
 @pytest.mark.parametrize("for_s", [600.0, 2700.0], ids=["shorter", "longer"])
@@ -689,7 +689,7 @@ def test_a_release_takes_the_expiry_with_it() -> None:
     at = exchange(mode=Mode.FREE)
     at.write("cool", Write(value=28.0, for_s=900.0), 0.0)
     at.write("cool", Write(value=None), 0.0)
-    assert not at.expiring
+    assert not at.commanded.expiring
     assert at.expire(1e9) == []
 
 
@@ -763,7 +763,7 @@ def test_a_reset_releases_everything_and_keeps_the_claims(ended: bool) -> None:
     assert not at.due()
     at.ready()
     assert (at.state, at.step) == (State.WAITING, [0])
-    assert not at.expiring
+    assert not at.commanded.expiring
     values, rulers = ruling(at)
     assert same(values, [NAN, NAN])
     assert rulers == ["", ""]

@@ -209,7 +209,7 @@ def test_all_slots_begin_anew_by_any_name_of_them(slots: list[int] | None) -> No
     at.left("agent")
     at.reset(slots)
     at.ready()
-    assert (at.episode, at.step, at.expiring, at.controllers()) == ([1] * 3, [0] * 3, False, [])
+    assert (at.episode, at.step, at.commanded.expiring, at.controllers()) == ([1] * 3, [0] * 3, False, [])
     assert ruling(at)[1] == [""] * 6
 
 
@@ -243,13 +243,13 @@ def test_what_held_holds_again_and_what_came_later_does_not() -> None:
     at.write("heat", Write(value=15.0, priority=1, source="late"), 1800.0)
     at.write("cool", Write(value=None, priority=8, source="person"), 1800.0)
     go(at)
-    assert not at.expiring
+    assert not at.commanded.expiring
     for _ in range(2):
         at.reset()
         at.hold(kept)
         at.ready({0: 1, 1: 2, 2: 1})
         assert str(ruling(at)) == str(before)
-        assert at.expiring
+        assert at.commanded.expiring
         assert at.touched == [True] * 3
         assert [event.kind for event in at.expire(2700.0)] == [EventKind.EXPIRED]
         assert ruling(at)[0] == [20.0, 25.0, 21.0, 26.0, 20.0, 25.0]
