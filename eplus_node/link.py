@@ -256,7 +256,7 @@ class EngineLink:
         self._socket, self._frames = self._ends
         self._descriptor, self._frames_descriptor = self._socket.fileno(), self._frames.fileno()
         self._frame_buffers = [self._frame_bytes]
-        self._await_frame = Polling(enabled=run.poll).over(self._try_read, self._read)
+        self._polling = Polling(enabled=run.poll)
 
     def fork(self, run: Run) -> EngineLink:
         """A child of this engine, which waits: it goes on from the same sample in the folder of `run`, on its own.
@@ -352,7 +352,7 @@ class EngineLink:
             ModelRefused: EnergyPlus gave up; with its own words.
             EngineDied: the process ended without a word.
         """
-        got, size = self._await_frame(), len(self._frame_bytes)
+        got, size = self._polling.wait(self._try_read, self._read), len(self._frame_bytes)
         while got and got < size:
             more = self._frames.recv_into(self._frame_bytes[got:])
             got = got + more if more else 0
