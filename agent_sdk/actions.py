@@ -109,7 +109,7 @@ class Actions:
             named = ", ".join(self.names) or "the building's own control"
             raise InvalidAction(f"action of shape {values.shape}; {shape} expected: {named}")
         if slots is None and self._few and self._plainly_inside(values):
-            return values
+            return values.copy()  # infos keep it
         inside = self._inside(values)
         if unread:
             inside[list(unread)] = True
@@ -184,9 +184,8 @@ def _finite(bounds: NDArray[np.float64]) -> list[float]:
 
 
 def _array(action: ArrayLike, kind: type[np.float64] | None) -> NDArray[Any]:
-    """On its own: infos keep it."""
     try:
-        return np.array(action, kind)
+        return np.asarray(action, kind)
     except (TypeError, ValueError) as error:
         raise InvalidAction(f"action {action!r} is no array of numbers: {error}") from None
 

@@ -52,7 +52,6 @@ if TYPE_CHECKING:
 # Plain numbers: what a signal raises while NumPy looks at an enum's member is lost, a Ctrl-C for one.
 _KEEP, _SET, _RELEASE = int(Mask.KEEP), int(Mask.SET), int(Mask.RELEASE)
 _TRUNCATED = int(Flag.TRUNCATED)
-_FLOAT = np.dtype("<f8")
 _INBOX = 1024
 _MEET_S = 10.0
 
@@ -114,7 +113,7 @@ class ControlLink:
             self._open(bus.session, claim)
             undo.pop_all()
         near_node = self.manifest.host == affinity.host()
-        self._await_message = Polling(enabled=near_node and placement is Affinity.NODE).over(self._try_recv, self._recv)
+        self._polling = Polling(enabled=near_node and placement is Affinity.NODE)
 
     def _open(self, session: zenoh.Session, claim: Claim) -> None:
         """Listens first, claims last: nothing that the node says afterwards is missed."""
@@ -250,7 +249,7 @@ class ControlLink:
         if self._ended is not None:
             raise self._ended
         while True:
-            message = self._await_message()
+            message = self._polling.wait(self._try_recv, self._recv)
             key = str(message.key_expr)
             if key == self._sample_key:
                 return self._view(codec.decode(Sample, message.payload.to_bytes(), str(message.encoding)))
@@ -322,7 +321,7 @@ class ControlLink:
         if isinstance(values, np.ndarray):
             if values.shape != self._shape:
                 raise InvalidAction(f"values of shape {values.shape}; {self._shape} expected: one for each actuator")
-            return (values if values.dtype == _FLOAT else values.astype(_FLOAT)).tobytes(), given
+            return values.astype(codec.FLOAT, copy=False).tobytes(), given
         slots, count = self.manifest.slots, len(self.manifest.actuators)
         row, mask = np.zeros(count), np.full(count, _KEEP, np.uint8)
         for name, value in (values or {}).items():

@@ -9,19 +9,17 @@ import os
 import signal
 import time
 from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import zenoh
 from numpy.typing import NDArray
 from zenoh.handlers import FifoChannel
 
 from bridge import affinity
 from bridge.affinity import Affinity
 from bridge.session import open_session
-from topics.errors import BusError
 
 _SAMPLE, _COMMAND = "sample", "command"
 _MOST = 1 << 16
@@ -50,7 +48,7 @@ class Chain:
             for end in (*orders, *frames):
                 os.close(end)
             with affinity.threads_started_on(core):
-                session = undo.enter_context(_opened(endpoint))
+                session = undo.enter_context(open_session(connect=[endpoint], wait=True))
                 samples = undo.enter_context(session.declare_subscriber(_SAMPLE, FifoChannel(16)))
                 commands = undo.enter_context(session.declare_publisher(_COMMAND))
             if placement is Affinity.TOGETHER:
@@ -110,12 +108,3 @@ def _node(endpoint: str, frames: int, orders: int, core: int | None) -> None:
         while frame := os.read(frames, _MOST):
             samples.put(frame)
             os.write(orders, commands.recv().payload.to_bytes())
-
-
-def _opened(endpoint: str) -> zenoh.Session:
-    until = time.monotonic() + _PATIENCE_S
-    while time.monotonic() < until:
-        with suppress(BusError):
-            return open_session(connect=[endpoint])
-        time.sleep(0.1)
-    return open_session(connect=[endpoint])

@@ -13,7 +13,6 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
-from functools import partial
 from typing import TypeVar
 
 T = TypeVar("T")
@@ -38,10 +37,6 @@ class Polling:
         self._paused_until = 0
         self._wall_s = 0.0
         self._cpu_s = 0.0
-
-    def over(self, attempt: Callable[[], T | None], block: Callable[[], T]) -> Callable[[], T]:
-        """`wait` for these two; `block` alone where it is not enabled."""
-        return partial(self.wait, attempt, block) if self._enabled else block
 
     def wait(self, attempt: Callable[[], T | None], block: Callable[[], T]) -> T:
         """What `attempt` (which never waits, None: nothing yet) or else `block` (which sleeps) returns."""

@@ -92,7 +92,7 @@ class Engine:
         self.command_bytes = memoryview(self.command).cast("B")
         self.command_buffers = [self.command_bytes]
         self.descriptor, self.frames_descriptor = link.fileno(), frames.fileno()
-        self.await_order = Polling(enabled=spec["poll"]).over(self._try_read, self._read)
+        self.polling = Polling(enabled=spec["poll"])
         self.out_size = len(self.out) * self.out.itemsize
         self.averaged: list[int] = []
         self.totals: list[float] = []
@@ -262,7 +262,7 @@ class Engine:
                 written = os.write(self.frames_descriptor, out)
                 if written < self.out_size:
                     self.frames.sendall(memoryview(out).cast("B")[written:])
-                got = self.await_order()
+                got = self.polling.wait(self._try_read, self._read)
                 while got and got < size:
                     more = self.link.recv_into(self.command_bytes[got:])
                     got = got + more if more else 0
@@ -304,7 +304,7 @@ class Engine:
         self.frames.close()
         self.link, self.frames = link, frames
         self.descriptor, self.frames_descriptor = link.fileno(), frames.fileno()
-        self.await_order = Polling(enabled=spec["poll"]).over(self._try_read, self._read)
+        self.polling = Polling(enabled=spec["poll"])
         self.frames.sendall(struct.pack("=q", os.getpid()))
         begin(spec)
         own_files(spec["folder"])

@@ -48,7 +48,7 @@ class Pacing:
 
     def may_go(self) -> bool:
         """Whether the next timestep is due by the clock; if not, the runner's thread is woken when it is."""
-        if self.paused and not self.steps_left:
+        if self._stands:
             return False
         if self._runner.exchange.mode is not _PACED or self.steps_left:
             return True

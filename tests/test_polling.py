@@ -41,7 +41,7 @@ class Bench:
             self.wall_s = max(self.wall_s, due_s)
             return got
 
-        return self.polling.over(attempt, block)()
+        return self.polling.wait(attempt, block)
 
 
 @pytest.mark.parametrize(("cores", "enabled"), [(1, True), (None, True), (4, False)])

@@ -30,7 +30,7 @@ MOST_OF = {Batch: 100_000, Claim: 20_000, Manifest: 1_000_000, Sample: 100_000, 
 """The same, of messages that name points, and of a node's for many slots."""
 
 _MOST_FAULTS = 10
-_FLOAT = np.dtype("<f8")
+FLOAT = np.dtype("<f8")
 _MEDIA = "application/msgpack"
 _SCHEMA_MARK = ";zenostat/"
 
@@ -142,14 +142,14 @@ def _cut(text: str, most: int = 200) -> str:
 
 def floats(raw: bytes, shape: tuple[int, ...], what: str) -> NDArray[np.float64]:
     """A read-only float64 array over `raw`, or `BadMessage` if the size is not that of `shape`."""
-    return _array(raw, _FLOAT, shape, what)
+    return _array(raw, FLOAT, shape, what)
 
 
 def row(raw: bytes, index: int, rows: int, width: int, what: str) -> NDArray[np.float64]:
     """One row of `floats(raw, (rows, width), what)`, without making the others."""
     if len(raw) != 8 * rows * width:
         floats(raw, (rows, width), what)
-    return np.frombuffer(raw, _FLOAT, width, 8 * width * index)
+    return np.frombuffer(raw, FLOAT, width, 8 * width * index)
 
 
 def octets(raw: bytes, shape: tuple[int, ...], what: str) -> NDArray[np.uint8]:
