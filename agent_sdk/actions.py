@@ -37,7 +37,8 @@ class Actions:
             self._least, self._most = low - _slack(low), high + _slack(high)
         action_of = {name: i for i, action in enumerate(task.actions) for name in action.actuators}
         # What an action is compared with number by number, if they are few: that takes less time than arrays do.
-        self._bounds = list(zip(_finite(self._low), _finite(self._high), strict=True))
+        self._floor, self._ceiling = _finite(self._low), _finite(self._high)
+        self._bounds = list(zip(self._floor.tolist(), self._ceiling.tolist(), strict=True))
         self._few = len(self._bounds) <= _FEW
         self._fan = np.array([action_of.get(a.name, 0) for a in manifest.actuators], np.intp)
         self._one_each = self._fan.tolist() == list(range(len(task.actions)))
@@ -110,6 +111,8 @@ class Actions:
             raise InvalidAction(f"action of shape {values.shape}; {shape} expected: {named}")
         if slots is None and self._few and self._plainly_inside(values):
             return values.copy()  # infos keep it
+        if (np.minimum(np.maximum(values, self._floor), self._ceiling) == values).all():  # NaN is not
+            return values.copy()
         inside = self._inside(values)
         if unread:
             inside[list(unread)] = True
@@ -177,9 +180,9 @@ def _slack(bound: NDArray[np.float64]) -> NDArray[np.float64]:
     return 4.0 * size.astype(np.float64)
 
 
-def _finite(bounds: NDArray[np.float64]) -> list[float]:
+def _finite(bounds: NDArray[np.float64]) -> NDArray[np.float64]:
     most = np.finfo(np.float64).max
-    finite: list[float] = np.clip(bounds, -most, most).tolist()
+    finite: NDArray[np.float64] = np.clip(bounds, -most, most)
     return finite
 
 

@@ -60,7 +60,8 @@ class Frame:
         self.wire, self._manifest = wire, manifest
         points = len(manifest.sensors) + len(manifest.meters)
         self.values: Floats = codec.floats(wire.values, (manifest.slots, points), "values")
-        self.truncated = (np.array(wire.flags) & _TRUNCATED).astype(np.bool_)
+        flags = wire.flags
+        self.truncated = np.array([flag & _TRUNCATED for flag in flags], np.bool_) if any(flags) else _none(len(flags))
 
     @property
     def applied(self) -> Floats:
@@ -86,8 +87,11 @@ class Frame:
     @property
     def times(self) -> list[datetime]:
         """Local standard time at the end of each slot's timestep, naive."""
-        known = {text: datetime.fromisoformat(text) for text in set(self.wire.time)}
-        return [known[text] for text in self.wire.time]
+        told = self.wire.time
+        if told.count(told[0]) == len(told):
+            return [datetime.fromisoformat(told[0])] * len(told)
+        known = {text: datetime.fromisoformat(text) for text in set(told)}
+        return [known[text] for text in told]
 
     def ruled_by(self, names: Sequence[str]) -> NDArray[np.object_]:
         """Who set each actuator of each slot: a tuple for each slot, of these names in the order of `rulers`."""
@@ -99,12 +103,20 @@ class Frame:
 
     def observed(self, begins: Sequence[datetime], ends: Sequence[datetime]) -> NDArray[np.float32]:
         """What an agent observes, shape (slots, time fields + points)."""
-        fields = self._manifest.task.time
-        if not fields:
-            return self.values.astype(np.float32)
-        known = {span: clock(fields, *span) for span in set(zip(begins, ends, strict=True))}
-        clocks = np.array([known[span] for span in zip(begins, ends, strict=True)])
-        return np.concatenate([clocks, self.values], axis=1).astype(np.float32)
+        values, fields = self.values, self._manifest.task.time
+        slots, points = values.shape
+        observed = np.empty((slots, len(fields) + points), np.float32)
+        observed[:, len(fields) :] = values
+        if fields and begins.count(begins[0]) == slots == ends.count(ends[0]):
+            observed[:, : len(fields)] = clock(fields, begins[0], ends[0])
+        elif fields:
+            known = {span: clock(fields, *span) for span in set(zip(begins, ends, strict=True))}
+            observed[:, : len(fields)] = [known[span] for span in zip(begins, ends, strict=True)]
+        return observed
+
+
+def _none(slots: int) -> NDArray[np.bool_]:
+    return np.zeros(slots, np.bool_)
 
 
 def step_of(manifest: Manifest) -> timedelta:

@@ -24,10 +24,7 @@ def masked(found: Mapping[str, Any], slots: Slots) -> Infos:
     """
     told: Infos = {}
     for key, value in found.items():
-        if isinstance(value, dict):
-            told[key] = masked(value, slots)
-        else:
-            told[key] = _array(value, len(slots))
+        told[key] = masked(value, slots) if isinstance(value, dict) else _array(value, len(slots))
         told[f"_{key}"] = slots
     return told
 

@@ -106,7 +106,7 @@ class BuildingVectorEnv(Named, VectorEnv[Observations, Any, NDArray[Any]]):
         self._mask = None if self._actions.mask is None else self._actions.mask * num_envs
         self._frame: Frame | None = None
         self._seen = np.zeros(self.observation_space.shape or (), np.float32)
-        self._over = np.zeros(num_envs, np.bool_)
+        self._over, self._every = np.zeros(num_envs, np.bool_), np.ones(num_envs, np.bool_)
         self._outputs = [""] * num_envs
         self._rulers: tuple[bytes, list[str]] = (b"", [])
         self._ruled_by: NDArray[np.object_] = np.empty(num_envs, object)
@@ -166,9 +166,9 @@ class BuildingVectorEnv(Named, VectorEnv[Observations, Any, NDArray[Any]]):
             self._outputs[slot] = how.outputs
             told = {"weather": how.weather, "weather_noise": how.drawn, "start": how.start}
             begun = self._add_info(begun, told, slot)
-        every, these = np.ones(self.num_envs, np.bool_), np.zeros(self.num_envs, np.bool_)
+        these = np.zeros(self.num_envs, np.bool_)
         these[slots] = True
-        return only(masked(self._of_sample(frame), every), these) | begun
+        return only(masked(self._of_sample(frame), self._every), these) | begun
 
     def snapshot(self) -> Snapshot:
         """Keeps where all slots stand, to go back there by `reset(options={"snapshot": snap})` any number of times.
@@ -219,7 +219,7 @@ class BuildingVectorEnv(Named, VectorEnv[Observations, Any, NDArray[Any]]):
         if self._frame is None or self.closed:
             self._hold.check_open()
             raise EpisodeChanged("call reset() before step()")
-        again: list[int] = np.flatnonzero(self._over).tolist()
+        again: list[int] = np.flatnonzero(self._over).tolist() if self._over.any() else []
         if again and self._mode is AutoresetMode.DISABLED:
             raise EpisodeChanged(
                 f"the episode is over in slots {', '.join(map(str, again))}; call reset(options={{'reset_mask': …}})"
@@ -231,7 +231,10 @@ class BuildingVectorEnv(Named, VectorEnv[Observations, Any, NDArray[Any]]):
     ) -> tuple[NDArray[np.float64], Flags, Flags, Infos]:
         """Rewards, terminated, truncated and infos of the slots that have gone on; observations go to `_seen`."""
         count, ends = self.num_envs, frame.times
-        begins = [end - self._timestep for end in ends]
+        if ends.count(ends[0]) == count:
+            begins = [ends[0] - self._timestep] * count
+        else:
+            begins = [end - self._timestep for end in ends]
         told = self._of_sample(frame)
         told["action"] = commanded
         rewards = np.zeros(count)
@@ -239,9 +242,9 @@ class BuildingVectorEnv(Named, VectorEnv[Observations, Any, NDArray[Any]]):
         if memory.reward is not None:
             rewards[:], told["reward_terms"], told["reward_measures"] = memory.reward(frame.values, begins)
         broken = memory.limits.broken_slots(frame.values) if memory.limits is not None else {}
-        observed, live, infos = frame.observed(begins, ends), np.ones(count, np.bool_), {}
+        observed, live = frame.observed(begins, ends), self._every.copy()
         infos = masked(told, live)
-        truncated = frame.truncated
+        terminated, truncated = np.zeros(count, np.bool_), frame.truncated
         if again:
             self._memory.forget(again)  # they are at sample 0 in this frame, and have gone nowhere
             live[again], observed[again] = False, self._seen[again]
@@ -251,8 +254,8 @@ class BuildingVectorEnv(Named, VectorEnv[Observations, Any, NDArray[Any]]):
         for slot, history in enumerate(self._histories):
             if live[slot]:
                 history.add(ends[slot], frame.values[slot])
-        terminated = np.zeros(count, np.bool_)
-        terminated[[slot for slot in broken if live[slot]]] = True
+        if broken:
+            terminated[[slot for slot in broken if live[slot]]] = True
         if broken or truncated.any():
             infos |= self._of_end(broken, terminated, terminated | truncated)
         return rewards, terminated, truncated, infos

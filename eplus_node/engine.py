@@ -87,6 +87,7 @@ class Engine:
         self.near = False  # in the run period, warm-up included
         self.live = False  # after the warm-up
         self.finishing = False
+        self.forked, self.forks = False, 0
         self.out = array("d", [0.0]) * (2 + len(spec["sensors"]) + len(spec["meters"]) + len(spec["feedback"]))
         self.command = array("d", [0.0]) * (2 + len(spec["actuators"]))
         self.command_bytes = memoryview(self.command).cast("B")
@@ -290,6 +291,10 @@ class Engine:
         raw, descriptors, _, _ = socket.recv_fds(self.link, length, 2)
         told = json.loads(raw)
         link, frames = (socket.socket(fileno=descriptor) for descriptor in descriptors)
+        self.forks += 1
+        # One that has gone on from a fork has its memory in small pages; that only matters if it is forked often.
+        if self.forked and self.forks >= _OFTEN and self.forks & (self.forks - 1) == 0:
+            join_pages()
         try:
             child = clone()
         except OSError as error:
@@ -300,6 +305,7 @@ class Engine:
             self.frames.sendall(struct.pack("=q", child))
             return
         self.spec = spec = self.spec | told
+        self.forked, self.forks = True, 0
         self.link.close()
         self.frames.close()
         self.link, self.frames = link, frames
@@ -348,6 +354,28 @@ def clone() -> int:
     if child < 0:
         raise OSError(ctypes.get_errno(), "the engine cannot be forked")
     return int(child)
+
+
+_OFTEN = 4
+_HUGE_PAGE = 1 << 21
+_MADV_COLLAPSE = 25
+
+
+def join_pages() -> None:
+    """Puts the heap's small pages into huge ones, so that there are fewer entries for a fork to copy.
+
+    A forked process copies what it writes to in small pages, and its memory stays in them. This takes some 50 ms, once,
+    and a fork half the time from then on. Linux before 6.1 does not know it, which makes no difference but that.
+    """
+    advise = ctypes.CDLL(None).madvise
+    advise.argtypes = (ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int)
+    with open("/proc/self/maps") as maps:
+        regions = [line.split() for line in maps]
+    for span, access, _, _, inode, *_ in regions:
+        begin, end = (int(address, 16) for address in span.split("-"))
+        begin, end = -(-begin // _HUGE_PAGE) * _HUGE_PAGE, end // _HUGE_PAGE * _HUGE_PAGE
+        if access == "rw-p" and inode == "0" and begin < end:
+            advise(begin, end - begin, _MADV_COLLAPSE)
 
 
 _TELLING = ("eplusout.err", "engine.log")

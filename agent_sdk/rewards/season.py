@@ -60,9 +60,11 @@ class Seasons(Generic[Pair]):
         return self.winter if self.end < here < self.begin else self.summer
 
     def columns(self, begin: Begin) -> tuple[float, ...] | tuple[NDArray[np.float64], ...]:
-        """The numbers of a timestep: floats, or columns with a row for each slot."""
+        """The numbers of a timestep: floats where they hold for all, or columns with a row for each slot."""
         if isinstance(begin, datetime):
             return self.band(begin)
+        if begin.count(begin[0]) == len(begin):
+            return self.band(begin[0])
         rows = np.array([self.band(day) for day in begin], np.float64)
         return tuple(rows[:, i : i + 1] for i in range(len(self.winter)))
 
