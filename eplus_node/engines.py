@@ -59,21 +59,30 @@ class Engines:
         return self._step_all(values, ruler, moving)
 
     def _step_all(self, values: bytes, ruler: bytes, moving: Sequence[int]) -> list[bool]:
-        links, width = self.links, self._width
+        links, wanted = self.links, self._rows(values)
         for slot in moving:
-            links[slot].send(values[slot * width : (slot + 1) * width])
+            links[slot].send(wanted[slot])
         beside = [self.baselines[slot] for slot in moving] if self.baselines else []
         for link in beside:
             link.send(self._nobody)
         for link in beside:
             link.receive()
-        rows, who, wanted = self._rows(self.applied), self._parts(self.ruler, width // 8), self._rows(values)
-        whose = self._parts(ruler, width // 8)
         for slot in moving:
             links[slot].receive()
-            rows[slot], who[slot] = links[slot].applied_bytes(wanted[slot]), whose[slot]
-        self.applied, self.ruler = b"".join(rows), b"".join(who)
+        if len(moving) == len(links):
+            applied = [link.applied_bytes(row) for link, row in zip(links, wanted, strict=True)]
+        else:
+            applied, ruler = self._of_those(wanted, ruler, moving)
+        self.applied, self.ruler = b"".join(applied), ruler
         return [links[slot].last for slot in moving]
+
+    def _of_those(self, wanted: Sequence[bytes], ruler: bytes, moving: Sequence[int]) -> tuple[list[bytes], bytes]:
+        """What was applied and who rules, by slot, where only some have gone on."""
+        width = self._width // 8
+        applied, who, whose = self._rows(self.applied), self._parts(self.ruler, width), self._parts(ruler, width)
+        for slot in moving:
+            applied[slot], who[slot] = self.links[slot].applied_bytes(wanted[slot]), whose[slot]
+        return applied, b"".join(who)
 
     def _rows(self, raw: bytes) -> list[bytes]:
         return self._parts(raw, self._width)
