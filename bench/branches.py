@@ -19,13 +19,15 @@ from bench import pace, scenes
 SCENES = ("five-zone", "office-medium")
 MID = 2000
 MEMORY_AFTER = (0, 100, 3000)
+SEASONS = (10_000, 19_000, 28_000)
+"""Steps from 1 July on: in October, January and April."""
 
 
 def measure(*, quick: bool) -> dict[str, Any]:
     """Of each building, in a process of its own."""
     found = {}
     for scene in SCENES:
-        command = [sys.executable, "-m", "bench.branches", scene, "5" if quick else "40"]
+        command = [sys.executable, "-m", "bench.branches", scene, *(("5",) if quick else ("40", *map(str, SEASONS)))]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode:
             raise RuntimeError(f"{' '.join(command)} failed:\n{done.stderr[-3000:]}")
@@ -49,8 +51,14 @@ class _Episode:
         self.env.reset(seed=0)
         actuators = self.inner.manifest.actuators
         self.action = scenes.setpoints(actuators)[: self.env.action_space.shape[0]].astype(np.float32)
-        for _ in range(MID):
+        self.steps = 0
+        self.go_on(MID)
+
+    def go_on(self, until: int) -> None:
+        """Steps on, as far as a number of steps."""
+        for _ in range(until - self.steps):
             self.env.step(self.action)
+        self.steps = max(self.steps, until)
 
     def times(self, count: int) -> dict[str, dict[str, float]]:
         """Milliseconds of each of them."""
@@ -85,12 +93,23 @@ class _Episode:
                 found[str(steps)] = told.branches[0].private_bytes / 1e6
         return found
 
+    def season_mb(self, at: int) -> float:
+        """Private megabytes of a branch's engine 100 steps after it was made, at a step of the year."""
+        self.go_on(at)
+        bus, node = self.inner.link.bus, self.inner.manifest.node
+        with self.inner.branch() as made:
+            for _ in range(100):
+                made.step(self.action)
+            return float(bus.status(node, memory=True).branches[0].private_bytes / 1e6)
+
 
 def main() -> None:
-    """Measures what the command line says: a scene, and how often."""
-    episode = _Episode(sys.argv[1])
+    """Measures what the command line says: a scene, how often, and at which steps the memory once more."""
+    scene, count, *seasons = sys.argv[1:]
+    episode = _Episode(scene)
     try:
-        found = {"ms": episode.times(int(sys.argv[2])), "memory_mb": episode.memory_mb()}
+        found = {"ms": episode.times(int(count)), "memory_mb": episode.memory_mb()}
+        found["seasons_mb"] = {at: episode.season_mb(int(at)) for at in seasons}
     finally:
         episode.env.close()
     print(json.dumps(found))
@@ -107,6 +126,9 @@ def show(results: dict[str, Any], console: Console) -> None:
         memory.add_row(scene, *(f"{mb:.1f}" for mb in found["memory_mb"].values()))
     console.print(table)
     console.print(memory)
+    for scene, found in results.items():
+        for at, mb in found["seasons_mb"].items():
+            console.print(f"{scene}: {mb:.1f} MB after 100 steps of a branch made at step {at}")
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ from bench.pace import Worker
 
 SCENE = "five-zone"
 SLOTS = 8
-BARE = (2, 4)
+BARE = (2, 4, 8)
 OURS, BEST = "vector environment", "best bare"
 ASYNC, SYNC = "AsyncVectorEnv", "SyncVectorEnv"
 

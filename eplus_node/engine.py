@@ -95,7 +95,10 @@ class Engine:
         self.descriptor, self.frames_descriptor = link.fileno(), frames.fileno()
         self.polling = Polling(enabled=spec["poll"])
         self.out_size = len(self.out) * self.out.itemsize
-        self.averaged: list[int] = []
+        how = [(reading, system) for _, _, reading, system in spec["sensors"]]
+        # Variables of the zone kind have one value a zone timestep; only the others are gathered.
+        self.averaged = [i for i, (reading, system) in enumerate(how) if system and reading != "instant"]
+        self.summed = [how[i][0] == "sum" for i in self.averaged]
         self.totals: list[float] = []
         self.warm_totals: list[float] = []
 
@@ -121,7 +124,8 @@ class Engine:
         runtime = self.api.runtime
         runtime.callback_begin_new_environment(self.state, self._guarded(self._on_environment))
         runtime.callback_after_new_environment_warmup_complete(self.state, self._guarded(self._on_warm))
-        runtime.callback_end_system_timestep_after_hvac_reporting(self.state, self._guarded(self._on_system_step))
+        if self.averaged:
+            runtime.callback_end_system_timestep_after_hvac_reporting(self.state, self._guarded(self._on_system_step))
         runtime.callback_end_zone_timestep_after_zone_reporting(self.state, self._guarded(self._on_zone_step))
         spec = self.spec
         code = runtime.run_energyplus(self.state, ["-w", spec["weather"], "-d", spec["folder"], spec["model"]])
@@ -178,15 +182,11 @@ class Engine:
         for names, found in zip(wanted, [*self.sensors, *self.feedback, *self.actuators], strict=True):
             if found < 0:
                 raise LookupError(f"EnergyPlus has no {' / '.join(map(str, names))} in this run")
-        how = [(reading, system) for _, _, reading, system in spec["sensors"]]
-        # Variables of the zone kind have one value a zone timestep; only the others are gathered.
-        self.averaged = [i for i, (reading, system) in enumerate(how) if system and reading != "instant"]
-        self.summed = [how[i][0] == "sum" for i in self.averaged]
         self.averaged_handles = [self.sensors[i] for i in self.averaged]
 
     def _on_system_step(self, state: int) -> None:
         """Gathers means and sums as EnergyPlus's reports do: value times its share of the zone timestep."""
-        if not self.near or not self.averaged:
+        if not self.near:
             return
         # EnergyPlus weighs by differences of the minute within the hour, whose rounding goes on from step to
         # step until the hour ends: only so the sum is the same to the last bit.
