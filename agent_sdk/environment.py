@@ -219,7 +219,7 @@ class BuildingEnv(Named, gym.Env[Observation, Any]):
         if self._history is not None:
             self._history.clear()
             self._history.add(now, values)
-        return self._observed(values, now, now), info
+        return self._observed(values, now - self._timestep if sample.step else now, now), info
 
     def _asked(self, options: Mapping[str, Any]) -> Snapshot | None:
         if self.manifest.branch_of:

@@ -50,16 +50,19 @@ class Frame:
         sample: as the link gave it.
         wire: the message.
         values: sensors, then meters, shape (slots, points), in manifest order and units; read-only.
+        truth: what EnergyPlus said: `values`, but for the faults that the node injects into them.
         truncated: of which slots the run period is over, shape (slots,).
     """
 
-    __slots__ = ("_manifest", "sample", "truncated", "values", "wire")
+    __slots__ = ("_manifest", "sample", "truncated", "truth", "values", "wire")
 
     def __init__(self, sample: SampleView) -> None:
         self.sample, wire, manifest = sample, sample.wire, sample.manifest
         self.wire, self._manifest = wire, manifest
-        points = len(manifest.sensors) + len(manifest.meters)
-        self.values: Floats = codec.floats(wire.values, (manifest.slots, points), "values")
+        shape = manifest.slots, len(manifest.sensors) + len(manifest.meters)
+        self.values = self.truth = codec.floats(wire.values, shape, "values")
+        if wire.undisturbed:
+            self.truth = codec.floats(wire.undisturbed, shape, "undisturbed")
         flags = wire.flags
         self.truncated = np.array([flag & _TRUNCATED for flag in flags], np.bool_) if any(flags) else _none(len(flags))
 

@@ -145,14 +145,16 @@ class BuildingVectorEnv(Named, VectorEnv[Observations, Any, NDArray[Any]]):
     ) -> Infos:
         """New episodes in these slots, or going back; their infos. The observations go to `_seen`."""
         whole = len(slots) == self.num_envs
-        self._frame = None
+        if snapshot is None:  # where a node cannot go back, its episodes go on
+            self._frame = None
         first = seeds[0] if seeds and self.num_envs == 1 else seeds
         link = self.link
         to = snapshot.name if snapshot is not None else ""
         frame = Frame(link.reset(seed=first, slots=None if whole else slots, snapshot=to))
         self._memory.forget(None if whole else slots)
         times = frame.times
-        self._seen[slots] = frame.observed(times, times)[slots]
+        begins = [time - self._timestep if step else time for time, step in zip(times, frame.wire.step, strict=True)]
+        self._seen[slots] = frame.observed(begins, times)[slots]
         for slot in slots:
             self._over[slot], self._memory.context[slot] = False, {}
             if self._histories:
@@ -240,8 +242,8 @@ class BuildingVectorEnv(Named, VectorEnv[Observations, Any, NDArray[Any]]):
         rewards = np.zeros(count)
         memory = self._memory
         if memory.reward is not None:
-            rewards[:], told["reward_terms"], told["reward_measures"] = memory.reward(frame.values, begins)
-        broken = memory.limits.broken_slots(frame.values) if memory.limits is not None else {}
+            rewards[:], told["reward_terms"], told["reward_measures"] = memory.reward(frame.truth, begins)
+        broken = memory.limits.broken_slots(frame.truth) if memory.limits is not None else {}
         observed, live = frame.observed(begins, ends), self._every.copy()
         infos = masked(told, live)
         terminated, truncated = np.zeros(count, np.bool_), frame.truncated
@@ -279,7 +281,7 @@ class BuildingVectorEnv(Named, VectorEnv[Observations, Any, NDArray[Any]]):
             me = self.link.name
             self._rulers = (wire.ruler, wire.rulers)
             self._ruled_by = frame.ruled_by([AGENT if who == me else who for who in wire.rulers])
-        return {
+        told = {
             "time": np.array(wire.time, object),
             "step": np.array(wire.step),
             "applied": frame.applied,
@@ -288,6 +290,9 @@ class BuildingVectorEnv(Named, VectorEnv[Observations, Any, NDArray[Any]]):
             "rejected": wire.rejected,
             **frame.baseline,
         }
+        if wire.undisturbed:
+            told["undisturbed"] = frame.truth
+        return told
 
     def _of_end(self, broken: Mapping[int, str], terminated: Flags, ended: Flags) -> Infos:
         told: Infos = {}

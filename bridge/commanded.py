@@ -23,7 +23,7 @@ _FEW = 8
 
 @dataclass(frozen=True, slots=True)
 class Expiry:
-    """A single point that is released at a time of the episode."""
+    """A single point that is released when so much simulated time has passed since all slots began."""
 
     at_s: float
     level: int
@@ -37,10 +37,11 @@ class Held:
 
     array: PriorityArray
     expiries: tuple[Expiry, ...] = ()
+    timesteps: int = 0
 
     def of_slot(self, slot: int, slots: int) -> Held:
         """What holds in one slot, for each of `slots` new ones."""
-        return Held(self.array.of_slot(slot, slots), self.expiries)
+        return Held(self.array.of_slot(slot, slots), self.expiries, self.timesteps)
 
 
 class Commanded:
@@ -53,6 +54,7 @@ class Commanded:
     Attributes:
         array: who commands what, at which level.
         size: bytes of the values of all actuators of all slots.
+        timesteps: that have passed since all slots began: the clock of what is written for a time.
     """
 
     def __init__(self, actuators: tuple[Actuator, ...], slots: int) -> None:
@@ -68,20 +70,21 @@ class Commanded:
         self._expiries: list[Expiry] = []
         self.array = PriorityArray(*self._shape)
         self.size = self._clipped.nbytes
+        self.timesteps = 0
 
     def clear(self) -> None:
         """Releases everything, for a new episode."""
         self.array.clear()
-        self._expiries = []
+        self._expiries, self.timesteps = [], 0
 
     def held(self) -> Held:
         """What holds now."""
-        return Held(self.array.copy(), tuple(self._expiries))
+        return Held(self.array.copy(), tuple(self._expiries), self.timesteps)
 
     def hold(self, held: Held) -> None:
         """Has that hold again."""
         self.array.restore(held.array)
-        self._expiries = [*held.expiries]
+        self._expiries, self.timesteps = [*held.expiries], held.timesteps
 
     # A controller's command
 

@@ -28,7 +28,6 @@ from enum import StrEnum
 
 from bridge.claims import Claimant, Claims
 from bridge.commanded import Commanded, Held
-from bridge.priority import PriorityArray
 from topics import codec
 from topics.errors import BadMessage, EpisodeAborted
 from topics.messages import (
@@ -205,6 +204,7 @@ class Exchange:
                 ended[slot] = over
         self.take(_OVER if all(ended) else _SAMPLED)
         self.step, self.ended = steps, ended
+        self.commanded.timesteps += 1
 
     def listen(self) -> None:
         """Gets ready for the answers to the present sample; apart from `sampled` so that the sample goes first."""
@@ -502,10 +502,6 @@ class Exchange:
         self.touched = self._moved
         who = self.commanded.array.source(write.source, self.claims.sources)
         return self.event(EventKind.WRITTEN, self.commanded.write(index, write, who, elapsed_s), write.source)
-
-    def nobody(self) -> tuple[bytes, bytes]:
-        """What `go` returns where nobody commands."""
-        return PriorityArray(*self.shape).resolve()
 
     def expire(self, elapsed_s: float) -> list[Event]:
         """Releases what was written for a time that is over."""

@@ -364,8 +364,9 @@ _MADV_COLLAPSE = 25
 def join_pages() -> None:
     """Puts the heap's small pages into huge ones, so that there are fewer entries for a fork to copy.
 
-    A forked process copies what it writes to in small pages, and its memory stays in them. This takes some 50 ms, once,
-    and a fork half the time from then on. Linux before 6.1 does not know it, which makes no difference but that.
+    A forked process copies what it writes to in small pages, and its memory stays in them. This takes some 50 ms, and
+    a fork half the time from then on; where the pages are joined already it takes next to nothing. Linux before 6.1
+    does not know it, which makes no difference but that.
     """
     advise = ctypes.CDLL(None).madvise
     advise.argtypes = (ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int)

@@ -111,13 +111,13 @@ class Engines:
 
     @property
     def alive(self) -> bool:
-        """Whether all processes run."""
-        return all(link.alive for link in self.all)
+        """Whether all processes run, but for those that have come to their last sample."""
+        return all(link.alive or link.last for link in self.all)
 
     def raise_dead(self) -> None:
         """Raises what a dead one has to say: `SimulatorError`; nothing if all live."""
         for link in self.all:
-            if not link.alive:
+            if not (link.alive or link.last):
                 link.receive()
 
     @property

@@ -13,19 +13,31 @@ import shutil
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 
 from bridge.commanded import Held
 from bridge.lockstep import Exchange
 from eplus_node.engines import Engines
+from eplus_node.injection import NO_FAULTS
 from eplus_node.injection import State as Faulty
 from eplus_node.link import EngineLink, one_for_each
 from eplus_node.runner import Runner
-from eplus_node.supply import Position
+from eplus_node.supply import Position, Supply, made, told_of
+from models.episode import Source
 from topics import keys
 from topics.errors import ForkFailed, Refused, near
-from topics.messages import DropSnapshot, ForkStatus, MakeBranch, Message, Mode, Policy, Reset, State, TakeSnapshot
+from topics.messages import (
+    DropSnapshot,
+    ForkStatus,
+    MakeBranch,
+    Manifest,
+    Message,
+    Mode,
+    Policy,
+    Reset,
+    State,
+    TakeSnapshot,
+)
 
 _NOT_OF_A_BRANCH = (
     (keys.RESET, Reset),
@@ -166,8 +178,12 @@ class Forks:
         self.find(name)
         self.snapshots.pop(name).drop()
 
-    def branch(self, asked: MakeBranch) -> Branch:
+    def branch(self, asked: MakeBranch, supplies: Sequence[Supply]) -> Branch:
         """Has the node go on twice.
+
+        Args:
+            asked: what, and by whom.
+            supplies: of each slot.
 
         Raises:
             Refused: no such slot or snapshot, no episode runs, or there are as many forks as are allowed.
@@ -179,8 +195,11 @@ class Forks:
         name, folder = self._place("b", waits=snapshot is not None)
         try:
             full = keys.check_name(f"{parent.manifest.node}.{name}", "a branch's name")
+            supply = supplies[asked.slot]
+            weather = supply.hold(snapshot.positions[asked.slot] if snapshot else supply.position, folder / "in.epw")
+            manifest = self._branch_manifest(full, asked.slots, supply.source_of(weather))
             engines = self._engines(snapshot.engines if snapshot else parent.engines, asked, folder)
-            runner = self._branch_runner(full, engines, asked, snapshot)
+            runner = self._branch_runner(manifest, engines, asked, snapshot, weather.files.weather)
             branch = self._serve(Branch(runner, asked.controller, folder, self._cpus, self._over))
         except BaseException:
             shutil.rmtree(folder, ignore_errors=True)
@@ -201,13 +220,14 @@ class Forks:
         link = of.links[asked.slot]
         return of.of_slot(asked.slot, one_for_each(range(asked.slots), lambda _: self._child(link, folder)))
 
-    def _branch_runner(self, name: str, engines: Engines, asked: MakeBranch, snapshot: Snapshot | None) -> Runner:
-        parent, slots = self._runner, asked.slots
-        manifest = parent.manifest.model_copy(
+    def _branch_manifest(self, name: str, slots: int, weather: Source) -> Manifest:
+        of = self._runner.manifest
+        return of.model_copy(
             update={
                 "node": name,
-                "branch_of": parent.manifest.node,
+                "branch_of": of.node,
                 "slots": slots,
+                **told_of(weather),
                 "baseline": False,
                 "warnings": (),
                 "mode": Mode.LOCKSTEP,
@@ -217,6 +237,11 @@ class Forks:
                 "cpu": None,
             }
         )
+
+    def _branch_runner(
+        self, manifest: Manifest, engines: Engines, asked: MakeBranch, snapshot: Snapshot | None, weather: Path
+    ) -> Runner:
+        parent, slots = self._runner, asked.slots
         of = snapshot or parent.exchange
         exchange = Exchange(
             parent.exchange.actuators,
@@ -226,15 +251,13 @@ class Forks:
         if not asked.released:
             exchange.hold((snapshot.held if snapshot else parent.exchange.held()).of_slot(asked.slot, slots))
         exchange.ready(dict.fromkeys(range(slots), of.step[asked.slot]))
-        weather = partial(_of_slot, parent.weather_file, asked.slot)
-        runner = Runner(parent.session, parent.plan, manifest, exchange, engines, weather)
+        runner = Runner(parent.session, parent.plan, manifest, exchange, engines, lambda _: weather)
         present = parent.injection.state() if parent.injection is not None else None
-        faults = snapshot.faults if snapshot is not None else present
-        if faults is not None:
-            runner.inject(faults[0])
-            assert runner.injection is not None
-            runner.injection.restore(faults, asked.slot)
+        faults = (snapshot.faults if snapshot is not None else present) or NO_FAULTS
         try:
+            runner.inject(faults[0])
+            if runner.injection is not None:
+                runner.injection.restore(faults, asked.slot)
             runner.declare()
             for topic, message in _NOT_OF_A_BRANCH:
                 runner.inlets.request(topic, message, self._refuse)
@@ -262,19 +285,10 @@ class Forks:
                 "close some, or start the node with more"
             )
         name = f"{kind}{next(self._numbers)}"
-        folder = self._folder / name
-        try:
-            folder.mkdir(parents=True)
-        except OSError as error:
-            raise ForkFailed(f"the node has no room for a fork's files: {error}") from None
-        return name, folder
+        return name, made(self._folder / name)
 
     def _child(self, link: EngineLink, folder: Path) -> EngineLink:
-        own = folder / str(next(self._numbers))
-        try:
-            own.mkdir()
-        except OSError as error:
-            raise ForkFailed(f"the node has no room for a fork's files: {error}") from None
+        own = made(folder / str(next(self._numbers)))
         child = link.fork(replace(link.run, folder=own, keep=False, cpus=self._cpus, poll=False, branch=True))
         try:
             child.receive()
@@ -289,9 +303,7 @@ class Forks:
         Raises:
             SimulatorError: it cannot be forked.
         """
-        folder = self._folder / "baseline"
-        folder.mkdir(exist_ok=True)
-        return self._child(link, folder)
+        return self._child(link, self._folder / "baseline")
 
     def _over(self, name: str) -> None:
         def forget() -> None:
@@ -342,8 +354,3 @@ def _told(forks: Sequence[tuple[str, str, list[int], Engines]], *, memory: bool)
         )
         for name, owner, step, engines in forks
     ]
-
-
-def _of_slot(weather_file: Callable[[int], Path], slot: int, _: int) -> Path:
-    """All slots of a branch go on from the same one of its parent's."""
-    return weather_file(slot)

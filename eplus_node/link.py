@@ -230,7 +230,7 @@ def one_for_each(of: Iterable[T], make: Callable[[T], EngineLink]) -> list[Engin
 
 
 class EngineLink:
-    """A running engine. `values`, `step` and `last` are those of its latest frame.
+    """A running engine. `step` and `last` are those of its latest frame.
 
     Args:
         run: what it simulates.
@@ -250,7 +250,6 @@ class EngineLink:
         self._finish = struct.pack("=dd", Order.FINISH, 0.0) + bytes(8 * len(points.actuators))
         self._order_bytes = 8 * len(points.actuators)
         self._step = struct.pack("=dd", Order.STEP, 0.0)
-        self.values = self._frame[2 : 2 + values]
         self.last = False
         self._ends, self._process = forked or _start(run)
         self._socket, self._frames = self._ends

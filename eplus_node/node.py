@@ -21,7 +21,7 @@ from eplus_node.injection import NO_FAULTS
 from eplus_node.injection import State as Faulty
 from eplus_node.link import EngineLink, one_for_each
 from eplus_node.runner import Observer, Runner, Stopped, memory_asked
-from eplus_node.supply import Supply, Waiting
+from eplus_node.supply import Supply, Waiting, told_of
 from models import energyplus
 from topics import VERSION, codec, errors, keys
 from topics.errors import NameTaken, SimulatorError
@@ -136,12 +136,19 @@ class Node:
         waiting, slots = Waiting(), self.config.slots
         if slots == 1:
             cpus = () if self._engine_cpu is None else (self._engine_cpu,)
-            poll = self._engine_cpu != self.cpu
-            return [Supply(self.plan, self._folder, waiting, cpus=cpus, poll=poll)]
+            poll, spare = self._engine_cpu != self.cpu, self._without(cpus)
+            return [Supply(self.plan, self._folder, waiting, cpus=cpus, spare=spare, poll=poll)]
         # In blocks, the node's core last: engines there may have it before it has told all others to go.
         cores = sorted(self._cpus, key=lambda core: core == self.cpu) if self.cpu is not None else []
         own = [(cores[slot * len(cores) // slots],) if cores else () for slot in range(slots)]
-        return [Supply(self.plan, self._folder, waiting, place=f"slot-{slot}", cpus=own[slot]) for slot in range(slots)]
+        return [
+            Supply(self.plan, self._folder, waiting, place=f"slot-{slot}", cpus=cpus, spare=self._without(cpus))
+            for slot, cpus in enumerate(own)
+        ]
+
+    def _without(self, cpus: tuple[int, ...]) -> tuple[int, ...]:
+        """The other cores that the node may use; all, if there are no others."""
+        return tuple(core for core in self._cpus if core not in cpus) or self._cpus
 
     def _weather_file(self, slot: int) -> Path:
         return self._supplies[slot].files.weather
@@ -198,10 +205,7 @@ class Node:
             node=config.name,
             instance=self.instance,
             building=plan.building.name,
-            weather=source.name,
-            location=source.header.place,
-            latitude_deg=source.header.latitude_deg,
-            longitude_deg=source.header.longitude_deg,
+            **told_of(source),
             begin=plan.period.time(0).isoformat(),
             end=plan.period.time(plan.period.steps).isoformat(),
             steps_per_hour=plan.period.steps_per_hour,
@@ -284,10 +288,14 @@ class Node:
             raise errors.Refused("the engines have ended; reset all slots")
         untouched = [exchange.state is State.WAITING and not exchange.touched[slot] for slot in slots]
         exchange.reset(slots)
-        starts = [
-            self._supplies[slot].turn(seed, exchange.episode[slot], untouched=same)
-            for slot, seed, same in zip(slots, seeds, untouched, strict=True)
-        ]
+        try:
+            starts = [
+                self._supplies[slot].turn(seed, exchange.episode[slot], untouched=same)
+                for slot, seed, same in zip(slots, seeds, untouched, strict=True)
+            ]
+        except SimulatorError as error:
+            self.runner.fail(error)
+            raise
         # The answer goes out before the start, which takes seconds in large buildings.
         self.runner.inlets.next(lambda: self._restart(slots, starts, seeds, reset.controller))
         return self._accepted(slots, starts)
@@ -324,6 +332,7 @@ class Node:
             if fresh:
                 self._compare(fresh)
         except SimulatorError as error:
+            self._end(former)
             if runner.stopping:
                 raise Stopped from None
             runner.fail(error)
@@ -375,7 +384,8 @@ class Node:
 
     def _snapshot(self, asked: TakeSnapshot) -> Message:
         taken = self.forks.snapshot(
-            asked, lambda folder: [s.position(folder / f"slot-{i}") for i, s in enumerate(self._supplies)]
+            asked,
+            lambda folder: [s.hold(s.position, folder / f"slot-{i}.epw") for i, s in enumerate(self._supplies)],
         )
         text = f"snapshot {taken.name} at step {taken.step[0]}"
         self.runner.event(self.exchange.event(EventKind.SNAPSHOT, text, asked.controller))
@@ -386,7 +396,7 @@ class Node:
         return Accepted(episode=self.exchange.episode)
 
     def _branch(self, asked: MakeBranch) -> Message:
-        branch = self.forks.branch(asked)
+        branch = self.forks.branch(asked, self._supplies)
         self.runner.event(self.exchange.event(EventKind.BRANCHED, f"branch {branch.name}", asked.controller))
         return Branched(node=branch.name)
 
@@ -397,6 +407,10 @@ class Node:
             raise errors.Refused("a snapshot is of all slots; reset all of them to it")
         snapshot = self.forks.find(reset.snapshot)
         episode = [number + 1 for number in exchange.episode]
+        held = [
+            supply.hold_for(position, number)
+            for supply, position, number in zip(self._supplies, snapshot.positions, episode, strict=True)
+        ]
         forks = [
             *(
                 partial(supply.fork, link, number)
@@ -406,8 +420,8 @@ class Node:
         ]
         made = one_for_each(forks, lambda fork: fork())
         made, beside = made[: self.config.slots], made[self.config.slots :]
-        for slot, supply in enumerate(self._supplies):
-            supply.go_back(snapshot.positions[slot], episode[slot])
+        for supply, position in zip(self._supplies, held, strict=True):
+            supply.go_back(position)
         exchange.reset()
         former, engines.links = engines.links, made
         former += engines.baselines

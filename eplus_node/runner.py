@@ -221,7 +221,7 @@ class Runner:
         self.pacing.goes()
         began_s = exchange.now_s = monotonic()
         if exchange.commanded.expiring:
-            self.tell(exchange.expire(exchange.step[0] * self.plan.period.step_s))
+            self.tell(exchange.expire(self._passed_s))
         values, ruler = exchange.go()
         if self.injection is not None:
             values = self.injection.commanded(values, exchange.step)
@@ -407,7 +407,12 @@ class Runner:
         except errors.BadMessage as error:
             self.event(self.exchange.rejected(f"{name}: {error}", "anonymous"))
             return
-        self.event(self.exchange.write(name, write_, self.exchange.step[0] * self.plan.period.step_s))
+        self.event(self.exchange.write(name, write_, self._passed_s))
+
+    @property
+    def _passed_s(self) -> float:
+        """Simulated time since all slots began."""
+        return self.exchange.commanded.timesteps * self.plan.period.step_s
 
     def _manifest(self) -> Manifest:
         return self.manifest.model_copy(update={"statistics": self.statistics()})

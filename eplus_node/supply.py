@@ -5,13 +5,15 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from eplus_node.config import Plan
 from eplus_node.link import EngineLink, Run
 from models.episode import Draw, Draws, Episodes, Files, Source
-from topics.errors import ForkFailed, SimulatorError
+from topics.errors import EngineDied, ForkFailed, SimulatorError
 from topics.messages import Start
 
 
@@ -82,6 +84,7 @@ class Supply:
         waiting: shared by the slots.
         place: the slot's own folder, below that one and below the one where files are kept.
         cpus: the engine's core; empty leaves it to the system.
+        spare: where the engine of the next episode starts, likewise.
         poll: whether the engine polls there.
 
     Attributes:
@@ -97,10 +100,11 @@ class Supply:
         *,
         place: str = "",
         cpus: Sequence[int] = (),
+        spare: Sequence[int] = (),
         poll: bool = False,
     ) -> None:
         scenario, keep = plan.scenario, plan.config.keep
-        self._plan, self._cpus, self._poll = plan, tuple(cpus), poll
+        self._plan, self._cpus, self._spare, self._poll = plan, tuple(cpus), tuple(spare), poll
         self._keep, self._scratch = keep is not None, folder / place
         self._folder = keep.absolute() / place if keep else self._scratch
         self._draws = Draws(len(plan.sources), scenario.weather_order, noisy=bool(scenario.variability))
@@ -111,6 +115,7 @@ class Supply:
         # The end of a run writes into the folder of the engine that it was forked from.
         self._branches = self._keep or bool(place)
         self._begun: EngineLink | None = None
+        self._following: Draw | None = None
         self._ahead: _Ahead | None = None
         self._kept = self._keep
         self.draw = self._draws.next()
@@ -126,7 +131,7 @@ class Supply:
     @property
     def source(self) -> Source:
         """The weather file of the present episode."""
-        return self._plan.sources[self.draw.source]
+        return self.source_of(self.position)
 
     @property
     def outputs(self) -> str:
@@ -145,6 +150,8 @@ class Supply:
         former, self.draw = self.draw, self._drawn(seed)
         kept, self._kept = self._kept, self._keep
         if untouched and self.draw == former and kept == self._keep:
+            if seed is not None:
+                self._drop_ahead()  # it was drawn after the former seed
             return Start.READY
         if self._can_fork():
             return Start.FORKED
@@ -160,12 +167,14 @@ class Supply:
     def _drawn(self, seed: int | None) -> Draw:
         first, self._turned = not self._turned, True
         self._seeds = 0 if seed is None else self._seeds + 1
+        if first and seed is None:
+            return self.draw
+        following, self._following = self._following, None
         if seed is not None:
             self._draws.seed(seed)
-            return self._draws.next()
-        if first:
-            return self.draw
-        return self._ahead.draw if self._ahead is not None else self._draws.next()
+        elif following is not None:
+            return following
+        return self._draws.next()
 
     def begin(self) -> None:
         """Starts the engine of the present episode, unless it is there already; it comes to sample 0 on its own."""
@@ -202,15 +211,36 @@ class Supply:
         """
         if self._keep or self._draws.constant or self._ahead is not None or self._seeds > 1:
             return
-        draw = self._draws.next()
-        files = self._prepared(draw, episode + 1)
-        self._ahead = _Ahead(draw, files, self._started(files, ()))
+        draw = self._following = self._draws.next()
+        with suppress(EngineDied):  # there is no room for it now; it is started when it is due
+            files = self._prepared(draw, episode + 1)
+            self._ahead = _Ahead(draw, files, self._started(files, self._spare))
 
     # Snapshots
 
-    def position(self, folder: Path) -> Position:
-        """Which weather the present episode has; a disturbed one is held in `folder`, too."""
-        return Position(self.draw, self._held(self.files, folder / "in.epw"))
+    @property
+    def position(self) -> Position:
+        """Which weather the present episode has."""
+        return Position(self.draw, self.files)
+
+    def source_of(self, position: Position) -> Source:
+        """Its weather file, as it is without noise."""
+        return self._plan.sources[position.draw.source]
+
+    def hold(self, position: Position, path: Path) -> Position:
+        """The same position, whose weather is held at `path`, too, unless it stays anyway.
+
+        Raises:
+            ForkFailed: there is no room for it.
+        """
+        if position.files.weather == self.source_of(position).path or self._keep:
+            return position
+        try:
+            path.unlink(missing_ok=True)
+            os.link(position.files.weather, path)
+        except OSError as error:
+            raise ForkFailed(no_room("a fork's weather", error)) from None
+        return Position(position.draw, replace(position.files, weather=path))
 
     def fork(self, engine: EngineLink, episode: int) -> EngineLink:
         """A fork of a snapshot's engine, at its sample.
@@ -220,19 +250,15 @@ class Supply:
         """
         return self._child(engine, episode)
 
-    def go_back(self, position: Position, episode: int) -> None:
-        """Turns to a snapshot's weather."""
-        former, self.draw = self.files, position.draw
-        self.files = self._held(position.files, self._folder / f"episode-{episode:04}-back.epw")
+    def hold_for(self, position: Position, episode: int) -> Position:
+        """A snapshot's position, held for an episode that goes back there; raises as `hold` does."""
+        return self.hold(position, self._folder / f"episode-{episode:04}-back.epw")
+
+    def go_back(self, position: Position) -> None:
+        """Turns to a position that is held for it."""
+        former, self.draw, self.files = self.files, position.draw, position.files
         self._kept = False
         self._let_go(former, keeping=self.files)
-
-    def _held(self, files: Files, path: Path) -> Files:
-        if files.weather == self._plan.sources[self.draw.source].path or self._keep:
-            return files
-        path.parent.mkdir(exist_ok=True)
-        os.link(files.weather, path)
-        return replace(files, weather=path)
 
     def close(self) -> None:
         """Ends the engines that wait; twice is fine."""
@@ -264,8 +290,7 @@ class Supply:
         return self._child(self._waiting, episode)
 
     def _child(self, of: Waiting | EngineLink, episode: int) -> EngineLink:
-        folder = self._scratch / f"episode-{episode:04}-fork"
-        folder.mkdir(parents=True)
+        folder = made(self._scratch / f"episode-{episode:04}-fork")
         try:
             engine = of.fork(self._run(self.files, folder, self._cpus, keep=False, branch=self._branches))
         except BaseException:
@@ -274,20 +299,27 @@ class Supply:
         return _received(engine)
 
     def _started(self, files: Files, cpus: Sequence[int]) -> EngineLink:
-        return EngineLink(self._run(files, files.model.parent, cpus, keep=self._keep))
+        try:
+            return EngineLink(self._run(files, files.model.parent, cpus, keep=self._keep))
+        except OSError as error:
+            raise EngineDied(f"no engine could be started: {error}") from None
 
     def _prepared(self, draw: Draw, episode: int) -> Files:
         """An episode's weather outlives its engine, which clears its own folder."""
         folder = self._folder / f"episode-{episode:04}"
-        while not self._keep and folder.exists():
-            folder = folder.with_name(f"{folder.name}-")
-        folder.mkdir(parents=True, exist_ok=True)
-        weather = folder / "in.epw" if self._keep else folder.with_suffix(".epw")
-        return self._episodes.prepare(draw, folder, weather)
+        try:
+            while not self._keep and folder.exists():
+                folder = folder.with_name(f"{folder.name}-")
+            folder.mkdir(parents=True, exist_ok=True)
+            weather = folder / "in.epw" if self._keep else folder.with_suffix(".epw")
+            return self._episodes.prepare(draw, folder, weather)
+        except OSError as error:
+            raise EngineDied(no_room("an engine's files", error)) from None
 
     def _let_go(self, files: Files, *, keeping: Files) -> None:
         if not self._keep and files.weather != keeping.weather and files.weather.parent == self._folder:
-            files.weather.unlink(missing_ok=True)
+            with suppress(OSError):  # it goes with the node's folder at the latest
+                files.weather.unlink()
 
     def _drop_ahead(self) -> None:
         ahead, self._ahead = self._ahead, None
@@ -309,6 +341,31 @@ class Supply:
             poll=self._poll,
             branch=branch,
         )
+
+
+def told_of(source: Source) -> dict[str, Any]:
+    """What a manifest tells of a weather file."""
+    header = source.header
+    return {
+        "weather": source.name,
+        "location": header.place,
+        "latitude_deg": header.latitude_deg,
+        "longitude_deg": header.longitude_deg,
+    }
+
+
+def made(folder: Path) -> Path:
+    """A new folder for a fork's files; `ForkFailed` if there is no room for it."""
+    try:
+        folder.mkdir(parents=True)
+    except OSError as error:
+        raise ForkFailed(no_room("a fork's files", error)) from None
+    return folder
+
+
+def no_room(what: str, error: OSError) -> str:
+    """What is told where the system has no room for files."""
+    return f"the node has no room for {what}: {error}"
 
 
 def _received(engine: EngineLink) -> EngineLink:

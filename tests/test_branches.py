@@ -16,6 +16,7 @@ import pytest
 from forking import (
     FOUR,
     KINDS,
+    SMALL,
     Faults,
     engines,
     episode,
@@ -513,4 +514,58 @@ def test_a_thousand_resets_and_a_thousand_branches_leave_a_node_as_it_was(scratc
         assert process.memory_info().rss < was + GROWTH_BYTES
     _until_as_it_was(env, scratch, before)
     assert _threads(env) <= threads + ZENOH_THREADS
+    env.close()
+
+
+# What a branch tells of itself
+
+
+def test_a_branch_tells_the_weather_that_it_reads(scratch: Path) -> None:
+    """Also once its parent has another, and where it was made of a snapshot of an earlier episode."""
+    env = make(SMALL.replace("continuous", "continuous-stochastic"), **FOUR)
+
+    def told(one: Any) -> bytes:
+        return bytes(one.weather(["dry_bulb_temperature", "relative_humidity"]).values)
+
+    env.reset(seed=4)
+    go(env, plan(env, 1, 5))
+    expected, snapshot = told(env), env.snapshot()
+    with env.branch() as early:
+        assert told(early) == expected
+        for seed in (5, None):
+            env.reset(seed=seed)
+            go(env, plan(env, 1, 2))
+            assert told(early) == expected != told(env)
+    with env.branch(snapshot=snapshot) as late:
+        snapshot.close()
+        assert told(late) == expected
+        env.reset()
+        assert told(late) == expected
+    env.close()
+
+
+def test_a_branchs_manifest_names_its_own_weather(scratch: Path) -> None:
+    names = ["USA_CO_Denver", "USA_FL_Miami"]
+    env = make(SMALL, weather=names, weather_order="sequence", **FOUR)
+    env.reset()
+    snapshot = env.snapshot()
+    env.reset()
+    with env.branch(snapshot=snapshot) as then, env.branch() as now:
+        told = [(one.manifest.weather, round(one.manifest.latitude_deg)) for one in (then, now)]
+    assert told == [("USA_CO_Denver", 40), ("USA_FL_Miami", 26)]
+    env.close()
+
+
+def test_a_branch_of_a_time_without_faults_is_undisturbed(scratch: Path) -> None:
+    env = make(**FOUR)
+    env.reset()
+    go(env, plan(env, 1, 3))
+    snapshot = env.snapshot()
+    bias = {"kind": "bias", "points": "core_zn_air_temperature", "offset": 5.0}
+    env.link.bus.faults("building", {"seed": 1, "faults": [bias]})
+    with env.branch(snapshot=snapshot) as before, env.branch() as after:
+        assert (before.manifest.disturbed, after.manifest.disturbed) == (False, True)
+        for branch, changed in ((before, False), (after, True)):
+            info = branch.step([20.0, 25.0])[-1]
+            assert ("undisturbed" in info) is changed
     env.close()

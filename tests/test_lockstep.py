@@ -803,9 +803,3 @@ def test_touched_tells_whether_sample_0_is_still_that_of_a_fresh_start() -> None
     at.reset()
     at.ready()
     assert at.touched == [False]
-
-
-def test_nobody_is_the_building_itself() -> None:
-    values, who = exchange(slots=2).nobody()
-    assert np.isnan(np.frombuffer(values, "<f8")).tolist() == [True] * 4
-    assert who == bytes(4)

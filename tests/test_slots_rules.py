@@ -289,6 +289,30 @@ def test_what_held_in_one_slot_goes_along_to_as_many_as_are_wanted() -> None:
     assert ruling(at)[0] == [20.0, 29.0, 21.0, 29.0, 20.0, 29.0]
 
 
+def test_what_is_written_for_a_time_holds_so_long_whichever_slot_begins_anew_or_is_over() -> None:
+    """Its clock is the node's, not a slot's: it counts the timesteps since all slots began."""
+    at = three()
+    for _ in range(4):
+        answer(at, "agent", [20.0, 25.0] * 3)
+        go(at)
+    at.write("cool", Write(value=29.0, priority=8, for_s=1800.0, source="person"), 900.0 * at.commanded.timesteps)
+    at.reset([0])
+    at.ready({0: 0})
+    kept = at.held()
+    for _ in range(2):
+        assert at.expire(900.0 * at.commanded.timesteps) == []
+        answer(at, "agent", [20.0, 25.0] * 3)
+        go(at)
+    assert [event.kind for event in at.expire(900.0 * at.commanded.timesteps)] == [EventKind.EXPIRED]
+    for branch, slot in ((exchange(slots=3), None), (exchange(slots=1), 1)):
+        branch.hold(kept if slot is None else kept.of_slot(slot, 1))
+        assert branch.expire(900.0 * branch.commanded.timesteps) == []
+        assert branch.commanded.expiring
+        assert [event.kind for event in branch.expire(900.0 * (branch.commanded.timesteps + 2))] == [EventKind.EXPIRED]
+    at.reset()
+    assert at.commanded.timesteps == 0
+
+
 SLOTS, ACTUATORS = 3, 2
 rows = st.lists(
     st.tuples(

@@ -341,3 +341,19 @@ def test_a_node_that_has_started_again_has_no_snapshots(scratch: Path) -> None:
         back(again, mine)
         again.close()
     env.close()
+
+
+def test_the_clock_that_is_observed_goes_back_too(scratch: Path) -> None:
+    """At an hour's end and at a day's, where the timestep began within the one before."""
+    fields = ("month", "day_of_month", "day_of_week", "hour", "minutes", "current_time")
+    env = make(**(FOUR | {"end": "07-04"}), time=fields)
+    observed = [env.reset()[0]]
+    kept = []
+    for step in range(1, 98):
+        observed.append(env.step([20.0, 25.0])[0])
+        if step in (1, 4, 96):
+            kept.append((step, env.snapshot()))
+    assert observed[96][:6].tolist() == [7, 3, 2, 23, 60, 24]
+    for step, snapshot in kept:
+        np.testing.assert_array_equal(env.reset(options={"snapshot": snapshot})[0], observed[step])
+    env.close()

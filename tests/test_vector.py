@@ -11,9 +11,12 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import packs
+import psutil
 import pytest
+import yaml
+from forking import kill
 from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
-from nodes import SMALL, NodeProgram, engines_of
+from nodes import SMALL, NodeProgram, engines_of, until
 from numpy.typing import NDArray
 
 import agent_sdk
@@ -21,7 +24,16 @@ from agent_sdk import wrappers as w
 from agent_sdk.testing import Climate, FakeEnv
 from agent_sdk.testing.slots import FakeVectorEnv
 from agent_sdk.vector import BuildingVectorEnv
-from topics.errors import EpisodeChanged, InvalidAction, InvalidConfig, Refused, SimulatorError, ZenostatError
+from topics.errors import (
+    EngineDied,
+    EpisodeChanged,
+    InvalidAction,
+    InvalidConfig,
+    Refused,
+    SimulatorError,
+    ZenostatError,
+)
+from topics.messages import State
 
 MODES = list(AutoresetMode)
 each_mode = pytest.mark.parametrize("mode", MODES, ids=lambda mode: mode.value)
@@ -647,3 +659,112 @@ def test_snapshots_of_slots_that_cannot_be(small: BuildingVectorEnv) -> None:
         fake.snapshot()
     with pytest.raises(InvalidConfig, match=r"of node .*; this environment is on"):
         fake.reset(options={"snapshot": kept})
+
+
+# Slots whose episodes end at different times
+
+BOTH = {**SMALL, "affinity": "off", "control": "building"}
+
+
+def _until_reaped(env: BuildingVectorEnv, count: int) -> None:
+    """Its node has had every occasion to see that engines have ended: their processes are over, and it was asked."""
+    assert env.own_node is not None
+    own = env.own_node.pid
+    until(
+        lambda: len([e for e in engines_of(own) if e.status() != psutil.STATUS_ZOMBIE]) <= count, "engines have ended"
+    )
+    for _ in range(3):
+        env.link.weather(["dry_bulb_temperature"])
+
+
+@pytest.mark.parametrize("mode", [AutoresetMode.DISABLED, AutoresetMode.NEXT_STEP], ids=lambda mode: mode.value)
+def test_a_slot_that_has_ended_leaves_the_others_time(scratch: Path, mode: AutoresetMode) -> None:
+    """However long the agent thinks then, as a learner does: the others go on, and it begins anew."""
+    env: Any = gym.make_vec("zenostat/Building-v1", num_envs=2, autoreset_mode=mode, **BOTH)
+    actions = np.tile([20.0, 25.0], (2, 1)).astype(np.float32)
+    env.reset(seed=1)
+    straight = [env.step(actions)[0][0] for _ in range(96)]
+    env.reset(seed=1)
+    for _ in range(5):
+        env.step(actions)
+    env.reset(seed=1, options={"reset_mask": np.array([True, False])})
+    for _ in range(91):
+        truncated = env.step(actions)[3]
+    assert truncated.tolist() == [False, True]
+    _until_reaped(env, 2)  # of slot 0, and the one that waits at sample 0
+    assert env.link.bus.status(env.manifest.node).state is State.WAITING
+    if mode is AutoresetMode.DISABLED:
+        env.reset(seed=2, options={"reset_mask": np.array([False, True])})
+        went = [env.step(actions)[0] for _ in range(5)]
+        np.testing.assert_array_equal([row[1] for row in went], straight[:5])
+    else:
+        went = [env.step(actions)[0] for _ in range(5)]  # the first of them begins slot 1 anew
+        np.testing.assert_array_equal([row[1] for row in went[1:]], straight[:4])
+    np.testing.assert_array_equal([row[0] for row in went], straight[91:])
+    env.close()
+
+
+def test_rewards_and_limits_know_the_truth_of_what_faults_disturb(scratch: Path) -> None:
+    """As the single environment's do, to the bit."""
+    plan = scratch / "faults.yaml"
+    bias = {"kind": "bias", "points": "core_zn_air_temperature", "offset": 9.0}
+    plan.write_text(
+        yaml.safe_dump(
+            {
+                "seed": 3,
+                "faults": [
+                    bias,
+                    {"kind": "drop", "points": "core_zn_occupants", "when": {"from_step": 10, "to_step": 20}},
+                ],
+            }
+        )
+    )
+    limit = {"points": ["core_zn_air_temperature"], "high": 33.0}
+    form = {**BOTH, "faults": plan, "terminate": [limit], "disable_env_checker": True}
+    one: Any = gym.make("zenostat/Building-v1", **form)
+    form.pop("disable_env_checker")
+    many: Any = gym.make_vec("zenostat/Building-v1", num_envs=2, vectorization_mode="vector_entry_point", **form)
+    one.reset(seed=1)
+    many.reset(seed=[1, 1])
+    action = np.array([20.0, 25.0], np.float32)
+    for _ in range(60):
+        seen, reward, terminated, _, info = one.step(action)
+        rows, rewards, ends, _, infos = many.step(np.tile(action, (2, 1)))
+        for slot in range(2):
+            np.testing.assert_array_equal(rows[slot], seen)
+            np.testing.assert_array_equal(infos["undisturbed"][slot], info["undisturbed"])
+            assert rewards[slot] == reward
+            assert ends[slot] == terminated == False  # noqa: E712
+        assert np.isfinite(reward)
+    one.close()
+    many.close()
+
+
+def test_slots_that_cannot_go_back_go_on(scratch: Path) -> None:
+    env: Any = gym.make_vec("zenostat/Building-v1", num_envs=2, **BOTH)
+    actions = np.tile([20.0, 25.0], (2, 1)).astype(np.float32)
+    env.reset(seed=1)
+    straight = [env.step(actions)[0] for _ in range(10)]
+    env.reset(seed=1)
+    before = {engine.pid for engine in engines_of(env.own_node.pid)}
+    with env.snapshot() as kept:
+        kill(next(engine for engine in engines_of(env.own_node.pid) if engine.pid not in before))
+        for _ in range(2):
+            with pytest.raises(EngineDied):
+                env.reset(options={"snapshot": kept})
+        np.testing.assert_array_equal([env.step(actions)[0] for _ in range(10)], straight)
+    env.close()
+
+
+def test_slots_that_go_back_see_the_clock_that_they_saw(scratch: Path) -> None:
+    """At an hour's end, where the timestep began within the hour before."""
+    fields = ("month", "day_of_month", "hour", "minutes", "current_time")
+    env: Any = gym.make_vec("zenostat/Building-v1", num_envs=2, **BOTH, time=fields)
+    actions = np.tile([20.0, 25.0], (2, 1)).astype(np.float32)
+    env.reset(seed=1)
+    begun = [env.step(actions)[0] for _ in range(4)][-1]
+    assert begun[:, :5].tolist() == [[7, 3, 0, 60, 1]] * 2
+    with env.snapshot() as kept:
+        env.step(actions)
+        np.testing.assert_array_equal(env.reset(options={"snapshot": kept})[0], begun)
+    env.close()

@@ -1,0 +1,151 @@
+"""Where the engine of an episode comes from when all does not go well, and which weather it then has."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+from forking import FOUR, SMALL, Faults, engines, episode, go, make, plan, same
+from nodes import until
+
+from topics.errors import EngineDied, ForkFailed, SimulatorError
+from topics.messages import State
+
+STOCHASTIC = SMALL.replace("continuous", "continuous-stochastic")
+IN_TURN = {"weather": ["USA_CO_Denver", "USA_FL_Miami"], "weather_order": "sequence"}
+
+
+@contextmanager
+def no_room(env: Any) -> Iterator[None]:
+    """The folder for the engines' files is none."""
+    folder = env.own_node.folder
+    aside = folder.with_name(f"{folder.name}-aside")
+    folder.rename(aside)
+    folder.touch()
+    try:
+        yield
+    finally:
+        folder.unlink()
+        aside.rename(folder)
+
+
+@pytest.mark.parametrize("times", [2, 3])
+@pytest.mark.parametrize("given", [IN_TURN | {"name": SMALL}, {"name": STOCHASTIC}], ids=["in turn", "noise"])
+def test_a_seed_that_is_given_again_at_once_begins_the_same_sequence(
+    scratch: Path, given: dict[str, Any], times: int
+) -> None:
+    """Of weathers and of their noise: nothing of it is drawn twice, or left out."""
+
+    def drawn(env: Any, seeds: list[int | None]) -> list[Any]:
+        told = []
+        for seed in seeds:
+            _, info = env.reset(seed=seed)
+            told.append((info["weather"], info["weather_noise"]))
+            if seed is None:
+                env.step([20.0, 25.0])
+        return told
+
+    env, again = make(**given), make(**given)
+    expected = drawn(env, [5, None, None, None])
+    assert drawn(again, [5] * times + [None] * 3)[times - 1 :] == expected
+    env.close()
+    again.close()
+
+
+@pytest.mark.parametrize(("name", "error"), [(SMALL, ForkFailed), (STOCHASTIC, EngineDied)])
+def test_a_node_without_room_for_files_says_so_and_begins_when_there_is_some(
+    scratch: Path, name: str, error: type[SimulatorError]
+) -> None:
+    env = make(name, **FOUR)
+    mine = plan(env, 1)
+    straight = episode(env, mine, seed=4)
+    for _ in range(2):
+        with no_room(env), pytest.raises(error, match="no room"):
+            env.reset(seed=9)
+        assert env.link.bus.status("building").state is State.FAILED
+    same(episode(env, mine, seed=4), straight)
+    env.close()
+
+
+def test_what_cannot_be_started_ahead_is_started_when_it_is_due(scratch: Path) -> None:
+    """And has the weather that it would have had."""
+    env = make(SMALL, **IN_TURN, **FOUR)
+    env.reset()
+    env.step([20.0, 25.0])
+    until(lambda: len(engines(env)) == 2 and _rests(engines(env)[-1]), "the next engine waits")
+    with no_room(env):
+        _, info = env.reset()  # the engine is there; the next one cannot be
+        assert info["start"] == "ahead"
+        go(env, [[20.0, 25.0]] * 2)
+    seen = [env.reset()[1] for _ in range(2)]
+    assert [(info["weather"], info["start"]) for info in seen] == [
+        ("USA_CO_Denver", "started"),
+        ("USA_FL_Miami", "ahead"),
+    ]
+    env.close()
+
+
+def _rests(process: psutil.Process) -> bool:
+    before = process.cpu_times()
+    time.sleep(0.3)
+    return bool(process.cpu_times() == before)
+
+
+def test_no_room_for_going_back_or_for_a_branch_leaves_the_episode(scratch: Path) -> None:
+    env = make(STOCHASTIC, **FOUR)
+    mine = plan(env, 1)
+    straight = episode(env, mine, seed=4)
+    env.reset(seed=4)
+    go(env, mine[:10])
+    with env.snapshot() as kept:
+        with no_room(env):
+            for attempt in (env.snapshot, env.branch, lambda: env.reset(options={"snapshot": kept})):
+                with pytest.raises(ForkFailed, match="no room"):
+                    attempt()
+        same(go(env, mine[10:20]), straight[11:21])
+        env.reset(options={"snapshot": kept})
+        same(go(env, mine[10:]), straight[11:])
+    env.close()
+
+
+def test_a_baseline_that_cannot_be_forked_leaves_no_process(scratch: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    faults = Faults(scratch, monkeypatch)
+    env = make(SMALL, **IN_TURN, **FOUR, baseline=True)
+    for _ in range(2):
+        env.reset()
+        env.step([20.0, 25.0])
+        until(lambda: len(engines(env)) == 3, "the next engine is there")
+        faults.set(Faults.NO_MEMORY)
+        with pytest.raises(ForkFailed):
+            env.reset()
+        faults.clear()
+        until(lambda: not _zombies(env), "all that have ended are reaped")
+    env.reset()
+    env.step([20.0, 25.0])
+    env.close()
+
+
+def _zombies(env: Any) -> list[psutil.Process]:
+    children = psutil.Process(env.own_node.pid).children(recursive=True)
+    return [child for child in children if child.status() == psutil.STATUS_ZOMBIE]
+
+
+@pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="there is one core")
+@pytest.mark.parametrize("affinity", ["node", "apart"])
+def test_the_engine_of_the_next_episode_starts_away_from_the_present_ones_core(scratch: Path, affinity: str) -> None:
+    env = make(SMALL, **IN_TURN, **(FOUR | {"affinity": affinity}))
+    env.reset()
+    env.step([20.0, 25.0])
+    present, ahead = until(lambda: len(found := engines(env)) == 2 and found, "the next engine is there")
+    own = present.cpu_affinity()
+    assert len(own) == 1
+    until(lambda: ahead.cpu_affinity() == sorted(os.sched_getaffinity(0) - {*own}), "it is on the others")
+    env.reset()
+    assert ahead.cpu_affinity() == own
+    env.close()
