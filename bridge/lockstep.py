@@ -492,6 +492,10 @@ class Exchange:
 
     def write(self, name: str, write: Write, elapsed_s: float) -> Event:
         """A device or a person writes one actuator; it rules from the next timestep on."""
+        if self.state is State.ENDED:
+            return self.rejected(
+                f"{name}: the episode is over, and nothing would feel it; reset it first", write.source
+            )
         try:
             index = self.commanded.find(name, write)
         except BadMessage as error:

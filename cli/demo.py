@@ -56,8 +56,10 @@ def demo(
             results[title] = _episode(bus, own.endpoint, controller, title, bars)
         bus.stop(NODE)
         own.close()
-        bars.console.print("monitor:", " ".join(_rest(watcher)))
+        said = _rest(watcher)
     out.print(_table(results, f"{building}, {weather}, {begin} to {end}"))
+    for line in said:
+        out.print(f"monitor: {line}", markup=False)
     out.print(f"recording: {recording}" + (f", picture: {picture}" if picture.exists() else ""))
 
 

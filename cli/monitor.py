@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
+import threading
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,8 +14,10 @@ import typer
 from bridge.session import DEFAULT_ENDPOINT, default_endpoint
 from cli.console import err, out, until_signal
 from cli.options import CertificateName, Keys
-from topics.errors import InvalidConfig
+from topics.errors import InvalidConfig, NothingThere
 from topics.keys import Role
+
+_PAUSE_S = 0.2
 
 
 def monitor(
@@ -46,6 +49,8 @@ def monitor(
             recording = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="zenostat-"))) / "run.rrd"
         sinks = _sinks(stack, recording, web)
         stop = stack.enter_context(until_signal())
+        if not _there(connect, stop, keys=keys, role=Role.MONITOR, certificate=certificate):
+            return
         session = stack.enter_context(
             open_session(connect=[connect], wait=True, keys=keys, role=Role.MONITOR, certificate=certificate)
         )
@@ -56,6 +61,23 @@ def monitor(
         out.print(f"{stream.samples} samples logged, {stream.missed} missed" + (f", in {save}" if save else ""))
         if screenshot is not None and recording is not None and not draw(recording, screenshot):
             err.print(NO_VULKAN)
+
+
+def _there(connect: str, stop: threading.Event, **who: Any) -> bool:
+    """Waits until somebody listens; False if it is told to stop before."""
+    from bridge.session import open_session
+
+    told = False
+    while not stop.is_set():
+        try:
+            with open_session(connect=[connect], **who):
+                return True
+        except NothingThere as error:
+            if not told:
+                out.print(f"{error}; waiting for it, Ctrl-C ends it", markup=False, soft_wrap=True)
+            told = True
+            stop.wait(_PAUSE_S)
+    return False
 
 
 def _sinks(stack: ExitStack, recording: Path | None, web: bool) -> list[Any]:

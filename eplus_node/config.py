@@ -24,7 +24,7 @@ from models.survey import Survey
 from models.tasks import task_of
 from topics.codec import explain
 from topics.errors import Faults, InvalidConfig, UnknownName, near
-from topics.faults import FaultPlan
+from topics.faults import FaultPlan, Loss
 from topics.keys import check_name
 from topics.messages import Mode, Policy, Reading, Task
 
@@ -182,11 +182,25 @@ def plan(config: NodeConfig) -> Plan:
     assert period is not None
     assert chosen is not None
     assert task is not None
-    warnings = tuple(rivals.rivals(model.objects, chosen.actuators))
+    warnings = tuple(rivals.rivals(model.objects, chosen.actuators)) + _waits_for_what_is_lost(config, injected)
     planned = Plan(config, scenario, model, tuple(found), period, chosen, task, warnings, injected)
     if injected is not None:
         Injection(injected, planned, config.slots)  # so that its mistakes are known before anything starts
     return planned
+
+
+def _waits_for_what_is_lost(config: NodeConfig, faults: FaultPlan | None) -> tuple[str, ...]:
+    lost = [fault.name or fault.kind for fault in faults.faults if isinstance(fault, Loss)] if faults else []
+    if (
+        not lost
+        or config.mode is not Mode.LOCKSTEP
+        or (config.deadline_s is not None and config.policy is not Policy.WAIT)
+    ):
+        return ()
+    return (
+        f"the fault {', '.join(lost)} loses messages, and in lockstep whoever waits for one waits for ever; "
+        "give a deadline and a policy (--deadline 0.5 --policy hold)",
+    )
 
 
 def _source(name: str, scenario: Scenario) -> Source:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from bridge.pace import Pace
 from topics import keys
 from topics.errors import EpisodeAborted, Refused
-from topics.messages import Accepted, EventKind, GoSteps, Message, Mode, Pause, Resume, SetPace
+from topics.messages import Accepted, EventKind, GoSteps, Message, Mode, Pause, Resume, SetPace, State
 
 if TYPE_CHECKING:
     from eplus_node.runner import Runner
@@ -158,6 +158,8 @@ class Pacing:
     def _go_steps(self, asked: GoSteps) -> Message:
         if not self.paused:
             raise Refused("the node is not paused; pause it first")
+        if self._runner.exchange.state is State.ENDED:
+            raise Refused("the episode is over; reset it first")
         self.steps_left += asked.steps
         self.wait(monotonic())
         return self._told(f"timesteps to go: {self.steps_left}", asked.source)

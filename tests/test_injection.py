@@ -407,6 +407,23 @@ def test_duplicates_do_not_disturb_a_controller(stage: Stage) -> None:
     assert (after.late, after.rejected) == (before.late, before.rejected)
 
 
+@pytest.mark.parametrize(
+    ("given", "warned"),
+    [
+        ({}, True),
+        ({"deadline_s": 0.5}, True),
+        ({"policy": "hold"}, True),
+        ({"deadline_s": 0.5, "policy": "hold"}, False),
+        ({"mode": "free"}, False),
+    ],
+)
+def test_a_node_that_would_wait_for_what_is_lost_says_so(scratch: Path, given: dict[str, Any], warned: bool) -> None:
+    file = scratch / "faults.yaml"
+    file.write_text(yaml.safe_dump({"faults": [{"kind": "loss", "samples": True, "probability": 0.5}]}))
+    said = plan(read_config({**SMALL, "faults": str(file), **given})).warnings
+    assert [("loses messages" in text) for text in said] == [True] * warned
+
+
 def test_lockstep_with_lost_commands_goes_on_by_its_deadline(scratch: Path) -> None:
     cut = {"kind": "loss", "commands": "*", "probability": 1.0, "when": {"from_step": 20, "to_step": 30}}
     (scratch / "faults.yaml").write_text(yaml.safe_dump({"faults": [cut]}))

@@ -656,6 +656,18 @@ def test_a_write_for_1800_s_rules_two_timesteps_of_900_s(priority: int) -> None:
     assert not at.commanded.expiring
 
 
+def test_a_write_once_the_episode_is_over_is_refused() -> None:
+    at = exchange(mode=Mode.FREE)
+    at.go()
+    at.sampled([True])
+    event = at.write("cool", Write(value=28.0, source="wall"), 900.0)
+    assert (event.kind, event.source) == (EventKind.REJECTED, "wall")
+    assert "the episode is over" in event.text
+    at.reset()
+    at.ready()
+    assert advance(at)[1] == ["", ""]
+
+
 @pytest.mark.parametrize("for_s", [600.0, 2700.0], ids=["shorter", "longer"])
 def test_a_later_write_has_its_own_time(for_s: float) -> None:
     at = exchange(mode=Mode.FREE)

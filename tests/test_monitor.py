@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rerun as rr
-from nodes import SMALL, NodeProgram, until
+from nodes import SMALL, NodeProgram, free_port, until
 from rerun.chunk import RrdReader
 from zenoh.handlers import RingChannel
 
@@ -159,3 +159,34 @@ def test_no_picture_without_a_vulkan_driver(scratch, monkeypatch):
         recording.log("a", rr.Scalars([1.0]))
         recording.disconnect()
     assert not screenshot(path, scratch / "run.png")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_monitor_that_waits_for_its_bus_says_so_and_can_be_ended(scratch, number):
+    command = [sys.executable, "-P", "-m", "cli.main", "monitor", "--save", "run.rrd"]
+    command += ["--connect", f"tcp/127.0.0.1:{free_port()}"]
+    monitor = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=scratch)
+    try:
+        assert "waiting for it, Ctrl-C ends it" in monitor.stdout.readline()
+        monitor.send_signal(number)
+        rest, _ = monitor.communicate(timeout=60)
+    finally:
+        monitor.kill()
+        monitor.wait()
+    assert (monitor.returncode, rest) == (0, "")
+
+
+def test_a_monitor_may_come_before_its_node(scratch):
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    command = [sys.executable, "-P", "-m", "cli.main", "monitor", "--save", "run.rrd", "--once", "--connect", endpoint]
+    monitor = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=scratch)
+    try:
+        assert "waiting for it" in monitor.stdout.readline()
+        with NodeProgram(scratch / "node", **SMALL, listen=[endpoint]):
+            assert "listening" in monitor.stdout.readline()
+            assert len(_run(endpoint)) == 97
+        said, _ = monitor.communicate(timeout=60)
+    finally:
+        monitor.kill()
+        monitor.wait()
+    assert "0 missed" in said

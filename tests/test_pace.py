@@ -25,7 +25,7 @@ from agent_sdk.sample import SampleView
 from bridge.pace import Pace
 from cli.pace import read_pace
 from topics.errors import InvalidConfig, Refused
-from topics.messages import EventKind, Mode, Sample
+from topics.messages import EventKind, Mode, Sample, State
 
 ZENOSTAT = [sys.executable, "-P", "-m", "cli.main"]
 SETPOINT = "core_zn_cooling_setpoint"
@@ -410,6 +410,17 @@ def test_wrong_requests_are_refused_in_words(standing: Bus, ask: Any, error: typ
         ask(standing)
     status = standing.status("office")
     assert (status.step, status.mode, status.speed, status.paused) == ([0], Mode.LOCKSTEP, 1.0, False)
+
+
+def test_an_episode_that_is_over_takes_no_steps_and_no_writes(scratch: Path) -> None:
+    with NodeProgram(scratch / "n", **SMALL, mode="free") as node, agent_sdk.connect(node.endpoint) as bus:
+        until(lambda: bus.status("office").state is State.ENDED, "the day is over")
+        bus.pause("office")
+        with pytest.raises(Refused, match="the episode is over; reset it first"):
+            bus.step("office", 1)
+        with pytest.raises(Refused, match="the episode is over"):
+            bus.write("office", "core_zn_cooling_setpoint", 26.0)
+        assert bus.status("office").step == [96]
 
 
 @pytest.fixture(scope="module")
