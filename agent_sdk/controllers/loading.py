@@ -56,8 +56,9 @@ def load_controller(text: str) -> Callable[..., Acts]:
         return CONTROLLERS[text]
     place, colon, name = text.rpartition(":")
     if not colon or not place or not name:
+        known = near(text, CONTROLLERS, most=len(CONTROLLERS))
         raise UnknownName(
-            f"no controller {text!r}; {near(text, CONTROLLERS, most=len(CONTROLLERS))}; a class of your own is path/to/file.py:MyController "
+            f"no controller {text!r}; {known}; a class of your own is path/to/file.py:MyController "
             f"or package.module:MyController"
         )
     return _controller(_module(place), name, place)
