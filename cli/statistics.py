@@ -22,9 +22,17 @@ def table(statistics: Statistics, controllers: Sequence[ControllerStatus]) -> Ta
 
 
 def _cells(spread: Spread) -> tuple[str, ...]:
+    return str(spread.count), *milliseconds(spread)
+
+
+def milliseconds(spread: Spread) -> tuple[str, str, str]:
+    """Median, 99th percentile and maximum, to three digits; dashes where nothing was counted."""
     if not spread.count:
-        return "0", "-", "-", "-"
-    return str(spread.count), *(f"{ms:.3g}" for ms in (spread.median_ms, spread.p99_ms, spread.max_ms))
+        return "-", "-", "-"
+    median, high, most = (
+        f"{ms:.3g}" if ms < 999.5 else f"{ms:,.0f}" for ms in (spread.median_ms, spread.p99_ms, spread.max_ms)
+    )
+    return median, high, most
 
 
 def _counts(statistics: Statistics) -> str:

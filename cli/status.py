@@ -7,8 +7,9 @@ from rich.table import Table
 from bridge.session import default_endpoint
 from cli.console import out
 from cli.options import CertificateName, Connect, Keys
+from cli.statistics import milliseconds
 from topics.keys import Role
-from topics.messages import ControllerStatus, Mode, Spread, Status
+from topics.messages import ControllerStatus, Mode, Status
 
 
 def status(
@@ -91,7 +92,7 @@ def _print_controllers(nodes: list[Status]) -> None:
         for c in node.controllers:
             who.add_row(c.controller, node.node, str(c.level), str(c.actuators), _yes(c.required), _presence(c))
             counts = (c.accepted, c.late, c.rejected, c.duplicate, c.missed)
-            did.add_row(c.controller, *map(str, counts), *_milliseconds(c.response))
+            did.add_row(c.controller, *map(str, counts), *milliseconds(c.response))
     if not who.row_count:
         if nodes:
             out.print("no controllers")
@@ -110,8 +111,3 @@ def _presence(controller: ControllerStatus) -> str:
     if not controller.present:
         return "gone"
     return "silent" if controller.silent else "present"
-
-
-def _milliseconds(spread: Spread) -> tuple[str, ...]:
-    times = (spread.median_ms, spread.p99_ms, spread.max_ms)
-    return tuple(f"{ms:.3g}" for ms in times) if spread.count else ("-", "-", "-")
