@@ -386,6 +386,7 @@ class Bus:
             watch = self.session.liveliness().declare_subscriber(token, Callback(on_token, indirect=False))
             stack.callback(watch.undeclare)
             stack.callback(wake.close)
+            self.manifest(node)  # the end of one that has gone meanwhile would not be told
 
             def samples() -> Iterator[SampleView]:
                 while True:

@@ -44,7 +44,7 @@ class OwnNode:
             self.folder = Path(tempfile.mkdtemp(prefix="zenostat-", dir="/tmp"))
         # Also at the interpreter's exit, and if the start is interrupted before there is a process.
         self._held: list[subprocess.Popen[bytes]] = []
-        self._let_go = weakref.finalize(self, _let_go, self._held, self.folder)
+        self._let_go = weakref.finalize(self, _let_go, self._held, self.folder, os.getpid())
         self.endpoint = f"unixsock-stream/{self.folder}/bus"
         engine_core, self.core = affinity.pick_cores(placement)
         config = {**settings, "listen": [self.endpoint], "folder": str(self.folder)}
@@ -60,6 +60,7 @@ class OwnNode:
                 process_group=0,
             )
             self._held.append(process)
+            _pipes.add(process)
             self._wait_ready(process, config)
         except BaseException:
             self.close()
@@ -89,13 +90,33 @@ class OwnNode:
         self._let_go()
 
 
-def _let_go(held: list[subprocess.Popen[bytes]], folder: Path) -> None:
+_pipes: weakref.WeakSet[subprocess.Popen[bytes]] = weakref.WeakSet()
+"""Nodes of this process."""
+
+
+def _forget_nodes() -> None:
+    """A forked child has the pipes of its parent's nodes, too: a node would not hear of its owner's end."""
+    for process in _pipes:
+        _close_pipes(process)
+    _pipes.clear()
+
+
+os.register_at_fork(after_in_child=_forget_nodes)
+
+
+def _close_pipes(process: subprocess.Popen[bytes]) -> None:
+    for pipe in (process.stdin, process.stdout):
+        if pipe is not None and not pipe.closed:
+            with contextlib.suppress(BrokenPipeError):
+                pipe.close()
+
+
+def _let_go(held: list[subprocess.Popen[bytes]], folder: Path, owner: int) -> None:
     """Ends a node and clears its folder, in this order: a node that runs may be writing there."""
+    if os.getpid() != owner:
+        return  # a forked child's end is not its parent's
     for process in held:
-        for pipe in (process.stdin, process.stdout):
-            if pipe is not None and not pipe.closed:
-                with contextlib.suppress(BrokenPipeError):
-                    pipe.close()
+        _close_pipes(process)
         try:
             process.wait(timeout=_END_S)
         except subprocess.TimeoutExpired:

@@ -136,7 +136,7 @@ class Tally:
             self._clear()
             self._refused_before = self._refused = refused
             return
-        values = sample.values
+        values = sample.truth
         kwh = values[self._places] * self._to_kwh
         self._kwh += kwh
         if self._electric is not None:
@@ -208,8 +208,9 @@ def _meters(manifest: Manifest) -> dict[str, _Metered]:
 class _Comfort:
     """The zones that should be comfortable, their bands, and who is in them."""
 
-    def __init__(self, manifest: Manifest, source: str, zones: Sequence[int], band: Callable[[Any, Any], Any]) -> None:
-        people = beside(zones, PEOPLE, manifest)
+    def __init__(
+        self, source: str, zones: Sequence[int], people: Sequence[int | None], band: Callable[[Any, Any], Any]
+    ) -> None:
         self.zones = np.array(zones, np.intp)
         self.source = f"{len(zones)} zone{'s' if len(zones) > 1 else ''}, the band of the {source} reward"
         self._band = band
@@ -246,16 +247,14 @@ def _comfort(manifest: Manifest, reward: Reward | None) -> _Comfort | None:
 
 def _banded(reward: Banded, manifest: Manifest) -> _Comfort:
     band, zones = reward.season(manifest).band, temperatures(reward.kind, reward.temperatures, manifest).tolist()
-    if isinstance(reward, OccupiedReward) and reward.occupants is None:
-        zones = [
-            zone for zone, people in zip(zones, beside(zones, PEOPLE, manifest), strict=True) if people is not None
-        ]
-    return _Comfort(manifest, reward.kind, zones, lambda _, begin: band(begin))
+    people = beside(zones, PEOPLE, manifest)
+    if isinstance(reward, OccupiedReward):
+        zones, people = map(list, zip(*reward.pairs(zones, manifest), strict=True))
+    return _Comfort(reward.kind, zones, people, lambda _, begin: band(begin))
 
 
 def _by_setpoints(reward: MultiZoneReward, manifest: Manifest) -> _Comfort:
     air, heat, cool = map(list, zip(*reward._points(manifest), strict=True))  # noqa: SLF001  # their pairs
     around = reward.threshold
-    return _Comfort(
-        manifest, reward.kind, air, lambda values, _: (values[heat] - around, values[cool] + around)
-    )  # fmt: skip
+    people = beside(air, PEOPLE, manifest)
+    return _Comfort(reward.kind, air, people, lambda values, _: (values[heat] - around, values[cool] + around))

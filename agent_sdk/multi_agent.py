@@ -224,7 +224,7 @@ class ZonesEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo has no types
             terms = dict.fromkeys(self.agents, info.get("reward_terms", {}))
             return dict.fromkeys(self.agents, whole), {name: dict(own) for name, own in terms.items()}
         sample = self.env.sample
-        values, begin = sample.values, sample.time - self._timestep
+        values, begin = sample.truth, sample.time - self._timestep
         if self._shares is not None:
             terms = self._shares(values, begin, whole)
         else:

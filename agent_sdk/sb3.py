@@ -19,6 +19,9 @@ except ImportError as error:
     raise InvalidConfig(f"as_sb3 needs stable-baselines3 ({error}): pip install 'zenostat[train]'") from None
 
 
+_STATISTICS = "episode"
+
+
 def as_sb3(env: VectorEnv[Any, Any, Any]) -> SlotsVecEnv:
     """The same environment for stable-baselines3: what `PPO("MlpPolicy", …)` takes.
 
@@ -81,6 +84,9 @@ class SlotsVecEnv(VecEnv):  # type: ignore[misc,unused-ignore]  # without types 
         for slot in np.flatnonzero(ended).tolist():
             self.reset_infos[slot] = {key: value for key, value in told[slot].items() if not key.startswith("final_")}
             told[slot] = of_slot(infos["final_info"], slot)
+            if self.reset_infos[slot].pop(_STATISTICS, None) is not None:
+                # Gymnasium's wrapper for vectors puts them beside the final info, in a form of their own.
+                told[slot][_STATISTICS] = {name: values[slot].item() for name, values in infos[_STATISTICS].items()}
             told[slot]["terminal_observation"] = infos["final_obs"][slot]
         for slot, cut in enumerate((truncated & ~terminated).tolist()):
             told[slot]["TimeLimit.truncated"] = cut

@@ -308,6 +308,8 @@ class Exchange:
             self._pending.discard(name)
             self._answered.discard(name)
         if claim.required and self.state is State.WAITING:
+            # Who was waited for only so that the deadline sets the pace is not any more.
+            self._pending -= {other.name for other in self.claims.by_name.values() if other.waived}
             self._pending.add(claim.controller)
         how = "again" if renewed else f"at level {claim.level}"
         left = [self.event(EventKind.LEFT, f"{claim.controller} takes over from {name}", name) for name in gone]
@@ -492,7 +494,7 @@ class Exchange:
 
     def write(self, name: str, write: Write, elapsed_s: float) -> Event:
         """A device or a person writes one actuator; it rules from the next timestep on."""
-        if self.state is State.ENDED:
+        if self.state in (State.ENDED, State.FAILED):
             return self.rejected(
                 f"{name}: the episode is over, and nothing would feel it; reset it first", write.source
             )
@@ -504,7 +506,7 @@ class Exchange:
         if holder is not None:
             return self.rejected(f"level {write.priority} of {name!r} is claimed by {holder.name!r}", write.source)
         self.touched = self._moved
-        who = self.commanded.array.source(write.source, self.claims.sources)
+        who = self.commanded.array.source(write.source or "anonymous", self.claims.sources)
         return self.event(EventKind.WRITTEN, self.commanded.write(index, write, who, elapsed_s), write.source)
 
     def expire(self, elapsed_s: float) -> list[Event]:

@@ -157,7 +157,10 @@ class RerunStream:
             if token.kind == zenoh.SampleKind.DELETE:
                 self.left = True
                 continue
-            name = keys.node_of(str(token.key_expr))
+            name, known = keys.node_of(str(token.key_expr)), self._nodes.get(keys.node_of(str(token.key_expr)))
+            if known is not None and known.manifest.instance != keys.last_of(str(token.key_expr)):
+                self._log(known)  # it has started again, and counts from nought
+                del self._nodes[name]
             self._came.setdefault(name, now_s)
         for name, since_s in [*self._came.items()]:
             if name in heard or name in self._nodes or name in self._passed_over:

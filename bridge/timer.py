@@ -14,6 +14,8 @@ from collections.abc import Callable
 
 Call = Callable[[], None]
 
+_LOOK_UP_S = 3600.0
+
 
 class Agenda:
     """Calls in the order in which they are due; of the same time, in that in which they were asked for."""
@@ -125,5 +127,6 @@ class Timer:
                 if call is not None:
                     return call
                 next_s = self._agenda.next_s
-                self._changed.wait(None if next_s is None else max(next_s - now_s, 0.0))
+                # There is a longest time to wait, which a slow pace may well exceed.
+                self._changed.wait(None if next_s is None else min(max(next_s - now_s, 0.0), _LOOK_UP_S))
             return None

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 from rich.table import Table
 
 from bridge.session import default_endpoint
 from cli.console import out
 from cli.options import CertificateName, Connect, Keys
 from cli.statistics import milliseconds
+from topics.errors import NothingThere
 from topics.keys import Role
 from topics.messages import ControllerStatus, Mode, Status
 
@@ -25,7 +28,10 @@ def status(
 
     connect = connect or default_endpoint(keys)
     with connect_bus(connect, keys=keys, role=Role.MONITOR, certificate=certificate) as bus:
-        nodes = [bus.status(name, memory=True) for name in bus.nodes()]
+        nodes = []
+        for name in bus.nodes():
+            with suppress(NothingThere):  # branches come and go
+                nodes.append(bus.status(name, memory=True))
     if not nodes:
         out.print(f"no nodes on {connect}")
     for node in nodes:

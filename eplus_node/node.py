@@ -278,8 +278,9 @@ class Node:
             engines.baselines[slot] = link
 
     def _reset(self, reset: Reset) -> Message:
-        slots = sorted(set(reset.slots)) if reset.slots is not None else [*range(self.config.slots)]
-        seeds = self._seeds(reset, slots)
+        given = list(dict.fromkeys(reset.slots)) if reset.slots is not None else [*range(self.config.slots)]
+        by_slot = dict(sorted(zip(given, self._seeds(reset, given), strict=True)))
+        slots, seeds = [*by_slot], [*by_slot.values()]
         self.runner.check_slot(slots[-1])
         if reset.snapshot:
             return self._go_back(reset, slots)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from datetime import datetime
+from math import isfinite
 
 import numpy as np
 import zenoh
@@ -92,7 +93,7 @@ class Outlets:
         """One step's single points (of slot 0), those that somebody listens to; `values` raw, in manifest order."""
         for index, publisher in self._watched.items():
             unit, value = self._units[index], float(np.frombuffer(values, count=1, offset=8 * index)[0])
-            if value != value:  # an injected fault has dropped it
+            if not isfinite(value):  # an injected fault has dropped it, or blown it up
                 continue
             point = PointValue(value=value, unit=unit, episode=episode, step=step, time=time.isoformat())
             publisher.put(codec.encode(point))

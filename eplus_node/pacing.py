@@ -75,7 +75,7 @@ class Pacing:
 
     def begin(self) -> None:
         """An episode begins at the sample that is published next: the schedule begins there, too."""
-        self._into_s = 0.0
+        self._into_s, self.steps_left = 0.0, 0
         self.pace.anchor(monotonic(), self._timesteps)
 
     def wait(self, now_s: float) -> None:
@@ -158,7 +158,7 @@ class Pacing:
     def _go_steps(self, asked: GoSteps) -> Message:
         if not self.paused:
             raise Refused("the node is not paused; pause it first")
-        if self._runner.exchange.state is State.ENDED:
+        if self._runner.exchange.state in (State.ENDED, State.FAILED):
             raise Refused("the episode is over; reset it first")
         self.steps_left += asked.steps
         self.wait(monotonic())

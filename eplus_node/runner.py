@@ -150,8 +150,8 @@ class Runner:
             while True:
                 if self.exchange.due() and self.pacing.may_go():
                     self._advance()
-                    if self.exchange.mode is not _LOCKSTEP:
-                        self._hear_all()
+                    if self.exchange.fallback or self.exchange.mode is not _LOCKSTEP:
+                        self._hear_all()  # nobody's answer is waited for
                 else:
                     self._listen(wait=True)
         except Stopped:
@@ -276,7 +276,7 @@ class Runner:
         else:
             self._publish_disturbed(injection)
         now_s = exchange.now_s = monotonic()
-        if any(steps):
+        if self._sampled_s:
             self._cycle.add(now_s - self._sampled_s)
         self._sampled_s = now_s
         exchange.listen()
@@ -318,7 +318,7 @@ class Runner:
         if self.injection is not None:
             self.injection.begin(slots, seeds)
         self.exchange.fallback = False
-        self._told = b""
+        self._told, self._sampled_s = b"", 0.0
         self.pacing.begin()
 
     def left(self, who: str) -> None:

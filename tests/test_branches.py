@@ -10,10 +10,12 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import packs
 import psutil
 import pytest
 from forking import (
+    DAY,
     FOUR,
     KINDS,
     SMALL,
@@ -568,4 +570,31 @@ def test_a_branch_of_a_time_without_faults_is_undisturbed(scratch: Path) -> None
         for branch, changed in ((before, False), (after, True)):
             info = branch.step([20.0, 25.0])[-1]
             assert ("undisturbed" in info) is changed
+    env.close()
+
+
+def test_a_branch_has_counted_no_timestep_when_it_begins(scratch: Path) -> None:
+    env = make(**FOUR)
+    env.reset()
+    go(env, plan(env, 1, 5))
+    with env.branch() as branch:
+        bus, name = env.link.bus, branch.manifest.node
+        assert bus.status(name).statistics.cycle.count == 0
+        go(branch, plan(env, 2, 3))
+        cycle = bus.status(name).statistics.cycle
+        assert cycle.count == 3
+        assert cycle.max_ms < 60_000.0, "not the time since the machine has started"
+    env.close()
+
+
+def test_seeds_go_to_the_slots_that_are_named_with_them(scratch: Path) -> None:
+    """In whatever order a request names them."""
+    name = SMALL.replace("continuous", "continuous-stochastic")
+    env: Any = gym.make_vec(name, num_envs=2, vectorization_mode="vector_entry_point", **(DAY | FOUR))
+    told = []
+    for slots, seed in (([0, 1], [6, 5]), ([1, 0], [5, 6]), ([0, 1], [5, 6])):
+        env.link.reset(slots=slots, seed=seed)
+        told.append([bytes(env.slot_weather(slot, ["dry_bulb_temperature"]).values) for slot in range(2)])
+    assert told[0] == told[1] == told[2][::-1]
+    assert told[0] != told[2]
     env.close()

@@ -326,6 +326,23 @@ def test_fixed_values_that_cannot_be(given: dict[str, Any], says: str) -> None:
         create(FixedSetpoints, node(), given)
 
 
+@pytest.mark.parametrize(
+    ("of", "given"),
+    [
+        (FixedSetpoints, {"heating_setpoint": 27}),
+        (FixedSetpoints, {"cooling_setpoint": 19}),
+        (ScheduledSetback, {"heating": 27}),
+        (ScheduledSetback, {"cooling": 19}),
+        (ScheduledSetback, {"heating_setback": 34}),
+    ],
+)
+def test_a_setpoint_that_crosses_the_bands_end_is_refused(of: Any, given: dict[str, float]) -> None:
+    """Where one of a pair is named, the other is the comfort band's: 20 to 23.5 degC in winter, 23 to 26 in summer."""
+    there = node(actuator("heating_setpoint", 10.0, 35.0), actuator("cooling_setpoint", 10.0, 35.0))
+    with pytest.raises(InvalidConfig, match="lies above cooling_setpoint"):
+        of(there, **given)
+
+
 def test_fixed_heating_above_cooling_is_refused() -> None:
     of = node(actuator("heating_setpoint", 15.0, 25.0), actuator("cooling_setpoint", 20.0, 30.0))
     with pytest.raises(InvalidConfig, match=r"heating_setpoint = 24 lies above cooling_setpoint = 22; EnergyPlus ends"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -349,3 +350,27 @@ def test_close_twice_and_unused(scratch: Path) -> None:
     plain.close()
     plain.close()
     assert list(scratch.iterdir()) == []
+
+
+_FORKS = """
+import os, sys, signal
+import gymnasium as gym
+import agent_sdk
+env = gym.make("zenostat/Building-v1", building="ref-small-office", weather="USA_CO_Denver", begin="07-03", end="07-03")
+held = env.unwrapped.own_node._held[0]
+child = os.fork()
+if not child:
+    signal.pause()  # it has inherited all that its parent has open
+env.close()
+print(held.returncode, flush=True)
+os.kill(child, signal.SIGKILL)
+os.waitpid(child, 0)
+"""
+
+
+def test_a_forked_process_does_not_keep_its_parents_node(scratch: Path) -> None:
+    """The node ends by itself, as its owner lets go, and is not killed after a long wait."""
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", _FORKS], capture_output=True, text=True, check=True, cwd=scratch, timeout=120
+    )
+    assert int(done.stdout) != -signal.SIGKILL

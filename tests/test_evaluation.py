@@ -24,6 +24,7 @@ from topics.messages import Manifest, Reading, Sample, Task
 
 BEGIN = datetime(2017, 7, 1)
 KWH = 3.6e6
+NAN = float("nan")
 
 
 def view(of: Manifest, step: int, values: list[float], *, late: int = 0, rejected: int = 0) -> SampleView:
@@ -315,3 +316,14 @@ def test_the_last_controllers_mistake_is_said_before_the_first_one_runs() -> Non
     with pytest.raises(InvalidConfig, match="not here"):
         evaluate(building(), {"rbc": "rbc", "picky": Picky}, progress=lambda *now: told.append(now))
     assert told == []
+
+
+def test_what_faults_do_to_points_does_not_count() -> None:
+    """Metrics are of the building, as rewards are: a point that was dropped has the value that EnergyPlus gave."""
+    values = [22.0, 30.0, 1.0, KWH, KWH, 0.0, 0.0, 0.0]
+    told = view(OFFICE, 1, [NAN] * len(values))
+    told.wire = told.wire.model_copy(update={"undisturbed": np.array(values, "<f8").tobytes()})
+    tally = Tally(OFFICE, None)
+    tally.add(view(OFFICE, 0, values))
+    tally.add(told)
+    assert tally.result() == tallied(OFFICE, values)

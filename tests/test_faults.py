@@ -606,3 +606,18 @@ def test_a_plan_that_does_not_fit_the_node_is_refused_with_all_its_mistakes() ->
         "fault 'between' is never on: no sample is in its window; samples are every 900 s from 2017-07-03T00:00 to "
         "2017-07-10T00:00",
     ]
+
+
+@pytest.mark.parametrize("begins", [7, 8, 9, 10])
+def test_a_delay_that_begins_amid_an_episode_lets_no_former_command_through(begins: int) -> None:
+    faults = made({"kind": "delay", "actuators": "cooling", "steps": 3})
+    faults.commanded(np.array([[29.0, 12.0, NAN]]), [-1])  # what had been commanded last
+    told = [
+        float(faults.commanded(np.array([[10.0 + k / 4, 12.0, NAN]]), [k])[0, 0]) for k in range(begins, begins + 8)
+    ]
+    np.testing.assert_array_equal(told, [NAN, NAN, NAN, *(10.0 + k / 4 for k in range(begins, begins + 5))])
+
+
+def test_windows_that_last_longer_than_any_episode_are_refused() -> None:
+    with pytest.raises(ValueError, match="less than 2147483648"):
+        plan_of({"kind": "drop", "points": "power", "when": {"probability": 0.1, "lasts_steps": 2**63}})

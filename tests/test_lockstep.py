@@ -815,3 +815,15 @@ def test_touched_tells_whether_sample_0_is_still_that_of_a_fresh_start() -> None
     at.reset()
     at.ready()
     assert at.touched == [False]
+
+
+def test_a_write_that_names_nobody_is_of_somebody() -> None:
+    at = exchange(mode=Mode.FREE)
+    at.write("cool", Write(value=28.0, source=""), 0.0)
+    assert advance(at)[1] == ["", "anonymous"]
+
+
+def test_a_write_after_a_failure_is_refused() -> None:
+    at = exchange(mode=Mode.FREE)
+    at.take(Input.FAIL)
+    assert at.write("cool", Write(value=28.0, source="wall"), 0.0).kind is EventKind.REJECTED

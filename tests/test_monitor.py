@@ -190,3 +190,31 @@ def test_a_monitor_may_come_before_its_node(scratch):
         monitor.kill()
         monitor.wait()
     assert "0 missed" in said
+
+
+def test_a_node_that_starts_again_is_recorded_from_its_beginning(scratch):
+    """Also with other points than it had before."""
+    endpoint, path = f"tcp/127.0.0.1:{free_port()}", scratch / "run.rrd"
+    core = {"core": ("Zone Air Temperature", "Core_ZN")}
+    outdoors = {"outdoors": ("Site Outdoor Air DryBulb Temperature", "Environment")}
+    with (
+        NodeProgram(scratch / "bus", **(SMALL | {"name": "other"}), listen=[endpoint]),
+        open_session(connect=[endpoint]) as session,
+        RerunStream(session, "office", [rr.FileSink(str(path))]) as stream,
+    ):
+        for life, sensors in enumerate((outdoors, core | outdoors, core), 1):
+            given = SMALL | {"sensors": sensors, "meters": {}, "reward": None}
+            own, before = f"tcp/127.0.0.1:{free_port()}", 97 * (life - 1)
+            with NodeProgram(scratch / f"n{life}", **given, listen=[own], connect=[endpoint]):
+                _pump_until(stream, before + 1)  # it stands at sample 0 until somebody answers
+                _run(own)
+                _pump_until(stream, before + 97)
+        assert (stream.samples, stream.missed) == (3 * 97, 0)
+
+
+def _pump_until(stream: RerunStream, samples: int) -> None:
+    def there() -> bool:
+        stream.pump()
+        return stream.samples >= samples
+
+    until(there, f"{samples} samples have come")

@@ -513,3 +513,18 @@ def test_a_gateways_command_in_a_pause_is_answered_though_no_sample_comes(node: 
         sample = peer.after(sample)
         bus.pause("office")
         assert peer.ask("command/c", **keeping(sample))[0] == "Accepted"
+
+
+def test_a_reset_forgets_the_steps_that_were_left(scratch: Path) -> None:
+    """A reset during a pause begins an episode that is paused."""
+    year = SMALL | {"begin": "01-01", "end": "12-31"}
+    with NodeProgram(scratch / "n", **year, mode="free") as node, agent_sdk.connect(node.endpoint) as bus:
+        bus.pause("office")
+        bus.step("office", 30_000)
+        with bus.controller("office", required=False) as link:
+            link.reset()
+            assert link.current().step == 0
+            for _ in range(3):
+                assert bus.status("office").step == [0]
+            bus.step("office", 2)
+            until(lambda: bus.status("office").step == [2], "it has gone two timesteps")

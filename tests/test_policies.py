@@ -411,3 +411,19 @@ def test_a_node_s_settings_are_checked_alike(folder: Path) -> None:
     assert isinstance(raised.value, ZenostatError)
     for setting in ("grace_s", "deadline_s"):
         assert setting in str(raised.value)
+
+
+def test_a_node_that_goes_on_by_its_policy_hears_who_asks(scratch: Path) -> None:
+    """Without a deadline it runs as fast as it can, and whoever comes back is heard at once."""
+    year = SMALL | {"begin": "01-01", "end": "12-31", "policy": "hold", "grace_s": 0.0}
+    with NodeProgram(scratch / "n", **year) as node, agent_sdk.connect(node.endpoint, affinity="off") as bus:
+        link = bus.controller("office", name="goes")
+        sample = link.current()
+        sample.send()
+        link.receive()
+        link.close()
+        until(lambda: bus.status("office").step[0] > 20, "it goes on without")
+        bus.pause("office")
+        status = bus.status("office")
+        assert status.paused
+        assert 20 < status.step[0] < status.steps

@@ -798,3 +798,19 @@ def goes_on(at: Exchange, policy: Policy, taken: dict[str, list[int]]) -> bool:
         else:
             assert policy is Policy.RELEASE or not taken[name]
     return at.fallback
+
+
+@pytest.mark.parametrize("policy", [Policy.HOLD, Policy.RELEASE])
+def test_who_comes_does_not_wait_for_one_that_has_gone(policy: Policy) -> None:
+    at = exchange()
+    at.policy, at.deadline_s = policy, 5.0
+    claim(at, "gone", 10)
+    at.left("gone")
+    at.waive("gone")
+    answer(at, "gone", [20.0, 25.0])
+    advance(at)
+    assert at.missing() == ["gone"], "nobody else is there: the deadline sets the pace"
+    claim(at, "new", 12)
+    assert at.missing() == ["new"]
+    answer(at, "new", [20.0, 25.0])
+    assert at.due()

@@ -12,6 +12,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
+from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from nodes import SMALL
 
 import agent_sdk  # noqa: F401  # registers the environments
@@ -106,6 +107,22 @@ def test_attributes_and_methods_of_slots() -> None:
     assert weather[0] == weather[1]
     assert ours.env_is_wrapped(Monitor) == [False] * 3
     assert (ours.render_mode, ours.num_envs) == (None, 3)
+
+
+def test_gymnasiums_own_statistics_stand_in_the_info_of_the_end() -> None:
+    envs = RecordEpisodeStatistics(FakeVectorEnv(2, zones=1, steps_per_hour=1, autoreset_mode=AutoresetMode.SAME_STEP))
+    env = as_sb3(envs)
+    env.reset()
+    earned = np.zeros(2)
+    for _ in range(24):
+        _, rewards, ended, infos = env.step(np.array([env.action_space.sample()] * 2))
+        earned += rewards
+    assert ended.all()
+    for slot, info in enumerate(infos):
+        assert info["episode"]["l"] == 24
+        assert info["episode"]["r"] == pytest.approx(earned[slot], rel=1e-5)
+        assert "episode" not in env.reset_infos[slot]
+    env.close()
 
 
 def test_wrappers_around_the_vector_are_seen() -> None:

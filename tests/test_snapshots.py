@@ -12,6 +12,7 @@ from forking import FOUR, KINDS, SMALL, episode, go, kill, make, new_engine, pla
 from nodes import SMALL as SMALL_NODE
 from nodes import NodeProgram, until, within
 
+from agent_sdk import wrappers as w
 from agent_sdk.environment import BuildingEnv
 from topics.errors import EngineDied, EpisodeChanged, InvalidConfig, NodeLost, Refused, ZenostatError
 from topics.messages import MakeBranch, Reset, Start
@@ -356,4 +357,17 @@ def test_the_clock_that_is_observed_goes_back_too(scratch: Path) -> None:
     assert observed[96][:6].tolist() == [7, 3, 2, 23, 60, 24]
     for step, snapshot in kept:
         np.testing.assert_array_equal(env.reset(options={"snapshot": snapshot})[0], observed[step])
+    env.close()
+
+
+def test_wrappers_know_where_a_snapshot_stands(scratch: Path) -> None:
+    """The forecast is of the hours that come, and the clock is that of the sample."""
+    env: Any = w.WeatherForecast(w.CyclicTime(make(**FOUR)), ["dry_bulb_temperature"], n=3)
+    env.reset(seed=1)
+    for _ in range(40):
+        seen = env.step([20.0, 25.0])[0]
+    with env.unwrapped.snapshot() as kept:
+        for _ in range(7):
+            env.step([20.0, 25.0])
+        np.testing.assert_array_equal(env.reset(options={"snapshot": kept})[0], seen)
     env.close()

@@ -161,3 +161,12 @@ def test_a_call_may_close_the_timer(clock: Clock) -> None:
     timer.at(0.0, timer.close)
     until(lambda: not [t for t in threading.enumerate() if t.name == "timer"], "the end of the thread")
     timer.close()
+
+
+def test_a_call_in_a_million_years_holds_up_nobody() -> None:
+    """A slow pace has its next timestep then; waiting so long at once is more than a thread can."""
+    timer, came = Timer(), threading.Event()
+    timer.at(timer.clock() + 3e13, nothing)
+    timer.at(timer.clock() + 0.05, came.set)
+    assert came.wait(30.0)
+    timer.close()

@@ -30,6 +30,8 @@ from gymnasium.wrappers import (
 
 from agent_sdk import wrappers as w
 from agent_sdk.signals import HourlySeries
+from agent_sdk.testing import FakeEnv
+from agent_sdk.testing.slots import FakeVectorEnv
 from agent_sdk.wrappers import vector
 from agent_sdk.wrappers.core import Infos
 from agent_sdk.wrappers.cyclic_time import cyclic
@@ -522,10 +524,31 @@ def test_incremental_action_by_hand() -> None:
 
 
 def test_rounding_is_half_to_even_and_none_without_a_step() -> None:
-    assert rounded(np.array([[0.125, 0.125], [0.375, -0.3]]), np.array([0.25, 0.0])).tolist() == [
-        [0.0, 0.125],
-        [0.5, -0.3],
-    ]
+    most, steps = np.array([1.0, 1.0]), np.array([0.25, 0.0])
+    assert rounded(np.array([[0.125, 0.125], [0.375, -0.3]]), steps, most).tolist() == [[0.0, 0.125], [0.5, -0.3]]
+
+
+def test_rounding_does_not_exceed_the_largest_increment() -> None:
+    # 0.6 is 1.5 steps of 0.4: 2 steps would be 0.8
+    steps = np.array([0.4, 0.3])
+    told = rounded(np.array([[0.6, 0.6], [-0.6, -0.6]]), steps, np.array([0.6, 0.6]))
+    assert told.tolist() == [[0.4, 0.6], [-0.4, -0.6]]
+
+
+def test_a_seed_may_be_a_numpy_integer() -> None:
+    one, other = (vector.PreviousObservation(FakeVectorEnv(2), ["outdoor_temperature"]) for _ in range(2))
+    np.testing.assert_array_equal(one.reset(seed=np.int64(3))[0], other.reset(seed=3)[0])
+
+
+def test_what_two_reductions_dropped_stands_in_the_info_together() -> None:
+    def reduced(env: Any, by: Any) -> Any:
+        names = env.unwrapped.manifest.names
+        return by.ReducedObservation(by.ReducedObservation(env, names[:3]), names[:1])
+
+    one, many = reduced(FakeEnv(), w), reduced(FakeVectorEnv(1), vector)
+    dropped, rows = one.reset(seed=1)[1]["dropped"], many.reset(seed=1)[1]["dropped"]
+    assert set(dropped) == {*one.unwrapped.manifest.names[1:]}
+    assert dropped == {name: rows[name][0] for name in dropped}
 
 
 @pytest.mark.parametrize("action", [[18.0, 1.5], [14.0, 0.0], [18.0, np.nan], [0.0]])

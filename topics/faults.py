@@ -58,7 +58,7 @@ Moment = Annotated[str, AfterValidator(_is_a_moment)]
 Hours = Annotated[tuple[Finite, Finite], AfterValidator(_is_a_span)]
 Probability = Annotated[float, Field(gt=0, le=1, strict=True)]
 Positive = Annotated[float, Field(gt=0, strict=True)]
-Steps = Annotated[int, Field(ge=1, strict=True)]
+Steps = Annotated[int, Field(ge=1, lt=2**31, strict=True)]
 Pattern = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.\-*]{1,128}$")]
 Names = Annotated[
     tuple[Pattern, ...],

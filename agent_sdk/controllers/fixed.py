@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from datetime import datetime
+
 from agent_sdk.controllers.base import Controller, Values
 from agent_sdk.controllers.comfort import Band, comfort_bands
 from agent_sdk.controllers.parameters import named
@@ -34,26 +37,39 @@ class FixedSetpoints(Controller):
         self._check_pairs()
 
     def _check_pairs(self) -> None:
-        said: dict[Role, list[tuple[Part, float]]] = {Role.HEATING: [], Role.COOLING: []}
-        for part in self._parts:
-            if part.role in said:
-                found = [self._named[a] for a in part.action.actuators if a in self._named]
-                said[part.role] += [(part, max(found) if part.role is Role.HEATING else min(found))] if found else []
-        for heated, heating in said[Role.HEATING]:
-            for cooled, cooling in said[Role.COOLING]:
-                if heating > cooling and set(heated.temperatures) & set(cooled.temperatures):
-                    raise InvalidConfig(
-                        f"{heated.action.name} = {heating:g} lies above {cooled.action.name} = {cooling:g}; "
-                        f"EnergyPlus ends a run on that, so set the heating below the cooling"
-                    )
+        if self._named:
+            for day in DAYS:
+                refuse_crossed(self._parts, self._on(self._band(day)))
 
     def act(self, sample: SampleView) -> Values:
         """The values, and those of the day's band for the rest."""
-        band = self._band(sample.time)
+        return self._on(self._band(sample.time))
+
+    def _on(self, band: Band) -> Values:
         values: Values = {}
         for part in self._parts:
             values |= default(part, band)
         return values | self._named
+
+
+DAYS = tuple(datetime(2017, month, day) for month in range(1, 13) for day in (1, 15))
+"""Days of all seasons."""
+
+
+def refuse_crossed(parts: Sequence[Part], values: Values) -> None:
+    """Refuses values by which a zone is heated above its cooling setpoint: `InvalidConfig`."""
+    said: dict[Role, list[tuple[Part, float]]] = {Role.HEATING: [], Role.COOLING: []}
+    for part in parts:
+        found = [value for a in part.action.actuators if (value := values.get(a)) is not None]
+        if part.role in said and found:
+            said[part.role].append((part, max(found) if part.role is Role.HEATING else min(found)))
+    for heated, heating in said[Role.HEATING]:
+        for cooled, cooling in said[Role.COOLING]:
+            if heating > cooling and set(heated.temperatures) & set(cooled.temperatures):
+                raise InvalidConfig(
+                    f"{heated.action.name} = {heating:g} lies above {cooled.action.name} = {cooling:g}; "
+                    f"EnergyPlus ends a run on that, so set the heating below the cooling"
+                )
 
 
 def default(part: Part, band: Band) -> Values:

@@ -97,5 +97,8 @@ class ComfortBandRules(Controller):
             return True
         if came is None:
             return now.hour in OPEN_HOURS  # nobody has been seen yet: comfort first
-        back = came.replace(year=now.year, month=now.month, day=now.day)
-        return back - self._lead <= now < back + self._step and now.date() != came.date()
+        today = came.replace(year=now.year, month=now.month, day=now.day)
+        for back in (today, today + timedelta(days=1)):  # whoever comes soon after midnight is awaited the day before
+            if back.date() != came.date() and back - self._lead <= now < back + self._step:
+                return True
+        return False

@@ -5,8 +5,8 @@ from __future__ import annotations
 from datetime import datetime, timedelta
 
 from agent_sdk.controllers.base import Controller, Values
-from agent_sdk.controllers.comfort import comfort_bands
-from agent_sdk.controllers.fixed import default
+from agent_sdk.controllers.comfort import Band, comfort_bands
+from agent_sdk.controllers.fixed import DAYS, default, refuse_crossed
 from agent_sdk.controllers.parameters import bounds, number
 from agent_sdk.controllers.parts import SETPOINTS, Role, parts_of
 from agent_sdk.sample import SampleView
@@ -69,6 +69,10 @@ class ScheduledSetback(Controller):
         ):
             if low is not None and high is not None and low > high:
                 raise InvalidConfig(f"{words} = {low:g}, {high:g}; the first has to be below the second")
+        if any(value is not None for value in (*self._open, *self._closed)):
+            for day in DAYS:
+                for is_open in (True, False):
+                    refuse_crossed(self._parts, self._on(self._band(day), is_open=is_open))
 
     def _checked(self, what: str, value: float | None) -> float | None:
         if value is None:
@@ -83,7 +87,9 @@ class ScheduledSetback(Controller):
     def act(self, sample: SampleView) -> Values:
         """The setpoints of the timestep that begins at `sample.time`."""
         now = sample.time
-        band, is_open = self._band(now), self._is_open(now)
+        return self._on(self._band(now), is_open=self._is_open(now))
+
+    def _on(self, band: Band, *, is_open: bool) -> Values:
         low, high = (end if own is None else own for own, end in zip(self._open, band, strict=True))
         if not is_open:
             pairs = zip(self._closed, (low - 6.0, high + 6.0), strict=True)

@@ -43,11 +43,19 @@ class OccupiedReward(Weighted):
         """See `Reward.bind`."""
         return _Bound(self, manifest)
 
+    def pairs(self, zones: list[int], manifest: Manifest) -> list[tuple[int, int]]:
+        """Those of these zones' temperatures that count, each with its people, by their places in a sample.
+
+        Raises:
+            InvalidConfig: a zone that is named has no people, or none has any.
+        """
+        return _pairs(self, zones, manifest)
+
 
 class _Bound(WeightedBound):
     def __init__(self, of: OccupiedReward, manifest: Manifest) -> None:
         super().__init__(of, manifest)
-        pairs = _pairs(of, self._zones.tolist(), manifest)
+        pairs = of.pairs(self._zones.tolist(), manifest)
         self._zones = indices([zone for zone, _ in pairs])
         self._people = indices([people for _, people in pairs])
         self._by_number, self._empty = of.by == "people", of.empty_weight

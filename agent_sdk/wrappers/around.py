@@ -114,7 +114,8 @@ class Single(gym.Wrapper[Any, Any, Any, Any], _Around):
     def _told(self, info: dict[str, Any]) -> dict[str, Any]:
         if not self._core.added:
             return info
-        return {**info, **{key: {n: v.item(0) for n, v in rows.items()} for key, rows in self._core.added.items()}}
+        added = {key: {n: v.item(0) for n, v in rows.items()} for key, rows in self._core.added.items()}
+        return {**info, **{key: {**info.get(key, {}), **rows} for key, rows in added.items()}}
 
     def close(self) -> None:
         """Closes the wrapper and what it wraps; twice is fine."""
@@ -146,7 +147,7 @@ class Vector(VectorWrapper[Any, Any, Any, Any, Any], _Around):
         mask = np.ones(self.num_envs, np.bool_)
         if options and "reset_mask" in options:
             mask, options = np.array(options["reset_mask"], np.bool_), dict(options)  # the environment takes it out
-        every = [seed + i for i in range(self.num_envs)] if isinstance(seed, int) else seed
+        every = [seed + i for i in range(self.num_envs)] if isinstance(seed, int | np.integer) else seed
         observations, infos = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]  # as Gymnasium's own
         slots = np.flatnonzero(mask).tolist()
         self._over = self._over & ~mask

@@ -36,6 +36,10 @@ class Infos:
         """Simulated time of the row's sample."""
         return datetime.fromisoformat(self.get(row, "time"))
 
+    def step(self, row: int) -> int:
+        """Number of the row's sample in its episode: above 0 at a reset that goes back to a snapshot."""
+        return int(self.get(row, "step") or 0)
+
 
 def _pick(found: Mapping[str, Any], key: str, slot: int) -> Any:
     mask = found.get(f"_{key}")
@@ -50,7 +54,7 @@ def _pick(found: Mapping[str, Any], key: str, slot: int) -> Any:
 
 
 class Start(NamedTuple):
-    """An episode begins in `slots`: sample 0, one row a slot. `seeds` None: none were given."""
+    """An episode begins in `slots`: sample 0, or that of a snapshot; one row a slot. `seeds` None: none were given."""
 
     slots: list[int]
     observations: Values

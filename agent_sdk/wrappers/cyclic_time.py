@@ -67,7 +67,10 @@ class CyclicTime(Observing):
 
     def observe(self, seen: Start | Step, *, begins: bool) -> Values:
         """See `Observing`."""
-        earlier = timedelta(0) if begins else self._timestep
-        times = [seen.infos.time(row) - earlier for row in range(len(seen.slots))]
+        infos = seen.infos
+        times = [
+            infos.time(row) - (timedelta(0) if begins and not infos.step(row) else self._timestep)
+            for row in range(len(seen.slots))
+        ]
         parts = np.array([[part(time) for part in self._parts] for time in times], np.float64)
         return append(seen.observations[:, self._kept], cyclic(parts))

@@ -79,8 +79,8 @@ class EpisodeLog(Core):
             *np.ravel(step.actions[row]).tolist(),
             *applied,
             float(step.rewards[row]),
-            *(float(terms[name]) for name in named_terms),
-            *(float(measures[name]) for name in named_measures),
+            *(_number(terms.get(name)) for name in named_terms),
+            *(_number(measures.get(name)) for name in named_measures),
         ]
 
     def _begin(self, slot: int, terms: Mapping[str, float], measures: Mapping[str, float]) -> None:
@@ -108,6 +108,11 @@ class EpisodeLog(Core):
         """See `Core`."""
         for slot in list(self._open):
             self._finish(slot, "-left")
+
+
+def _number(told: Any) -> float | None:
+    """Empty where a reward of one's own has no such term in this timestep."""
+    return None if told is None else float(told)
 
 
 def _parts(view: View) -> list[str]:

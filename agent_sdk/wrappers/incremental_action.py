@@ -37,7 +37,7 @@ class IncrementalAction(Moving):
         places(increments, view.action_names, view.who, "action")
         super().__init__(view, {name: initial[name] for name in increments})
         pairs = np.array([_pair(given, f"{view.who}: {name}") for name, given in increments.items()])
-        most, self._steps = pairs.reshape(-1, 2).T
+        most, self._steps = self._most, _ = pairs.reshape(-1, 2).T
         low, high = self.inner.low.astype(np.float32), self.inner.high.astype(np.float32)
         low[self.at], high[self.at] = -most, most
         self._space = self.action_space = Box(low, high, dtype=np.float32)
@@ -49,7 +49,7 @@ class IncrementalAction(Moving):
         low, high = self._space.low, self._space.high
         if told.shape[1:] != low.shape or not ((told >= low) & (told <= high) & np.isfinite(told)).all():
             raise refused(self.view.who, actions if self.view.vector else actions[0], self._space)
-        told[:, self.at] = self.move(slots, rounded(told[:, self.at].astype(np.float64), self._steps))
+        told[:, self.at] = self.move(slots, rounded(told[:, self.at].astype(np.float64), self._steps, self._most))
         return told
 
 

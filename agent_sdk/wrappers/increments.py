@@ -28,10 +28,11 @@ def moved(values: Floats, increments: Floats, low: Floats, high: Floats) -> Floa
     return np.clip(values + increments, low, high)
 
 
-def rounded(increments: Floats, steps: Floats) -> Floats:
-    """Increments to the nearest multiple of their step, half to even; as they are where the step is 0."""
+def rounded(increments: Floats, steps: Floats, most: Floats) -> Floats:
+    """Increments to the nearest multiple of their step within `most`, half to even; as they are where it is 0."""
     whole = np.where(steps > 0, steps, 1.0)
-    return np.where(steps > 0, np.round(increments / whole) * whole, increments)
+    largest = np.floor(most / whole + 1e-9)
+    return np.where(steps > 0, np.clip(np.round(increments / whole), -largest, largest) * whole, increments)
 
 
 class Moving(Core):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from datetime import datetime
+from datetime import datetime, timedelta
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -124,6 +124,7 @@ class WeatherForecast(Observing):
         self._randoms = Randoms(view.env, view.who, view.slots)
         self._weather: list[list[_Column]] = [[] for _ in range(view.slots)]
         self._begins: dict[int, datetime] = {}
+        self._timestep = timedelta(hours=1 / view.manifest.steps_per_hour)
         low, high = np.repeat(self._bounds, n, axis=0).T
         self.extend([f"{column}_in_{hour:g}h" for column in columns for hour in self._horizons_h], low, high)
 
@@ -140,7 +141,7 @@ class WeatherForecast(Observing):
         series = self.view.each(start.slots, "weather", self._columns)
         for row, slot in enumerate(start.slots):
             self._weather[slot] = self._read(series[row])
-            self._begins[slot] = start.infos.time(row)
+            self._begins[slot] = start.infos.time(row) - start.infos.step(row) * self._timestep
 
     def _read(self, series: WeatherSeries) -> list[_Column]:
         rows = np.frombuffer(series.values, "<f8").reshape(-1, len(series.columns))

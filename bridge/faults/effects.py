@@ -168,7 +168,8 @@ class _Delay(Effect):
 
     def disturb(self, values: Floats) -> Floats:
         slots, length = np.arange(len(values)), self.memory.shape[1]
-        self.memory[slots, self.windows.at % length] = values
+        begun = np.broadcast_to(self.windows.at >= 0, slots.shape)  # before, there is no step that it is of
+        self.memory[slots[begun], np.broadcast_to(self.windows.at % length, slots.shape)[begun]] = values[begun]
         former: Floats = self.memory[slots, (self.windows.at + 1) % length]
         return former
 

@@ -6,7 +6,7 @@ its monitor (connections that end) and a shelf, on which Zenoh's threads put wha
 
 from __future__ import annotations
 
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 
 import zenoh
@@ -17,7 +17,7 @@ from bridge.zeromq.lanes import Lanes
 from bridge.zeromq.nodes import NodeView
 from bridge.zeromq.sockets import DEFAULT_COMMAND, DEFAULT_PUBLISH, Sockets, check_endpoint
 from topics import codec, errors, keys
-from topics.errors import InvalidConfig, NodeLost, NothingThere, ZenostatError, near
+from topics.errors import BadMessage, InvalidConfig, NodeLost, NothingThere, ZenostatError, near
 from topics.keys import Delivery, Role
 from topics.messages import Denied, Event, EventKind, Manifest, Message
 
@@ -118,7 +118,11 @@ class Gateway:
     # From the bus
 
     def _heard(self, said: Said) -> None:
-        """A node's manifest, sample or event."""
+        """A node's manifest, sample or event; what is none is passed over."""
+        with suppress(BadMessage):
+            self._take(said)
+
+    def _take(self, said: Said) -> None:
         if said.key == keys.MANIFEST.at(keys.node_of(said.key)):
             self._meet(said)
             return
@@ -140,7 +144,10 @@ class Gateway:
         """A manifest: of a node that has come, or that has changed."""
         if said is None or said.denied:
             return
-        manifest = codec.decode(Manifest, said.payload, said.encoding)
+        try:
+            manifest = codec.decode(Manifest, said.payload, said.encoding)
+        except BadMessage:
+            return
         node = self._nodes.setdefault(manifest.node, NodeView(manifest.node))
         node.note_manifest(manifest)
         node.latest[said.key.encode()] = _frames(said)
