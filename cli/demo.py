@@ -59,7 +59,7 @@ def demo(
         said = _rest(watcher)
     out.print(_table(results, f"{building}, {weather}, {begin} to {end}"))
     for line in said:
-        out.print(f"monitor: {line}", markup=False)
+        out.print(f"monitor: {line}", markup=False, soft_wrap=True)
     out.print(f"recording: {recording}" + (f", picture: {picture}" if picture.exists() else ""))
 
 

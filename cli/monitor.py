@@ -60,7 +60,7 @@ def monitor(
             stream.run(until=lambda: stop.is_set() or (once and stream.left))
         out.print(f"{stream.samples} samples logged, {stream.missed} missed" + (f", in {save}" if save else ""))
         if screenshot is not None and recording is not None and not draw(recording, screenshot):
-            err.print(NO_VULKAN)
+            err.print(NO_VULKAN, soft_wrap=True)
 
 
 def _there(connect: str, stop: threading.Event, **who: Any) -> bool:
