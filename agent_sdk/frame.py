@@ -63,8 +63,7 @@ class Frame:
         self.values = self.truth = codec.floats(wire.values, shape, "values")
         if wire.undisturbed:
             self.truth = codec.floats(wire.undisturbed, shape, "undisturbed")
-        flags = wire.flags
-        self.truncated = np.array([flag & _TRUNCATED for flag in flags], np.bool_) if any(flags) else _none(len(flags))
+        self.truncated = np.array([flag & _TRUNCATED for flag in wire.flags], np.bool_)
 
     @property
     def applied(self) -> Floats:
@@ -116,10 +115,6 @@ class Frame:
             known = {span: clock(fields, *span) for span in set(zip(begins, ends, strict=True))}
             observed[:, : len(fields)] = [known[span] for span in zip(begins, ends, strict=True)]
         return observed
-
-
-def _none(slots: int) -> NDArray[np.bool_]:
-    return np.zeros(slots, np.bool_)
 
 
 def step_of(manifest: Manifest) -> timedelta:

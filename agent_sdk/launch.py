@@ -60,7 +60,7 @@ class OwnNode:
                 process_group=0,
             )
             self._held.append(process)
-            _pipes.add(process)
+            _nodes.add(process)
             self._wait_ready(process, config)
         except BaseException:
             self.close()
@@ -90,15 +90,15 @@ class OwnNode:
         self._let_go()
 
 
-_pipes: weakref.WeakSet[subprocess.Popen[bytes]] = weakref.WeakSet()
+_nodes: weakref.WeakSet[subprocess.Popen[bytes]] = weakref.WeakSet()
 """Nodes of this process."""
 
 
 def _forget_nodes() -> None:
     """A forked child has the pipes of its parent's nodes, too: a node would not hear of its owner's end."""
-    for process in _pipes:
+    for process in _nodes:
         _close_pipes(process)
-    _pipes.clear()
+    _nodes.clear()
 
 
 os.register_at_fork(after_in_child=_forget_nodes)

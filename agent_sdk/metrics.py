@@ -247,9 +247,10 @@ def _comfort(manifest: Manifest, reward: Reward | None) -> _Comfort | None:
 
 def _banded(reward: Banded, manifest: Manifest) -> _Comfort:
     band, zones = reward.season(manifest).band, temperatures(reward.kind, reward.temperatures, manifest).tolist()
-    people = beside(zones, PEOPLE, manifest)
     if isinstance(reward, OccupiedReward):
         zones, people = map(list, zip(*reward.pairs(zones, manifest), strict=True))
+    else:
+        people = beside(zones, PEOPLE, manifest)
     return _Comfort(reward.kind, zones, people, lambda _, begin: band(begin))
 
 

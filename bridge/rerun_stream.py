@@ -157,8 +157,10 @@ class RerunStream:
             if token.kind == zenoh.SampleKind.DELETE:
                 self.left = True
                 continue
-            name, known = keys.node_of(str(token.key_expr)), self._nodes.get(keys.node_of(str(token.key_expr)))
-            if known is not None and known.manifest.instance != keys.last_of(str(token.key_expr)):
+            key = str(token.key_expr)
+            name = keys.node_of(key)
+            known = self._nodes.get(name)
+            if known is not None and known.manifest.instance != keys.last_of(key):
                 self._log(known)  # it has started again, and counts from nought
                 del self._nodes[name]
             self._came.setdefault(name, now_s)
