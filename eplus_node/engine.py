@@ -37,6 +37,7 @@ from math import isfinite
 from typing import Any, NoReturn
 
 from bridge.polling import Polling
+from eplus_node.memory import SaturationCache, join_pages
 
 RUN_PERIOD = 3
 """EnergyPlus's `kind_of_sim` of a weather-file run period."""
@@ -88,6 +89,7 @@ class Engine:
         self.live = False  # after the warm-up
         self.finishing = False
         self.forked, self.forks = False, 0
+        self.saturation: SaturationCache | None = None
         self.out = array("d", [0.0]) * (2 + len(spec["sensors"]) + len(spec["meters"]) + len(spec["feedback"]))
         self.command = array("d", [0.0]) * (2 + len(spec["actuators"]))
         self.command_bytes = memoryview(self.command).cast("B")
@@ -226,6 +228,7 @@ class Engine:
     def _on_warm(self, state: int) -> None:
         if self.near and not self.live:
             self.live = True
+            self.saturation = SaturationCache.fold(state)
             self.totals = self.warm_totals
             self._gather(state)
             self._exchange(state)
@@ -314,6 +317,8 @@ class Engine:
         self.frames.sendall(struct.pack("=q", os.getpid()))
         begin(spec)
         own_files(spec["folder"])
+        if self.saturation:
+            self.saturation.renew()
 
     def _try_read(self) -> int | None:
         try:
@@ -357,26 +362,6 @@ def clone() -> int:
 
 
 _OFTEN = 4
-_HUGE_PAGE = 1 << 21
-_MADV_COLLAPSE = 25
-
-
-def join_pages() -> None:
-    """Puts the heap's small pages into huge ones, so that there are fewer entries for a fork to copy.
-
-    A forked process copies what it writes to in small pages, and its memory stays in them. This takes some 50 ms, and
-    a fork half the time from then on; where the pages are joined already it takes next to nothing. Linux before 6.1
-    does not know it, which makes no difference but that.
-    """
-    advise = ctypes.CDLL(None).madvise
-    advise.argtypes = (ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int)
-    with open("/proc/self/maps") as maps:
-        regions = [line.split() for line in maps]
-    for span, access, _, _, inode, *_ in regions:
-        begin, end = (int(address, 16) for address in span.split("-"))
-        begin, end = -(-begin // _HUGE_PAGE) * _HUGE_PAGE, end // _HUGE_PAGE * _HUGE_PAGE
-        if access == "rw-p" and inode == "0" and begin < end:
-            advise(begin, end - begin, _MADV_COLLAPSE)
 
 
 _TELLING = ("eplusout.err", "engine.log")

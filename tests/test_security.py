@@ -19,7 +19,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import zenoh
-from nodes import SMALL, NodeProgram, free_port
+from nodes import SMALL, NodeProgram, free_port, until
 from test_certificates import expire
 from zenoh.handlers import FifoChannel
 
@@ -276,7 +276,7 @@ def test_a_monitor_reads(watcher: agent_sdk.Bus, bus: agent_sdk.Bus) -> None:
     assert watcher.weather("office", ["dry_bulb_temperature"]).units == ["C"]
     with watcher.listen("office") as samples, bus.controller("office", name="shown") as link:
         sample = link.reset()
-        assert watcher.controllers() == [("office", link.name)]
+        until(lambda: watcher.controllers() == [("office", link.name)], "the controller is there")
         heard = next(samples)
         assert (heard.step, heard.wire.values) == (0, sample.wire.values)
         assert watcher.latest("office") == sample.wire

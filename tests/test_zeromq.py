@@ -323,7 +323,7 @@ def test_controller_that_comes_back_under_its_name_keeps_it(node, gateway):
         for _ in range(3):
             sample = new.after(sample)
             assert new.ask("command/c", **keeping(sample))[0] == "Accepted"
-        assert bus.controllers() == [("office", "c")]
+        until(lambda: bus.controllers() == [("office", "c")], "the controller is there")
 
 
 def test_killed_gateway_breaks_nothing_of_the_node(node):
