@@ -18,10 +18,11 @@ _MAP_FIXED = 0x10
 _MAP_FAILED = ctypes.c_void_p(-1).value
 
 _LIBC = ctypes.PyDLL(None, use_errno=True)
-_mmap, _madvise, _malloc_usable_size = _LIBC.mmap, _LIBC.madvise, _LIBC.malloc_usable_size
+_mmap, _madvise, _free, _malloc_usable_size = _LIBC.mmap, _LIBC.madvise, _LIBC.free, _LIBC.malloc_usable_size
 _mmap.restype = ctypes.c_void_p
 _mmap.argtypes = (ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int, ctypes.c_int, ctypes.c_int, ctypes.c_long)
 _madvise.argtypes = (ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int)
+_free.restype, _free.argtypes = None, (ctypes.c_void_p,)
 _malloc_usable_size.restype, _malloc_usable_size.argtypes = ctypes.c_size_t, (ctypes.c_void_p,)
 
 _SLOTS = 1 << 20
@@ -47,11 +48,12 @@ class SaturationCache:
 
     Here 128 stretches of these addresses show the same memory. An entry carries its whole key, and EnergyPlus
     computes its pressure from the key and from nothing else: what another entry has displaced is computed anew, to
-    the same bits. That does not hold for the other three (saturation temperatures are computed from what was asked
-    for first, and wet-bulb temperatures with their help), which stay as they are.
+    the same bits. Only EnergyPlus's count of temperatures outside -100 to 200 degC may come out higher. The same does
+    not hold for the other three caches, which stay as they are: saturation temperatures are computed from what was
+    asked for first, and wet-bulb temperatures with their help.
 
-    EnergyPlus has the four in one block that does not begin at a page's boundary, so the block is moved. It is not
-    given back: an engine leaves without EnergyPlus's own end.
+    EnergyPlus has the four in one block that does not begin at a page's boundary, so the block is moved. EnergyPlus
+    could not give it back from there; an engine leaves without that.
     """
 
     def __init__(self, begin: int) -> None:
@@ -69,7 +71,7 @@ class SaturationCache:
         except OSError:
             return None  # no room: it stays where it is
         ctypes.c_void_p.from_address(place).value = cache.begin - _WET_BULB - _HEAD
-        _advise(old, _CACHES, mmap.MADV_DONTNEED)
+        _free(old)
         return cache
 
     @classmethod
