@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 
 import typer
@@ -83,7 +84,8 @@ def _root(version: bool = typer.Option(False, "--version", callback=_version, is
 
 
 def main() -> None:
-    """Runs the command line: 2 for a mistake in the call, 1 for what went wrong on the way."""
+    """Runs the command line: 2 for a mistake in the call, 1 for what went wrong on the way, 128 and the signal."""
+    signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))  # what runs is ended in good order
     try:
         app()
     except UsageError as error:

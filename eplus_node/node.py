@@ -81,8 +81,13 @@ class Node:
         self.close()
 
     def close(self) -> None:
-        """Ends the engines, leaves the bus and clears up; twice is fine."""
-        self._close.close()
+        """Ends the engines, leaves the bus and clears up; twice is fine. Who asks again meanwhile changes nothing."""
+        before = {number: signal.signal(number, signal.SIG_IGN) for number in (signal.SIGINT, signal.SIGTERM)}
+        try:
+            self._close.close()
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
 
     @property
     def manifest(self) -> Manifest:

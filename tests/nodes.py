@@ -210,18 +210,21 @@ class Program:
                 pipe.close()
 
 
-def interrupted(command: Sequence[str], when: Callable[[], Any], what: str, *, cwd: Path) -> None:
-    """Ctrl-C in a program once `when` holds: it ends with 130, says no traceback and leaves nothing in `cwd`."""
+def interrupted(
+    command: Sequence[str], when: Callable[[], Any], what: str, *, cwd: Path, number: signal.Signals = signal.SIGINT
+) -> None:
+    """A signal to a program once `when` holds: it ends with 128 and that, without a traceback, and leaves nothing."""
     with nothing_left(cwd):
-        run = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=cwd)
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+        run = subprocess.Popen(command, text=True, cwd=cwd, **pipes)
         try:
             until(when, what)
-            run.send_signal(signal.SIGINT)
+            run.send_signal(number)
             _, said = run.communicate(timeout=60)
         finally:
             run.kill()
             run.wait()
-        assert run.returncode == 130
+        assert run.returncode == 128 + number
         assert "Traceback" not in said, said
 
 

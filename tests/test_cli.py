@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from nodes import SMALL, NodeProgram, free_port, until
+from nodes import SMALL, NodeProgram, command_of, free_port, interrupted, programs_of, until
 
 import agent_sdk
 
@@ -40,6 +40,17 @@ def test_help_has_an_example_that_the_command_takes(command):
     assert words[0] == command
     for option in (word for word in words if word.startswith("--")):
         assert option in done.stdout.split("Options")[1]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_node_that_is_ended_while_it_starts_leaves_nothing(scratch: Path, number: signal.Signals) -> None:
+    """When its engine has begun, which takes EnergyPlus some tenths of a second."""
+    command = [*ZENOSTAT, "node", *DAY, "--listen", f"tcp/127.0.0.1:{free_port()}", "--affinity", "off"]
+
+    def simulates() -> bool:
+        return any("eplus_node.engine" in command_of(program) for program in programs_of(scratch))
+
+    interrupted(command, simulates, "its engine runs", cwd=scratch, number=number)
 
 
 def test_three_terminals(scratch):

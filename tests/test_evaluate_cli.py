@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import re
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -15,14 +16,7 @@ from nodes import SMALL, interrupted
 from cli.evaluate import check_file, write
 from topics.errors import InvalidConfig
 
-# It does not matter whether the command is registered under `zenostat` yet.
-PROGRAM = """
-from cli import evaluate, main
-if "evaluate" not in [command.callback.__name__ for command in main.app.registered_commands]:
-    main.app.command()(evaluate.evaluate)
-main.main()
-"""
-ZENOSTAT = [sys.executable, "-P", "-c", PROGRAM, "evaluate"]
+ZENOSTAT = [sys.executable, "-P", "-m", "cli.main", "evaluate"]
 SCENARIO = f"""
 building: {SMALL["building"]}
 weather: {SMALL["weather"]}
@@ -112,7 +106,8 @@ def test_an_unknown_scenario_lists_near_ones(scratch: Path) -> None:
     assert "ref-small-office-USA_CO_Denver-continuous-v1" in done.stderr
 
 
-def test_ctrl_c_leaves_nothing_behind(scratch: Path) -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_who_ends_it_is_left_nothing(scratch: Path, number: signal.Signals) -> None:
     (scratch / "office.yaml").write_text(SCENARIO)
     (scratch / "told.py").write_text(
         "from agent_sdk.controllers import ComfortBandRules\n\n\n"
@@ -120,7 +115,7 @@ def test_ctrl_c_leaves_nothing_behind(scratch: Path) -> None:
         "        if sample.step == 40:\n            open('told', 'w').close()\n        return super().act(sample)\n"
     )
     command = [*ZENOSTAT, "office.yaml", "--controller", "told.py:Told", "--out", "rows.csv"]
-    interrupted(command, (scratch / "told").exists, "it simulates", cwd=scratch)
+    interrupted(command, (scratch / "told").exists, "it simulates", cwd=scratch, number=number)
     assert list(scratch.glob("*rows*")) == []
 
 

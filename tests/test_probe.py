@@ -22,14 +22,7 @@ from agent_sdk.probe import Asked, Probed, probe
 from topics.errors import InvalidConfig, UnknownName
 from topics.messages import Actuator, Manifest, Meter, Mode, Policy, Reading, Sensor, Versions
 
-# It does not matter whether the command is registered under `zenostat` yet.
-PROGRAM = """
-from cli import main, probe
-if "probe" not in [command.callback.__name__ for command in main.app.registered_commands]:
-    main.app.command()(probe.probe)
-main.main()
-"""
-ZENOSTAT = [sys.executable, "-P", "-c", PROGRAM, "probe"]
+ZENOSTAT = [sys.executable, "-P", "-m", "cli.main", "probe"]
 BEGIN = datetime(2017, 7, 3, 7)
 
 OFFICE: dict[str, Any] = {
