@@ -157,6 +157,7 @@ class BuildingEnv(Named, gym.Env[Observation, Any]):
                 Limits(manifest) if manifest.task.terminate else None,
                 {},
             )
+            self.wrappers = self._memory.wrappers
             self._history = History(manifest) if render_mode == "rgb_array" else None
             if render_mode == "rerun":
                 self._hold.watch()
@@ -234,7 +235,7 @@ class BuildingEnv(Named, gym.Env[Observation, Any]):
             Refused: there are as many snapshots and branches as the node allows, or this is a branch.
             ForkFailed: the system has no memory for a fork; the episode goes on.
         """
-        return take(self._forking(), self._running(), self._memory.state())
+        return take(self._forking(), self._running(), self._memory)
 
     def branch(self, *, snapshot: Snapshot | None = None, released: bool = False) -> BuildingEnv:
         """Another environment that goes on from this very step on its own, while this one goes on.

@@ -6,11 +6,13 @@ from collections.abc import Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
+from weakref import WeakKeyDictionary
 
 from zenoh import ZError
 
 from agent_sdk.client import Bus
 from agent_sdk.link import ControlLink
+from agent_sdk.memory import EpisodeMemory
 from agent_sdk.sample import SampleView
 from topics.errors import BusError, InvalidConfig, Refused
 from topics.messages import Manifest
@@ -35,6 +37,7 @@ class Snapshot:
     name: str
     sample: SampleView
     remembered: dict[str, Any] = field(repr=False)
+    of_wrappers: WeakKeyDictionary[Any, Any] = field(repr=False)
     closed: bool = False
 
     def check(self, manifest: Manifest) -> None:
@@ -77,15 +80,16 @@ def forking(link: object) -> ControlLink:
     return link
 
 
-def take(link: ControlLink, sample: SampleView, remembered: dict[str, Any]) -> Snapshot:
-    """Keeps where a node stands, at `sample`, and what its environment has `remembered`.
+def take(link: ControlLink, sample: SampleView, memory: EpisodeMemory[Any]) -> Snapshot:
+    """Keeps where a node stands, at `sample`, and the memory of its environment and of the wrappers around it.
 
     Raises:
         Refused: no episode runs; there are as many snapshots and branches as the node allows; or it is a branch.
         ForkFailed: the system has no memory for a fork; the episode goes on.
     """
     node, bus = link.manifest.node, link.bus
-    return Snapshot(bus, node, link.manifest.instance, bus.snapshot(node, link.name).snapshot, sample, remembered)
+    name = bus.snapshot(node, link.name).snapshot
+    return Snapshot(bus, node, link.manifest.instance, name, sample, memory.state(), memory.of_wrappers())
 
 
 def asked_for(options: Mapping[str, Any], manifest: Manifest, others: Collection[str] = ()) -> Snapshot | None:

@@ -95,6 +95,7 @@ class BuildingVectorEnv(Named, VectorEnv[Observations, Any, NDArray[Any]]):
                 Limits(manifest, num_envs) if manifest.task.terminate else None,
                 [{} for _ in range(num_envs)],
             )
+            self.wrappers = self._memory.wrappers
             self._histories = [History(manifest) for _ in range(num_envs)] if render_mode == "rgb_array" else []
             if render_mode == "rerun":
                 self._hold.watch()
@@ -184,7 +185,7 @@ class BuildingVectorEnv(Named, VectorEnv[Observations, Any, NDArray[Any]]):
         link = forking(self.link)
         if self._frame is None or self._over.any():
             raise EpisodeChanged("call reset() first: each slot must be in an episode")
-        return take(link, self._frame.sample, self._memory.state())
+        return take(link, self._frame.sample, self._memory)
 
     # Timesteps
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import packs
 import pytest
-from forking import FOUR, KINDS, SMALL, episode, go, kill, make, new_engine, plan, row, same
+from forking import DAY, FOUR, KINDS, SMALL, episode, go, kill, make, new_engine, plan, row, same
 from nodes import SMALL as SMALL_NODE
 from nodes import NodeProgram, until, within
 
@@ -370,4 +371,53 @@ def test_wrappers_know_where_a_snapshot_stands(scratch: Path) -> None:
         for _ in range(7):
             env.step([20.0, 25.0])
         np.testing.assert_array_equal(env.reset(options={"snapshot": kept})[0], seen)
+    env.close()
+
+
+@pytest.mark.parametrize("slots", [0, 3])
+def test_wrappers_remember_what_they_did(slots: int, scratch: Path) -> None:
+    """Moved setpoints, what was observed before, the errors of forecasts; a log counts the steps that were taken."""
+    own: Any = w.vector if slots else w
+    how: Any = {"vectorization_mode": "vector_entry_point", **DAY, **FOUR}
+    env: Any = gym.make_vec(SMALL, num_envs=slots, **how) if slots else make(**FOUR)
+    increments, initial = {"heating_setpoint": 1.0, "cooling_setpoint": [1.0, 0.5]}, [20.0, 25.0]
+    env = own.IncrementalAction(env, increments, dict(zip(increments, initial, strict=True)))
+    env = own.PreviousObservation(env, ["core_zn_air_temperature"])
+    env = own.WeatherForecast(env, ["dry_bulb_temperature"], n=2, errors={"dry_bulb_temperature": 2.0})
+    env = own.TensorBoardLog(env, scratch / "log", every=1000)
+    env.reset(seed=1)
+    env.action_space.seed(1)
+    actions = [env.action_space.sample() for _ in range(30)]
+    for action in actions[:10]:
+        stood = env.step(action)
+    with env.unwrapped.snapshot() as kept:
+        straight = [env.step(action) for action in actions[10:20]]
+        for other in (actions[20:], actions[:3]):
+            for action in other:
+                env.step(action)
+            np.testing.assert_array_equal(env.reset(options={"snapshot": kept})[0], stood[0])
+            for action, expected in zip(actions[10:20], straight, strict=True):
+                got = env.step(action)
+                np.testing.assert_array_equal(got[0], expected[0])
+                np.testing.assert_array_equal(got[1], expected[1])
+        assert env.get_state()["slots"][0] == {"steps": (10 + 10 + 10 + 10 + 3 + 10) * max(slots, 1)}
+        late = own.PreviousObservation(env, ["outdoor_temperature"])  # not there when the snapshot was taken
+        seen = late.reset(options={"snapshot": kept})[0]
+        np.testing.assert_array_equal(seen[..., :-1], stood[0])
+        np.testing.assert_array_equal(seen[..., -1], stood[0][..., late.observation_names.index("outdoor_temperature")])
+    env.close()
+
+
+def test_what_is_given_of_an_observation_is_the_callers(scratch: Path) -> None:
+    """Also if it is changed in place, as some scalers do."""
+    env: Any = w.PreviousObservation(make(**FOUR), ["core_zn_air_temperature"])
+    env.reset(seed=1)
+    seen = env.step([20.0, 25.0])[0]
+    stood = seen.copy()
+    with env.unwrapped.snapshot() as kept:
+        seen[:] = 0.0
+        for _ in range(2):
+            again = env.reset(options={"snapshot": kept})[0]
+            np.testing.assert_array_equal(again, stood)
+            again[:] = 0.0
     env.close()

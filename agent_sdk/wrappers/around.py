@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 import inspect
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
+from weakref import WeakSet
 
 import gymnasium as gym
 import numpy as np
@@ -15,6 +17,7 @@ from gymnasium.vector.utils import batch_space
 from gymnasium.wrappers.utils import create_zero_array
 from numpy.typing import ArrayLike, NDArray
 
+from agent_sdk.snapshot import Snapshot
 from agent_sdk.wrappers.core import Core, Infos, Start, Step, Values, View
 from agent_sdk.wrappers.names import action_names_of, names_of
 from topics.errors import InvalidConfig
@@ -25,6 +28,8 @@ class _Around(RecordConstructorArgs):
 
     core: ClassVar[type[Core]]
     env: Any
+    _core: Core
+    _seen: Values
 
     def __init_subclass__(cls, **more: Any) -> None:
         super().__init_subclass__(**more)
@@ -42,6 +47,9 @@ class _Around(RecordConstructorArgs):
         if self._core.reward_space is not None:
             self.reward_space = self._core.reward_space
             self.reward_dim = self._core.reward_space.shape[0]
+        wrappers = getattr(env.unwrapped, "wrappers", None)
+        if isinstance(wrappers, WeakSet):
+            wrappers.add(self)
 
     @property
     def observation_names(self) -> tuple[str, ...]:
@@ -60,6 +68,18 @@ class _Around(RecordConstructorArgs):
     def let_go(self) -> None:
         """Closes the wrapper alone; twice is fine."""
         self._core.close()
+
+    def remembered(self) -> tuple[list[dict[str, Any]], Values]:
+        """What a snapshot keeps of it: what its core remembers, and the observations that it gave last."""
+        return copy.deepcopy(self._core.get_state()), self._seen.copy()
+
+    def _go_back(self, options: Mapping[str, Any] | None) -> None:
+        """At a snapshot that was taken with this wrapper around it remembers and gives what it did there."""
+        snapshot = (options or {}).get("snapshot")
+        if self._core.goes_back and isinstance(snapshot, Snapshot) and self in snapshot.of_wrappers:
+            state, seen = snapshot.of_wrappers[self]
+            self._core.set_state(state)
+            self._seen = seen.copy()
 
     def get_state(self) -> dict[str, Any]:
         """What the wrapper remembers, as plain values: `{"slots": [...]}`."""
@@ -91,14 +111,16 @@ class Single(gym.Wrapper[Any, Any, Any, Any], _Around):
             self.observation_space = core.observation_space
         if core.action_space is not None:
             self.action_space = core.action_space
+        self._seen = np.zeros((1, *_shape(self.observation_space)), np.float32)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """See `gymnasium.Env.reset`."""
         observation, info = self.env.reset(seed=seed, options=options)
         row = np.asarray(observation)[None]
         seeds = None if seed is None else [seed]
-        told = self._core.start(Start([0], row, Infos(info), seeds))
-        return told[0], self._told(info)
+        self._seen = self._core.start(Start([0], row, Infos(info), seeds))
+        self._go_back(options)
+        return self._seen[0].copy(), self._told(info)
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """See `gymnasium.Env.step`."""
@@ -108,8 +130,9 @@ class Single(gym.Wrapper[Any, Any, Any, Any], _Around):
         ends = np.array([terminated or truncated])
         row, rewards = np.asarray(observation)[None], np.array([reward])
         seen, rewards = self._core.step(Step([0], row, rewards, ends, Infos(info), given))
+        self._seen = seen
         told = reward if self._core.reward_space is None else rewards[0]
-        return seen[0], told, terminated, truncated, self._told(info)
+        return seen[0].copy(), told, terminated, truncated, self._told(info)
 
     def _told(self, info: dict[str, Any]) -> dict[str, Any]:
         if not self._core.added:
@@ -151,7 +174,9 @@ class Vector(VectorWrapper[Any, Any, Any, Any, Any], _Around):
         observations, infos = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]  # as Gymnasium's own
         slots = np.flatnonzero(mask).tolist()
         self._over = self._over & ~mask
-        return self._start(slots, observations, infos, None if every is None else [every[i] for i in slots])
+        _, infos = self._start(slots, observations, infos, None if every is None else [every[i] for i in slots])
+        self._go_back(options)
+        return self._seen.copy(), infos
 
     def _start(
         self, slots: list[int], observations: Values, infos: dict[str, Any], seeds: Sequence[int | None] | None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from datetime import datetime
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from gymnasium.spaces import Box, Space
@@ -145,7 +145,10 @@ class Core:
         observation_space, action_space, reward_space: of one slot; None if unchanged.
         observation_names, action_names: the same.
         added: what goes into the infos after a `start` or `step`, by key and name, a value for each row.
+        goes_back: whether it remembers again, at a snapshot, what it remembered there.
     """
+
+    goes_back: ClassVar[bool] = True
 
     def __init__(self, view: View) -> None:
         self.view = view

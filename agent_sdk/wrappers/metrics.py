@@ -79,6 +79,8 @@ class MeansLog(Core):
         count, total = episode.counts["reward"], episode.sums["reward"]
         self.write(episode.means("episode") | {"episode/return": total, "episode/steps": float(count)}, self.steps)
 
+    goes_back = False  # steps that were taken were taken
+
     def get_state(self) -> list[dict[str, Any]]:
         """The number of steps, so that a training that goes on goes on counting."""
         return [{"steps": self.steps} for _ in range(self.view.slots)]
