@@ -103,7 +103,7 @@ class RerunStream:
         self._session = session
         self._nodes: dict[str, _Node] = {}
         self._all = node == "*"
-        self._came: dict[str, float] = {}  # nodes that have said nothing yet, and since when they are there
+        self._came: dict[str, float] = {}  # nodes that have sent no sample yet, and since when they are there
         self._passed_over: set[str] = set()  # branches, which come and go by the hundred, unless one is asked for
         self._close = ExitStack()
         self.recording = rr.RecordingStream("zenostat")
@@ -143,16 +143,15 @@ class RerunStream:
         messages = []
         while (message := self._inbox.try_recv()) is not None:
             messages.append(message)
-        took = self._look_around(heard={keys.node_of(str(m.key_expr)) for m in messages})
-        took += sum(map(self._take, messages))
+        self._look_around()
+        took = sum(map(self._take, messages)) + self._ask_silent()
         for node in self._nodes.values():
             self._log(node)
         self.samples += took
         return took
 
-    def _look_around(self, heard: set[str]) -> int:
-        """Meets silent nodes that have come, with the sample that they stand at, and notes those that have gone."""
-        took, now_s = 0, time.monotonic()
+    def _look_around(self) -> None:
+        """Notes nodes that have come and those that have gone."""
         while (token := self._tokens.try_recv()) is not None:
             if token.kind == zenoh.SampleKind.DELETE:
                 self.left = True
@@ -163,9 +162,13 @@ class RerunStream:
             if known is not None and known.manifest.instance != keys.last_of(key):
                 self._log(known)  # it has started again, and counts from nought
                 del self._nodes[name]
-            self._came.setdefault(name, now_s)
+            self._came.setdefault(name, time.monotonic())
+
+    def _ask_silent(self) -> int:
+        """Takes the sample that nodes stand at which have come and have sent none."""
+        took, now_s = 0, time.monotonic()
         for name, since_s in [*self._came.items()]:
-            if name in heard or name in self._nodes or name in self._passed_over:
+            if name in self._nodes or name in self._passed_over:
                 del self._came[name]
             elif now_s - since_s > 3 * PERIOD_S:  # no batch comes
                 del self._came[name]

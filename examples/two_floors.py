@@ -13,6 +13,7 @@ import collections
 import threading
 
 import agent_sdk
+from agent_sdk.sample import SampleView
 
 HALVES = {
     "north": ["core_zn_cooling_setpoint", "perimeter_zn_3_cooling_setpoint", "perimeter_zn_4_cooling_setpoint"],
@@ -29,8 +30,16 @@ asked = parser.parse_args()
 def control(link: agent_sdk.ControlLink, half: str) -> None:
     """One half's controller: the node waits for both."""
     for sample in link:
+        if half == "north":
+            supervise(link.bus, sample)  # before the answer: no timestep passes meanwhile
         open_ = 6 <= sample.time.hour < 19
         sample.send(dict.fromkeys(HALVES[half], COOL[half] if open_ else 29.0))
+
+
+def supervise(bus: agent_sdk.Bus, sample: SampleView) -> None:
+    """A price peak: the supervisor has the core drift for an hour."""
+    if sample.time.hour == 15 and sample.time.minute == 0:
+        bus.write(asked.node, "core_zn_cooling_setpoint", 28.0, priority=8, for_s=3600, source="supervisor")
 
 
 with agent_sdk.connect(asked.connect) as bus, bus.listen(asked.node) as samples:
@@ -40,8 +49,6 @@ with agent_sdk.connect(asked.connect) as bus, bus.listen(asked.node) as samples:
         thread.start()
     ruled = collections.Counter()
     for sample in samples:
-        if sample.time.hour == 15 and sample.time.minute == 0:  # a price peak: the supervisor has the core drift
-            bus.write(asked.node, "core_zn_cooling_setpoint", 28.0, priority=8, for_s=3600, source="supervisor")
         ruled.update(f"{name} by {who.partition('-')[0]}" for name, who in sample.ruled_by.items() if who)
         if sample.truncated:
             break

@@ -11,7 +11,7 @@ import gymnasium as gym
 import numpy as np
 import psutil
 import pytest
-from nodes import engines_of, until
+from nodes import engines_of, runs, until
 
 import agent_sdk  # noqa: F401  # registers the environments
 from agent_sdk.environment import BuildingEnv
@@ -102,7 +102,7 @@ def new_engine(env: BuildingEnv, make_one: Callable[[], Any]) -> tuple[Any, psut
 def kill(process: psutil.Process) -> None:
     """Kills, and waits until it is no more than a zombie at most."""
     process.kill()
-    until(lambda: not process.is_running() or process.status() == psutil.STATUS_ZOMBIE, f"{process.pid} has ended")
+    until(lambda: not runs(process), f"{process.pid} has ended")
 
 
 _NODE_STARTS_THEM = """

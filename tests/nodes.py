@@ -118,6 +118,7 @@ class NodeProgram:
 
     def kill(self) -> None:
         """Kills it, waits until its engines have seen that and ended, and clears what a killed node cannot clear."""
+        self.process.send_signal(signal.SIGSTOP)  # so that it starts no more
         engines = psutil.Process(self.pid).children()
         self.process.kill()
         self.process.wait()
@@ -147,6 +148,14 @@ def command_of(process: psutil.Process) -> list[str]:
         return process.cmdline()
     except psutil.Error:
         return []
+
+
+def runs(process: psutil.Process) -> bool:
+    """Whether it has not ended; one that nobody has waited for has."""
+    try:
+        return bool(process.status() != psutil.STATUS_ZOMBIE)
+    except psutil.NoSuchProcess:
+        return False
 
 
 def engine_of(node_pid: int) -> psutil.Process:

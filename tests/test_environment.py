@@ -16,7 +16,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from nodes import COOLING, SMALL, ZONES, NodeProgram, free_port, remains
+from nodes import COOLING, SMALL, ZONES, NodeProgram, free_port, remains, until
 
 import agent_sdk
 from agent_sdk.rewards import LinearReward
@@ -188,6 +188,7 @@ def test_no_actuators_is_the_buildings_own_control() -> None:
             seen.append(observation)
     with make() as free, agent_sdk.connect(free.unwrapped.own_node.endpoint, affinity="off") as bus:
         free.unwrapped.link.close()
+        until(lambda: bus.controllers() == [], "the environment has let go")
         with bus.controller("building") as link:
             released = [sample.values.astype(np.float32) for sample in link]  # commands nothing
     assert np.array(seen).tobytes() == np.array(released).tobytes()

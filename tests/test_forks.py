@@ -11,7 +11,7 @@ import packs
 import psutil
 import pytest
 from forking import KINDS, SMALL, engines, make
-from nodes import until, within
+from nodes import runs, until, within
 
 from agent_sdk.environment import BuildingEnv
 from topics.errors import EngineDied
@@ -82,11 +82,11 @@ def test_without_the_waiting_engine_the_next_one_is_started(scratch: Path) -> No
     env = make(SMALL)
     _, expected = play(env)
     env.reset()
-    waiting, running = engines(env)
+    waiting, running = until(lambda: len(found := engines(env)) == 2 and found, "the former engine has ended")
     env.action_space.seed(11)
     env.step(env.action_space.sample())
     waiting.kill()
-    until(lambda: not waiting.is_running() or waiting.status() == psutil.STATUS_ZOMBIE, "the engine has ended")
+    until(lambda: not runs(waiting), "the engine has ended")
     assert running.is_running()
     ended = False
     while not ended:
@@ -154,7 +154,7 @@ def test_an_engine_ahead_that_died_is_started_again(scratch: Path) -> None:
     env.step([20.0, 25.0])
     ahead = until(lambda: len(found := engines(env)) == 2 and found[-1], "the next engine is there")
     ahead.kill()
-    until(lambda: not ahead.is_running() or ahead.status() == psutil.STATUS_ZOMBIE, "it has ended")
+    until(lambda: not runs(ahead), "it has ended")
     _, info = env.reset()
     assert (info["weather"], info["start"]) == ("USA_FL_Miami", "started")
     env.close()

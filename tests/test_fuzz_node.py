@@ -199,14 +199,14 @@ def test_what_may_change_nothing_changes_nothing(scratch: Path) -> None:
                     fuzzer.tell()
                     assert day(link) == quiet
                     warm = warm or size(node.pid)
-            status = bus.status("office")
-            assert status.rejected > 20
             told = [codec.decode(Event, e.payload.to_bytes()) for e in iter(events.try_recv, None)]
+            status = bus.status("office")  # after them: what is told has been counted
+            assert status.rejected > 20
             refusals = [event for event in told if event.kind is EventKind.REJECTED]
             assert any("not msgpack" in event.text for event in refusals)
             assert len(refusals) <= status.rejected
         until(lambda: size(node.pid)[0] <= warm[0] + 5, "descriptors are given back")
-        assert size(node.pid)[1] <= warm[1] + 3
+        until(lambda: size(node.pid)[1] <= warm[1] + 3, "threads have ended")
         assert size(node.pid)[2] < warm[2] + 300  # Zenoh keeps buffers of the 64 MB messages
         assert day(link) == quiet
 
@@ -220,16 +220,15 @@ def test_what_may_change_something_leaves_the_node_in_order(scratch: Path) -> No
                 fuzzer.tell()
                 fuzzer.line()
                 assert bus.status("office").node == "office"
-        # Whoever the fuzzer was has gone; what is left of it is put right by requests.
-        for verb, fields in (
-            (keys.FAULTS, {"faults": []}), (keys.RESUME, {}), (keys.PACE, {"mode": "lockstep"}), (keys.RESET, {}),
-        ):  # fmt: skip
-            for reply in bus.session.get(verb.at("office"), payload=msgpack.packb(fields), timeout=60):
-                assert str(reply.ok.encoding) == "application/msgpack;zenostat/1.Accepted"
-        until(lambda: bus.status("office").state is State.WAITING, "the node waits again")
-        until_quiet(bus.session)
-        for _ in bus.session.get(keys.RESET.at("office"), payload=msgpack.packb({}), timeout=60):
-            pass  # and what it claimed by a request that came late is forgotten
+        # Whoever the fuzzer was has gone; what is left of it is put right by requests, and once more after its last.
+        for _ in range(2):
+            for verb, fields in (
+                (keys.FAULTS, {"faults": []}), (keys.RESUME, {}), (keys.PACE, {"mode": "lockstep"}), (keys.RESET, {}),
+            ):  # fmt: skip
+                for reply in bus.session.get(verb.at("office"), payload=msgpack.packb(fields), timeout=60):
+                    assert str(reply.ok.encoding) == "application/msgpack;zenostat/1.Accepted"
+            until(lambda: bus.status("office").state is State.WAITING, "the node waits again")
+            until_quiet(bus.session)
         with bus.controller("office", level=2) as link:
             assert len(day(link)) == 97
     assert node.process.returncode == 0

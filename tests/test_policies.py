@@ -8,7 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -242,9 +242,9 @@ def test_abort_is_told_to_the_other_controller_and_a_reset_begins_anew(scratch: 
     with (
         office(scratch, policy="abort", **silent) as (node, bus),
         Program(TOLD_WHAT_TO_SEND, node.endpoint, "south", *SOUTH) as south,
+        nullcontext(south.line()) as name,  # before the other one joins, which begins the step's time
         bus.controller("office", name="north", actuators=NORTH) as north,
     ):
-        name = south.line()
         assert south.json() == 0
         south.tell("26")
         north.current().send(dict.fromkeys(NORTH, 25.0))

@@ -231,6 +231,7 @@ def test_a_monitor_s_attacks_leave_the_day_as_it_is(
 
         before = watcher.status("office")
         with hearing(watcher.session, keys.EVENT.at("office")) as events:
+            assert ask(watcher.session, keys.STATUS), "the node knows of the subscription"
             assert day(link, attack) == quiet
             told = [codec.decode(Event, payload) for payload in before_fence(bus, events)]
         after = bus.status("office")
@@ -245,6 +246,7 @@ def test_the_same_attacks_work_with_a_controller_s_certificate(
     node: NodeProgram, pki: Path, bus: agent_sdk.Bus
 ) -> None:
     with raw(node.endpoint, pki, "second") as session, hearing(bus.session, keys.EVENT.at("office")) as events:
+        assert ask(bus.session, keys.STATUS), "the node knows of the subscription"
         codec.decode(Accepted, ask(session, keys.CLAIM, Claim(controller="thief", level=1, required=False))[0])
         episode = codec.decode(Accepted, ask(session, keys.RESET, Reset(controller="thief"))[0]).episode
         session.put(keys.ACTUATOR.at("office", name=POINT), codec.encode(Write(value=29.0, source="thief")))

@@ -11,12 +11,11 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import packs
-import psutil
 import pytest
 import yaml
 from forking import kill
 from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
-from nodes import SMALL, NodeProgram, engines_of, until
+from nodes import SMALL, NodeProgram, engines_of, runs, until
 from numpy.typing import NDArray
 
 import agent_sdk
@@ -670,9 +669,7 @@ def _until_reaped(env: BuildingVectorEnv, count: int) -> None:
     """Its node has had every occasion to see that engines have ended: their processes are over, and it was asked."""
     assert env.own_node is not None
     own = env.own_node.pid
-    until(
-        lambda: len([e for e in engines_of(own) if e.status() != psutil.STATUS_ZOMBIE]) <= count, "engines have ended"
-    )
+    until(lambda: len([engine for engine in engines_of(own) if runs(engine)]) <= count, "engines have ended")
     for _ in range(3):
         env.link.weather(["dry_bulb_temperature"])
 

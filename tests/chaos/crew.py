@@ -37,6 +37,7 @@ class Member:
         self._log, self._popen = log, popen
         self._lock = threading.RLock()
         self._process: subprocess.Popen[str] | None = None
+        self._said_ready: subprocess.Popen[str] | None = None
         self.frozen = False
         self.ended: list[str] = []
         self.lost = 0
@@ -58,6 +59,13 @@ class Member:
                 self._process = subprocess.Popen(
                     self._command, env=environment(), text=True, stderr=log, process_group=0, **self._popen
                 )
+
+    def await_ready(self) -> None:
+        """Until its program has said its first line, that it is ready; at once if that was heard before."""
+        if self._said_ready is not self.process:
+            assert self.process.stdout is not None
+            self.process.stdout.readline()
+            self._said_ready = self.process
 
     @property
     def up(self) -> bool:

@@ -120,8 +120,7 @@ class Chaos:
         self._close.callback(hears.undeclare)
         where = {"endpoint": self.node.endpoint, "node": self.node.name}
         self.recorder = self._member("monitor", "recorder", where | {"record": str(self.outcome.record)})
-        assert self.recorder.process.stdout is not None
-        self.recorder.process.stdout.readline()  # it listens
+        self.recorder.await_ready()
         self.listener = self._member("monitor", "listener", where | {"record": None})
         self.flooder = self._member(
             "flooder", "flooder", where | {"journal": str(self.outcome.floods)}, stdin=subprocess.PIPE
@@ -283,6 +282,7 @@ class Chaos:
         for member in (*self.controllers.values(), self.listener):
             member.thaw()
             member.start()
+        self.listener.await_ready()
         assert self.flooder.process.stdin is not None
         self.flooder.process.stdin.close()
         self._expect(self.flooder, "the flooder", 0)
