@@ -89,7 +89,7 @@ class Engine:
         self.live = False  # after the warm-up
         self.finishing = False
         self.forked, self.forks = False, 0
-        self.saturation: SaturationCache | None = None
+        self.saturation = SaturationCache.fold(self.state)
         self.out = array("d", [0.0]) * (2 + len(spec["sensors"]) + len(spec["meters"]) + len(spec["feedback"]))
         self.command = array("d", [0.0]) * (2 + len(spec["actuators"]))
         self.command_bytes = memoryview(self.command).cast("B")
@@ -228,7 +228,6 @@ class Engine:
     def _on_warm(self, state: int) -> None:
         if self.near and not self.live:
             self.live = True
-            self.saturation = SaturationCache.fold(state)
             self.totals = self.warm_totals
             self._gather(state)
             self._exchange(state)

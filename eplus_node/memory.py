@@ -23,16 +23,22 @@ _mmap.restype = ctypes.c_void_p
 _mmap.argtypes = (ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int, ctypes.c_int, ctypes.c_int, ctypes.c_long)
 _madvise.argtypes = (ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int)
 _free.restype, _free.argtypes = None, (ctypes.c_void_p,)
+_memcmp = _LIBC.memcmp
+_memcmp.argtypes = (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_size_t)
 _malloc_usable_size.restype, _malloc_usable_size.argtypes = ctypes.c_size_t, (ctypes.c_void_p,)
 
 _SLOTS = 1 << 20
 """Entries of each of EnergyPlus's psychrometric caches."""
+_HEAD = 8
+"""The pointer of its class."""
 _WET_BULB = _SLOTS * 32
 _SATURATION = _SLOTS * 16
-_OTHERS = _SLOTS * (24 + 24)
-_HEAD = 8
-"""The pointer of its class, before the first cache."""
-_CACHES = _HEAD + _WET_BULB + _SATURATION + _OTHERS
+_BY_PRESSURE = _SLOTS * 24
+_PRECISION = 8
+"""A setting of the cache before it."""
+_BY_ENTHALPY = _SLOTS * 24
+_BLOCK = _HEAD + _WET_BULB + _SATURATION + _BY_PRESSURE + _PRECISION + _BY_ENTHALPY
+_PRECISION_AT = _HEAD + _WET_BULB + _SATURATION + _BY_PRESSURE
 _MALLOC_HEAD, _MMAPPED = 16, 2
 _NOTHING_YET = -1000
 """The key of an entry that has never been used."""
@@ -52,8 +58,9 @@ class SaturationCache:
     not hold for the other three caches, which stay as they are: saturation temperatures are computed from what was
     asked for first, and wet-bulb temperatures with their help.
 
-    EnergyPlus has the four in one block that does not begin at a page's boundary, so the block is moved. EnergyPlus
-    could not give it back from there; an engine leaves without that.
+    EnergyPlus has the four in one block that does not begin at a page's boundary, so another block takes its place,
+    before anything is simulated: then there is nothing to copy. EnergyPlus could not give that one back; an engine
+    leaves without that.
     """
 
     def __init__(self, begin: int) -> None:
@@ -61,30 +68,24 @@ class SaturationCache:
 
     @classmethod
     def fold(cls, state: int) -> SaturationCache | None:
-        """Moves and folds what EnergyPlus has in the simulation `state`; None if it is not there as expected."""
+        """Folds that of a simulation that has not begun, by its state; None if it is not there as expected."""
         found = list(_blocks(state)) if sys.platform.startswith("linux") else []
-        if len(found) != 1 or not _is_cache(found[0][1] + _HEAD + _WET_BULB):
+        if len(found) != 1 or not _is_unused(found[0][1]):
             return None
         place, old = found[0]
         try:
-            cache = cls._moved(old)
+            room = _map(None, _BLOCK + 2 * _HUGE_PAGE, mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS, -1)
+            first = (room // _HUGE_PAGE + 1) * _HUGE_PAGE  # of the first cache: a page is before it, for the head
+            _advise(first, first - _HEAD + _BLOCK, mmap.MADV_HUGEPAGE)
+            cache = cls(first + _WET_BULB)
+            cache.renew()
         except OSError:
             return None  # no room: it stays where it is
-        ctypes.c_void_p.from_address(place).value = cache.begin - _WET_BULB - _HEAD
+        new = first - _HEAD
+        for at, length in ((0, _HEAD), (_PRECISION_AT, _PRECISION)):  # the rest is nought
+            ctypes.memmove(new + at, old + at, length)
+        ctypes.c_void_p.from_address(place).value = new
         _free(old)
-        return cache
-
-    @classmethod
-    def _moved(cls, old: int) -> SaturationCache:
-        whole = _CACHES - _HEAD
-        room = _map(None, _HUGE_PAGE + whole + _HUGE_PAGE, mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS, -1)
-        first = (room // _HUGE_PAGE + 1) * _HUGE_PAGE  # of the first cache: a page is before it, for the head
-        _advise(first, whole, mmap.MADV_HUGEPAGE)
-        cache = cls(first + _WET_BULB)
-        cache.renew()
-        ctypes.memmove(first - _HEAD, old, _HEAD + _WET_BULB)
-        behind = _WET_BULB + _SATURATION
-        ctypes.memmove(first + behind, old + _HEAD + behind, _OTHERS)
         return cache
 
     def renew(self) -> None:
@@ -105,7 +106,7 @@ class SaturationCache:
 
 def _blocks(state: int) -> Iterator[tuple[int, int]]:
     """Places in EnergyPlus's state that point to a block of the caches' size, and that block."""
-    chunk = -(-(_CACHES + _MALLOC_HEAD) // _PAGE) * _PAGE
+    chunk = -(-(_BLOCK + _MALLOC_HEAD) // _PAGE) * _PAGE
     regions = list(_anonymous())
     for place in range(state, state + _malloc_usable_size(state), 8):
         block = ctypes.c_uint64.from_address(place).value
@@ -116,12 +117,24 @@ def _blocks(state: int) -> Iterator[tuple[int, int]]:
             yield place, block
 
 
-def _is_cache(begin: int) -> bool:
-    """Whether entries of saturation pressures are there: each at the place that its key says."""
-    words = (ctypes.c_int64 * (2 * _SLOTS)).from_address(begin)
-    sample = zip(range(0, _SLOTS, 16), words[::32], strict=True)
-    used = [key % _SLOTS == place for place, key in sample if key != _NOTHING_YET]
-    return bool(used) and all(used)
+def _is_unused(block: int) -> bool:
+    """Whether the block is as EnergyPlus makes it, to the byte: nought but for head, setting and unused keys."""
+    saturation = block + _HEAD + _WET_BULB
+    behind, setting = saturation + _SATURATION, block + _PRECISION_AT
+    end = block + _malloc_usable_size(block)
+    return (
+        _repeats(block + _HEAD, saturation, (0,))
+        and _repeats(saturation, behind, (_NOTHING_YET, 0))
+        and _repeats(behind, setting, (0,))
+        and _repeats(setting + _PRECISION, end, (0,))
+    )
+
+
+def _repeats(begin: int, end: int, words: tuple[int, ...]) -> bool:
+    """Whether some memory is these 64-bit words again and again."""
+    length = 8 * len(words)
+    first = (ctypes.c_int64 * len(words)).from_address(begin)
+    return tuple(first) == words and _memcmp(begin, begin + length, end - begin - length) == 0
 
 
 def join_pages() -> None:
@@ -132,9 +145,7 @@ def join_pages() -> None:
     does not know it, which makes no difference but that.
     """
     for begin, end in _anonymous():
-        first, length = _whole(begin, end - begin, _HUGE_PAGE)
-        if length:
-            _advise(first, length, _MADV_COLLAPSE)
+        _advise(begin, end, _MADV_COLLAPSE)
 
 
 def _anonymous() -> Iterator[tuple[int, int]]:
@@ -153,12 +164,8 @@ def _map(address: int | None, length: int, flags: int, descriptor: int) -> int:
     return int(begin)
 
 
-def _whole(begin: int, length: int, page: int) -> tuple[int, int]:
-    """The whole pages of a stretch: where the first begins, and their length."""
-    first = -(-begin // page) * page
-    return first, max(0, (begin + length) // page * page - first)
-
-
-def _advise(begin: int, length: int, advice: int) -> None:
-    """Tells the kernel of the whole pages of a stretch; it may not know the advice."""
-    _madvise(*_whole(begin, length, _PAGE), advice)
+def _advise(begin: int, end: int, advice: int) -> None:
+    """Tells the kernel of the huge pages that lie within; it may not know the advice."""
+    first, last = -(-begin // _HUGE_PAGE) * _HUGE_PAGE, end // _HUGE_PAGE * _HUGE_PAGE
+    if first < last:
+        _madvise(first, last - first, advice)

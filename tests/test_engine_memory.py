@@ -8,7 +8,7 @@ from __future__ import annotations
 import ctypes
 import mmap
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import psutil
 import pytest
@@ -16,11 +16,13 @@ from forking import SMALL, engines, make
 
 from eplus_node.memory import SaturationCache
 
-SLOTS, WET_BULB, SATURATION, OTHERS = 1 << 20, 1 << 25, 1 << 24, 3 << 24
+SLOTS, HEAD, WET_BULB, SATURATION, BY_PRESSURE, SETTING, BY_ENTHALPY = 1 << 20, 8, 1 << 25, 1 << 24, 3 << 23, 8, 3 << 23
+SETTING_AT = HEAD + WET_BULB + SATURATION + BY_PRESSURE
+BLOCK = SETTING_AT + SETTING + BY_ENTHALPY
 NOTHING_YET = -1000
 
 libc = ctypes.CDLL(None)
-libc.malloc.restype, libc.malloc.argtypes = ctypes.c_void_p, (ctypes.c_size_t,)
+libc.calloc.restype, libc.calloc.argtypes = ctypes.c_void_p, (ctypes.c_size_t, ctypes.c_size_t)
 libc.free.argtypes = (ctypes.c_void_p,)
 libc.munmap.argtypes = (ctypes.c_void_p, ctypes.c_size_t)
 
@@ -32,29 +34,19 @@ def _words(begin: int, length: int) -> ctypes.Array[ctypes.c_int64]:
 
 
 class Laid:
-    """EnergyPlus's state and its caches as it lays them out: a pointer of a class, wet-bulb, saturation, two others.
-
-    Entries of saturation pressures are of the temperatures 20.0 to 20.9 degC: key, then pressure.
-    """
+    """EnergyPlus's state and its caches as it lays them out before a run: the pointer of a class, wet-bulb, saturation,
+    by pressure, a setting of that one, by enthalpy."""
 
     def __init__(self) -> None:
-        self.state = libc.malloc(4096)
-        self.block = libc.malloc(8 + WET_BULB + SATURATION + OTHERS)
+        self.state = libc.calloc(1, 4096)
+        self.block = libc.calloc(1, BLOCK)
         self.pointers = _words(self.state, 4096)
         self.pointers[:] = [0, self.state, 1 << 62, *range(509)]
         self.pointers[77] = self.block
-        _words(self.block, 8)[0] = 4711
-        self.saturation = self.block + 8 + WET_BULB
-        words = _words(self.saturation, SATURATION)
-        words[::2] = [NOTHING_YET] * SLOTS
-        for number in range(1000):
-            key = self.key(20.0 + number / 1000)
-            words[2 * (key % SLOTS) : 2 * (key % SLOTS) + 2] = [key, number]
-
-    @staticmethod
-    def key(celsius: float) -> int:
-        """The upper 36 bits of the number."""
-        return ctypes.c_int64.from_buffer(ctypes.c_double(celsius)).value >> 28
+        _words(self.block, HEAD)[0] = 4711
+        _words(self.block + SETTING_AT, SETTING)[0] = 24
+        self.saturation = self.block + HEAD + WET_BULB
+        _words(self.saturation, SATURATION)[::2] = [NOTHING_YET] * SLOTS
 
     def close(self) -> None:
         libc.free(self.block)
@@ -68,20 +60,20 @@ def laid() -> Iterator[Laid]:
     made.close()
 
 
-def test_the_block_is_moved_and_one_cache_of_it_folded(laid: Laid) -> None:
-    _words(laid.block + 8, WET_BULB)[5] = 50
-    _words(laid.saturation + SATURATION, OTHERS)[-1] = 60
+def test_another_block_takes_its_place_with_one_cache_folded(laid: Laid) -> None:
     before = list(laid.pointers)
     cache = SaturationCache.fold(laid.state)
     assert cache is not None
-    laid.block, moved = 0, laid.pointers[77]  # the old one was given back
+    laid.block, new = 0, laid.pointers[77]  # the old one was given back
     assert [place for place, word in enumerate(before) if laid.pointers[place] != word] == [77]
-    assert cache.begin == moved + 8 + WET_BULB
+    assert cache.begin == new + HEAD + WET_BULB
     assert cache.begin % mmap.PAGESIZE == 0, "no entry lies across the boundary of what is folded"
     try:
-        assert _words(moved, 8)[0] == 4711
-        assert _words(moved + 8, WET_BULB)[5] == 50
-        assert _words(cache.begin + SATURATION, OTHERS)[-1] == 60
+        assert _words(new, HEAD)[0] == 4711
+        assert _words(new + SETTING_AT, SETTING)[0] == 24
+        assert not any(_words(new + HEAD, WET_BULB))
+        assert not any(_words(cache.begin + SATURATION, BY_PRESSURE))
+        assert not any(_words(new + SETTING_AT + SETTING, BY_ENTHALPY))
         keys = _words(cache.begin, SATURATION)[::2]
         assert NOTHING_YET in keys[:1]
         assert set(keys) == {NOTHING_YET, 0}, "empty, and at the place of 0 degC no key of 0"
@@ -91,8 +83,9 @@ def test_the_block_is_moved_and_one_cache_of_it_folded(laid: Laid) -> None:
         assert {place % (SATURATION // 8 // 128) for place in shown} == {100}
         cache.renew()
         assert set(_words(cache.begin, SATURATION)[::2]) == {NOTHING_YET, 0}
+        _words(new + SETTING_AT + SETTING, BY_ENTHALPY)[-1] = 60  # there is room for all of it
     finally:
-        libc.munmap(moved + 8 - mmap.PAGESIZE, mmap.PAGESIZE + WET_BULB + SATURATION + OTHERS)
+        libc.munmap(new + HEAD - mmap.PAGESIZE, mmap.PAGESIZE + BLOCK)
 
 
 def _no_pointer(laid: Laid) -> None:
@@ -103,26 +96,39 @@ def _two_pointers(laid: Laid) -> None:
     laid.pointers[78] = laid.block
 
 
-def _never_used(laid: Laid) -> None:
-    _words(laid.saturation, SATURATION)[::2] = [NOTHING_YET] * SLOTS
+def _used(at: int) -> Callable[[Laid], None]:
+    def use(laid: Laid) -> None:
+        _words(laid.block + at, 8)[0] = 1
+
+    return use
 
 
-def _other_places(laid: Laid) -> None:
-    words = _words(laid.saturation, SATURATION)
-    words[::2] = [key + 1 if key != NOTHING_YET else key for key in words[::2]]
+OTHERS = {
+    "no pointer": _no_pointer,
+    "two pointers": _two_pointers,
+    "first wet bulb": _used(HEAD),
+    "last wet bulb": _used(HEAD + WET_BULB - 8),
+    "first key": _used(HEAD + WET_BULB),
+    "last pressure": _used(HEAD + WET_BULB + SATURATION - 8),
+    "first by pressure": _used(HEAD + WET_BULB + SATURATION),
+    "last by pressure": _used(SETTING_AT - 8),
+    "first by enthalpy": _used(SETTING_AT + SETTING),
+    "last by enthalpy": _used(BLOCK - 8),
+    "behind them": _used(BLOCK),
+}
 
 
-@pytest.mark.parametrize("other", [_no_pointer, _two_pointers, _never_used, _other_places])
-def test_what_is_laid_out_otherwise_is_left_alone(laid: Laid, other: object) -> None:
-    other(laid)  # type: ignore[operator]
-    before, words = list(laid.pointers), _words(laid.saturation, SATURATION)[::2]
+@pytest.mark.parametrize("other", OTHERS)
+def test_what_is_laid_out_otherwise_or_used_is_left_alone(laid: Laid, other: str) -> None:
+    OTHERS[other](laid)
+    before, words = list(laid.pointers), bytes(_words(laid.block, BLOCK))
     assert SaturationCache.fold(laid.state) is None
     assert list(laid.pointers) == before
-    assert _words(laid.saturation, SATURATION)[::2] == words
+    assert bytes(_words(laid.block, BLOCK)) == words
 
 
 def test_a_block_of_another_size_is_left_alone(laid: Laid) -> None:
-    other = libc.malloc(8 + WET_BULB + SATURATION + OTHERS + 2 * mmap.PAGESIZE)
+    other = libc.calloc(1, BLOCK + 2 * mmap.PAGESIZE)
     laid.pointers[77] = other
     assert SaturationCache.fold(laid.state) is None
     libc.free(other)
