@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from types import FrameType
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from bridge.handlers import ENDING, handled
 from topics.errors import ZenostatError
 
 out = Console(highlight=False)
@@ -50,13 +49,5 @@ def progress() -> Iterator[Progress]:
 def until_signal() -> Iterator[threading.Event]:
     """An event that Ctrl-C and SIGTERM set, for commands that end in good order."""
     stop = threading.Event()
-
-    def on_signal(number: int, frame: FrameType | None) -> None:  # noqa: ARG001
-        stop.set()
-
-    before = {s: signal.signal(s, on_signal) for s in (signal.SIGINT, signal.SIGTERM)}
-    try:
+    with handled(lambda *_: stop.set(), *ENDING):
         yield stop
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import importlib.util
-import signal
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from typing import Annotated
 
 import typer
 
+from bridge.handlers import ENDING, handled
 from bridge.session import default_endpoint
 from cli.console import out
 from cli.options import CertificateName, Connect, Keys
@@ -40,7 +38,7 @@ def zmq(
     with (
         open_session(connect=[connect], keys=keys, role=Role.CONTROLLER, certificate=certificate) as session,
         Gateway(session, node, publish=publish, command=command, lease_s=lease, expose=expose) as gateway,
-        _signals(gateway.stop),
+        handled(lambda *_: gateway.stop(), *ENDING),
     ):
         of = "all nodes" if node == "*" else node
         where = f"samples on {gateway.publish}, requests to {gateway.command}"
@@ -48,14 +46,3 @@ def zmq(
         gateway.run()
     counts = gateway.counts
     out.print(f"{counts.samples} samples, {counts.requests} requests, {counts.denied} of them denied")
-
-
-@contextmanager
-def _signals(stop: Callable[[], None]) -> Iterator[None]:
-    """Ctrl-C and SIGTERM call `stop`."""
-    before = {s: signal.signal(s, lambda *_: stop()) for s in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

@@ -12,6 +12,7 @@ from pathlib import Path
 from types import FrameType
 
 from bridge import affinity
+from bridge.handlers import ENDING, handled
 from bridge.lockstep import Exchange
 from bridge.session import open_session
 from eplus_node.config import NodeConfig, Plan, plan
@@ -82,12 +83,8 @@ class Node:
 
     def close(self) -> None:
         """Ends the engines, leaves the bus and clears up; twice is fine. Who asks again meanwhile changes nothing."""
-        before = {number: signal.signal(number, signal.SIG_IGN) for number in (signal.SIGINT, signal.SIGTERM)}
-        try:
+        with handled(signal.SIG_IGN, *ENDING):
             self._close.close()
-        finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)
 
     @property
     def manifest(self) -> Manifest:
@@ -235,14 +232,11 @@ class Node:
     def serve(self) -> None:
         """Serves until it is told to stop (by a request, a signal, or its owner's end)."""
         gc.freeze()  # what is loaded by now stays; collections need not look at it
-        handlers = {signal.SIGINT: self._on_signal, signal.SIGTERM: self._on_signal, signal.SIGALRM: self._on_alarm}
-        previous = {number: signal.signal(number, handler) for number, handler in handlers.items()}
-        try:
-            self.runner.serve()
-        finally:
-            signal.setitimer(signal.ITIMER_REAL, 0.0)
-            for number, handler in previous.items():
-                signal.signal(number, handler)
+        with handled(self._on_signal, *ENDING), handled(self._on_alarm, signal.SIGALRM):
+            try:
+                self.runner.serve()
+            finally:
+                signal.setitimer(signal.ITIMER_REAL, 0.0)
 
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
         # Nothing is raised here: it could be anywhere, in the midst of a thread's start as well.

@@ -48,7 +48,7 @@ class _Around(RecordConstructorArgs):
             self.reward_space = self._core.reward_space
             self.reward_dim = self._core.reward_space.shape[0]
         wrappers = getattr(env.unwrapped, "wrappers", None)
-        if isinstance(wrappers, WeakSet):
+        if self._core.goes_back and isinstance(wrappers, WeakSet):
             wrappers.add(self)
 
     @property
@@ -76,7 +76,7 @@ class _Around(RecordConstructorArgs):
     def _go_back(self, options: Mapping[str, Any] | None) -> None:
         """At a snapshot that was taken with this wrapper around it remembers and gives what it did there."""
         snapshot = (options or {}).get("snapshot")
-        if self._core.goes_back and isinstance(snapshot, Snapshot) and self in snapshot.of_wrappers:
+        if isinstance(snapshot, Snapshot) and self in snapshot.of_wrappers:
             state, seen = snapshot.of_wrappers[self]
             self._core.set_state(state)
             self._seen = seen.copy()
