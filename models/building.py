@@ -9,11 +9,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from models import energyplus, versions
+from models import energyplus, idf, schema, versions
 from models.catalog import Entry
 from models.changes import Changes, changed
 from models.period import Period, parse_day, year_of
-from models.store import digest, made
+from models.store import cached_bytes, digest
 from topics.errors import InvalidConfig
 
 Objects = dict[str, dict[str, Any]]
@@ -62,14 +62,27 @@ _SILENT = {
 """Everything that EnergyPlus can leave unwritten, but for `eplusout.err` and `eplusout.end`."""
 
 
+_MOST = 10
+"""How many errors of a model are told."""
+
+_OTHER_PROGRAMS = (
+    "externalinterface",
+    "externalinterface:functionalmockupunitexport",
+    "externalinterface:functionalmockupunitimport",
+    "pythonplugin:instance",
+)
+"""Object types by which a model has another program run within the simulation."""
+
+
 @dataclass(frozen=True)
 class Building:
-    """A model's name, its objects, a key of its content, and what was done to bring it to the engine's version."""
+    """A model: name, objects, key of its content, what was done to bring it to the engine's version, and its file."""
 
     name: str
     objects: dict[str, Objects]
     content: str
     notes: tuple[str, ...] = ()
+    file: str = ""
 
     def find(self, kind: str, name: str) -> dict[str, Any]:
         """The fields of an object, by its type and name in any case; empty if there is none."""
@@ -120,17 +133,43 @@ def read_building(entry: Entry) -> Building:
     name = entry.path.name
     if entry.path.suffix.lower() == ".idf":
         versions.check_idf(raw.decode("latin-1"), name=name)
-        raw = made(
-            f"models/{content}.epJSON", lambda target: energyplus.call("convert", entry.path, target)
-        ).read_bytes()
+        raw = cached_bytes(f"models/{content}.epJSON", lambda target: idf.convert(entry.path, target))
     try:
         objects = json.loads(raw)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise InvalidConfig(f"{entry.path} is no epJSON: {error}") from None
     if not isinstance(objects, dict) or "Building" not in objects:
-        raise InvalidConfig(f"{entry.path} is no epJSON building model: it has no 'Building' object")
+        raise InvalidConfig(f"{entry.path} is no building model: it has no 'Building' object")
     converted = versions.check_epjson(objects, name=name)
-    return Building(entry.name, converted.objects, content, converted.notes)
+    return Building(entry.name, converted.objects, content, converted.notes, str(entry.path))
+
+
+def check_runnable(building: Building) -> None:
+    """Refuse a model that does not fit EnergyPlus's schema, or has other programs run within the simulation.
+
+    The wheel's EnergyPlus is built without Python plugins, and an FMU or a co-simulation server would hold the
+    simulation's clock beside the node. (What came out of an IDF fits the schema: the converter checked it.)
+
+    Raises:
+        InvalidConfig: with all such objects, by type and name.
+    """
+    file = building.file or building.name
+    errors = [] if file.lower().endswith(".idf") else schema.faults(building.objects, complete=True)
+    if errors:
+        more = [f"and {len(errors) - _MOST} more"] if len(errors) > _MOST else []
+        head = f"{file} does not fit EnergyPlus {energyplus.version()}:"
+        raise InvalidConfig("\n  ".join([head, *errors[:_MOST], *more]))
+    found = [
+        f"{kind} {name!r}"
+        for kind, objects in building.objects.items()
+        if kind.casefold() in _OTHER_PROGRAMS
+        for name in objects
+    ]
+    if found:
+        raise InvalidConfig(
+            f"{file} has {', '.join(found)}: FMUs, co-simulation and Python plugins are not "
+            "supported; remove these objects (in a scenario: `changes`, with null for the object)"
+        )
 
 
 def varied(building: Building, changes: Changes) -> Building:
@@ -142,6 +181,7 @@ def varied(building: Building, changes: Changes) -> Building:
         changed(building.objects, changes),
         digest(building.content, json.dumps(changes, sort_keys=True)),
         building.notes,
+        building.file,
     )
 
 

@@ -15,7 +15,7 @@ from typing import Any
 
 from models import energyplus
 from models.building import Objects
-from models.store import digest, made
+from models.store import cached_bytes, digest
 from models.weather import DesignConditions, Header
 from topics.errors import InvalidConfig, ModelRefused
 
@@ -96,11 +96,10 @@ def _read_ddy(path: Path) -> dict[str, Objects]:
     def convert(target: Path) -> None:
         source = target.with_name("ddy.idf")
         source.write_text(text, encoding="utf-8")
-        energyplus.call("convert", source, target)
+        energyplus.call("convert", source, target, file=path)
 
     try:
-        converted = made(f"design-days/{digest(raw, energyplus.version())}.epJSON", convert)
-        return dict(json.loads(converted.read_bytes()))
+        return dict(json.loads(cached_bytes(f"design-days/{digest(raw, energyplus.version())}.epJSON", convert)))
     except (ModelRefused, ValueError) as error:
         raise InvalidConfig(f"{path} cannot be read as design days: {error}") from None
 

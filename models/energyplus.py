@@ -21,8 +21,10 @@ ISOLATED = (sys.executable, "-P", "-m")
 """How a room's program is started: `-P` keeps the caller's folder (and its `models.py`) out of sight."""
 
 
-def call(verb: str, *arguments: str | Path) -> None:
+def call(verb: str, *arguments: str | Path, file: str | Path | None = None) -> None:
     """Runs this module as a program; files are the result.
+
+    `file`: what an error names; the first argument if None.
 
     Raises:
         ModelRefused: with the lines of `eplusout.err` that matter, if the child failed.
@@ -39,7 +41,7 @@ def call(verb: str, *arguments: str | Path) -> None:
     if not Path(arguments[-1]).exists():
         said = (done.stdout or "").strip().splitlines()[-5:]
         fallback = "\n  ".join([f"it ended with {done.returncode} and said:", *said])
-        raise ModelRefused(f"EnergyPlus could not {verb} {arguments[0]}. {explain(folder, fallback)}")
+        raise ModelRefused(f"EnergyPlus could not {verb} {file or arguments[0]}. {explain(folder, fallback)}")
 
 
 @cache

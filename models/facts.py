@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from models import energyplus
 from models.building import Building, Objects, read_building
 from models.catalog import Entry
-from models.store import digest, made
+from models.store import cached_bytes, digest
 from models.survey import Kinds, own_zones, places, texts, zone_names
 from models.weather import read_header
 from topics.errors import InvalidConfig
@@ -99,7 +99,7 @@ def listed_facts(entry: Entry) -> BuildingFacts:
         target.write_text(json.dumps(asdict(building_facts(read_building(entry)))))
 
     key = digest(entry.path.read_bytes(), energyplus.version(), _FORMAT)
-    found: dict[str, Any] = json.loads(made(f"facts/{key}.json", make).read_bytes())
+    found: dict[str, Any] = json.loads(cached_bytes(f"facts/{key}.json", make))
     return BuildingFacts(**found | {"fuels": tuple(found["fuels"])})
 
 

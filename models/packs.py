@@ -18,7 +18,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
-from models.store import drop_folder, made_folder, store
+from models.store import drop_folder, made_folder, stored_folder
 from topics.errors import InvalidConfig, UnknownName, near
 from topics.scenario_ids import pack_ids
 
@@ -117,7 +117,7 @@ def command(name: str) -> str:
 
 def is_installed(name: str) -> bool:
     """Whether the pack is in the store."""
-    return (store() / find_pack(name).stored).is_dir()
+    return stored_folder(find_pack(name).stored) is not None
 
 
 def installed() -> list[Pack]:
@@ -133,8 +133,8 @@ def folder(name: str) -> Path:
         InvalidConfig: it was not added yet; the text has the command.
     """
     pack = find_pack(name)
-    found = store() / pack.stored
-    if not found.is_dir():
+    found = stored_folder(pack.stored)
+    if found is None:
         raise InvalidConfig(f"this needs the data pack {name!r}: {command(name)}")
     return found
 
@@ -169,10 +169,7 @@ def add(name: str, say: Callable[[str], None] | None = None) -> Path:
         if not (target / pack.root).is_dir():
             raise InvalidConfig(f"{pack.requirement} holds no folder {pack.root!r}")
 
-    try:
-        return made_folder(pack.stored, make)
-    except OSError as error:
-        raise InvalidConfig(f"cannot store the data pack in {store()}: {error}") from None
+    return made_folder(pack.stored, make)
 
 
 def remove(name: str) -> bool:

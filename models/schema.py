@@ -23,7 +23,7 @@ from typing import Any
 
 from models import energyplus
 from models.catalog import wheel
-from models.store import made
+from models.store import cached_bytes
 from topics.errors import InvalidConfig, near
 
 FORMAT = "1"
@@ -220,8 +220,7 @@ def _short(value: object) -> str:
 @cache
 def _schema() -> dict[str, Any]:
     """`types`: type to {fields: name to rule number, required, named, single}; `rules`: lists of choices."""
-    path = made(f"schema/{energyplus.version()}-{FORMAT}.json", _make)
-    found: dict[str, Any] = json.loads(path.read_bytes())
+    found: dict[str, Any] = json.loads(cached_bytes(f"schema/{energyplus.version()}-{FORMAT}.json", _make))
     return found
 
 

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from models import energyplus
-from models.building import Building, Objects, prepared, write
+from models.building import Building, Objects, check_runnable, prepared, write
 from models.period import Period
-from models.store import digest, made
+from models.store import cached_bytes, digest
 from topics.units import unit_name
 
 Kinds = Mapping[str, Objects]
@@ -90,23 +90,29 @@ class Survey:
 
 
 def survey(building: Building, weather: Path) -> Survey:
-    """The points of `building`. The weather only serves to start EnergyPlus."""
+    """The points of `building`. The weather only serves to start EnergyPlus.
+
+    Raises:
+        InvalidConfig: it has other programs run within the simulation.
+        ModelRefused: EnergyPlus cannot start it.
+    """
+    check_runnable(building)
 
     def make(target: Path) -> None:
         folder = target.parent
         day = date(2017, 1, 1)
         model = write(prepared(building, Period(day, day, building.steps_per_hour), outputs=False) | _LISTS, folder)
-        energyplus.call("survey", model, weather, target)
+        energyplus.call("survey", model, weather, target, file=building.file or building.name)
 
     name = f"points/{digest(building.content, energyplus.version(), _FORMAT)}.json"
-    return _read(made(name, make))
+    return _read(cached_bytes(name, make))
 
 
 _LISTS = {"OutputControl:Files": {"lists": {"output_rdd": "Yes", "output_eso": "No", "output_tabular": "No"}}}
 
 
-def _read(path: Path) -> Survey:
-    found = json.loads(path.read_bytes())
+def _read(content: bytes) -> Survey:
+    found = json.loads(content)
     kinds = {name.casefold(): kind for name, kind in found["kinds"].items()}
     variables: list[Variable] = []
     meters: list[MeterPoint] = []

@@ -164,7 +164,7 @@ def check_idf(text: str, *, name: str, engine: str | None = None) -> tuple[str, 
         InvalidConfig: of another version, unless none of its objects' fields has moved since.
     """
     engine = engine or energyplus.version()
-    kinds = _idf_objects(text)
+    kinds = idf_objects(text)
     said = next((fields.split(",")[0].strip() for kind, fields in kinds if kind.casefold() == "version"), None)
     steps = _steps(said, engine, name)
     if not steps:
@@ -279,7 +279,7 @@ def _keep_default(fields: Mapping[str, Any], name: str, value: Any) -> tuple[dic
     return {**fields, name: value}, f"{name} stays {value}, which is no longer its default"
 
 
-def _idf_objects(text: str) -> list[tuple[str, str]]:
+def idf_objects(text: str) -> list[tuple[str, str]]:
     """Object type and the text of the fields of each object of an IDF; comments are left out."""
     bare = re.sub(r"!.*", "", text)
     objects = (entry.strip().partition(",") for entry in bare.split(";"))

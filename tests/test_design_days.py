@@ -126,7 +126,7 @@ def test_a_ddy_that_energyplus_cannot_convert_is_refused(folder: Path, monkeypat
     from models import design_days
     from topics.errors import ModelRefused
 
-    def refuse(*_: object) -> None:
+    def refuse(*_: object, **__: object) -> None:
         raise ModelRefused("EnergyPlus could not convert it")
 
     monkeypatch.setenv("ZENOSTAT_CACHE", str(folder / "cache"))

@@ -209,4 +209,4 @@ def test_the_schema_is_read_out_of_the_library_once(fresh: Path, monkeypatch: py
     monkeypatch.setattr(schema, "_embedded", None)
     schema._schema.cache_clear()
     assert schema.spelled("MATERIAL") == "Material"
-    assert len(list((fresh / "schema").glob("*.json"))) == 1
+    assert len(list((fresh / "v2" / "schema").glob("*.json"))) == 1

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import multiprocessing
 import os
+from collections.abc import Callable
 from multiprocessing.synchronize import Barrier
 from pathlib import Path
 
@@ -12,7 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from models import store
-from models.store import digest, made
+from models.store import cached_bytes, digest, made_folder
+from topics.errors import InvalidConfig
 
 
 @pytest.fixture(autouse=True)
@@ -33,12 +36,15 @@ def never(target: Path) -> None:
     raise AssertionError(f"{target} is there already")
 
 
+def text(content: str) -> Callable[[Path], None]:
+    """A maker of a file with that content."""
+    return lambda target: target.write_text(content) and None
+
+
 def test_a_file_is_made_once(cache: Path) -> None:
-    path = made("models/a.json", lambda target: target.write_text("made") and None)
-    assert path == cache / "models" / "a.json"
-    assert path.read_text() == "made"
-    assert made("models/a.json", never) == path
-    assert files(cache) == ["models/a.json"]
+    assert cached_bytes("models/a.json", text("made")) == b"made"
+    assert cached_bytes("models/a.json", never) == b"made"
+    assert files(cache) == ["v2/models/a.json"]
 
 
 def test_a_maker_has_a_folder_of_its_own_on_the_same_disk_and_keeps_the_files_name(cache: Path) -> None:
@@ -50,11 +56,11 @@ def test_a_maker_has_a_folder_of_its_own_on_the_same_disk_and_keeps_the_files_na
         (target.parent / "more").mkdir()
         target.write_text("made")
 
-    path = made("models/a.json", make)
-    assert seen[0].name == path.name
-    assert seen[0].parent != path.parent
+    cached_bytes("models/a.json", make)
+    assert seen[0].name == "a.json"
+    assert seen[0].parent != cache / "v2" / "models"
     assert seen[0].is_relative_to(cache)
-    assert files(cache) == ["models/a.json"]
+    assert files(cache) == ["v2/models/a.json"]
 
 
 def test_a_maker_that_fails_leaves_nothing_behind(cache: Path) -> None:
@@ -63,15 +69,103 @@ def test_a_maker_that_fails_leaves_nothing_behind(cache: Path) -> None:
         raise RuntimeError("the power went out")
 
     with pytest.raises(RuntimeError, match="the power went out"):
-        made("models/a.json", half)
-    assert files(cache) in ([], ["models"])
-    assert made("models/a.json", lambda target: target.write_text("whole") and None).read_text() == "whole"
+        cached_bytes("models/a.json", half)
+    assert files(cache) == ["v2/models"]
+    assert cached_bytes("models/a.json", text("whole")) == b"whole"
 
 
-def test_a_maker_that_makes_nothing_is_an_error(cache: Path) -> None:
-    with pytest.raises(FileNotFoundError):
-        made("a.json", lambda target: None)
-    assert files(cache) == []
+# Damage
+
+
+def _truncate(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-1])
+
+
+def _swap(path: Path) -> None:
+    cached_bytes("models/b.json", text("of another"))
+    path.with_name("b.json").replace(path)
+
+
+def _folder_in_place(path: Path) -> None:
+    path.unlink()
+    (path / "within").mkdir(parents=True)
+
+
+DAMAGES = {
+    "truncated": _truncate,
+    "empty": lambda path: path.write_bytes(b""),
+    "one bit": lambda path: path.write_bytes(path.read_bytes()[:-1] + b"x"),
+    "without a digest": lambda path: path.write_bytes(b"made"),
+    "swapped": _swap,
+    "a folder in place": _folder_in_place,
+    "a link to nowhere in particular": lambda path: (path.unlink(), path.symlink_to(path)),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
+def test_a_damaged_file_is_made_again_with_one_line_of_notice(
+    cache: Path, damage: Callable[[Path], object], capsys: pytest.CaptureFixture[str]
+) -> None:
+    cached_bytes("models/a.json", text("made"))
+    damage(cache / "v2" / "models" / "a.json")
+    assert cached_bytes("models/a.json", text("made again")) == b"made again"
+    (notice,) = capsys.readouterr().err.splitlines()
+    assert f"the cached {cache}/v2/models/a.json is damaged" in notice
+    assert cached_bytes("models/a.json", never) == b"made again"
+    assert not capsys.readouterr().err
+
+
+def test_a_file_in_the_place_of_a_folder_gives_way(cache: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    cache.joinpath("packs").mkdir(parents=True)
+    cache.joinpath("packs", "p").write_text("no folder")
+    path = made_folder("packs/p", lambda target: (target / "file").write_text("made") and None)
+    assert (path / "file").read_text() == "made"
+    assert "packs/p is damaged (it is no folder)" in capsys.readouterr().err
+
+
+# A cache that cannot be written
+
+
+@pytest.mark.parametrize("make", [cached_bytes, made_folder])
+@pytest.mark.parametrize("place", ["/proc/nowhere", "file/below"])
+def test_a_cache_that_cannot_be_written_is_one_error_that_names_the_variable(
+    make: Callable[..., object], place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("ZENOSTAT_CACHE", str(tmp_path / place))
+    with pytest.raises(InvalidConfig, match=r"cannot (read|write) the cache .*name .* in ZENOSTAT_CACHE") as caught:
+        make("models/a.json", never)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_full_disk_is_an_error_of_the_cache(cache: Path) -> None:
+    def fill(_: Path) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with pytest.raises(InvalidConfig, match=r"No space left on device; .*ZENOSTAT_CACHE"):
+        cached_bytes("models/a.json", fill)
+
+
+def test_an_error_of_another_file_stays_what_it_is(cache: Path) -> None:
+    def look(_: Path) -> None:
+        (cache / "not there").read_bytes()
+
+    with pytest.raises(FileNotFoundError, match="not there"):
+        cached_bytes("models/a.json", look)
+
+
+def test_without_a_home_folder_the_variable_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    def homeless() -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.delenv("ZENOSTAT_CACHE")
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setattr(Path, "home", homeless)
+    with pytest.raises(InvalidConfig, match="ZENOSTAT_CACHE"):
+        store.store()
+
+
+# Two at once
 
 
 def _make_together(folder: str, barrier: Barrier, own: str) -> None:
@@ -83,13 +177,12 @@ def _make_together(folder: str, barrier: Barrier, own: str) -> None:
             file.write(own * 1000)
             file.flush()
             barrier.wait(60)
-            assert not (Path(folder) / "models" / "a.json").exists()
+            assert not (Path(folder) / "v2" / "models" / "a.json").exists()
             barrier.wait(60)
             file.write(own * 1000)
 
-    path = made("models/a.json", make)
-    content = path.read_text()
-    assert content in ("a" * 2000, "b" * 2000), content[:20]
+    content = cached_bytes("models/a.json", make)
+    assert content in (b"a" * 2000, b"b" * 2000), content[:20]
 
 
 def test_two_processes_that_make_the_same_file_at_once_do_not_disturb_each_other(cache: Path) -> None:
@@ -101,8 +194,8 @@ def test_two_processes_that_make_the_same_file_at_once_do_not_disturb_each_other
     for process in both:
         process.join(120)
     assert [process.exitcode for process in both] == [0, 0]
-    assert files(cache) == ["models/a.json"]
-    assert made("models/a.json", never).read_text() in ("a" * 2000, "b" * 2000)
+    assert files(cache) == ["v2/models/a.json"]
+    assert cached_bytes("models/a.json", never) in (b"a" * 2000, b"b" * 2000)
 
 
 # Keys of content

@@ -1,0 +1,122 @@
+"""Models that cannot be: each error names the user's file and what in it is wrong."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from models import building, energyplus
+from models.building import Building, check_runnable, read_building
+from models.catalog import bundled_weathers, find_building
+from models.design_days import site
+from models.survey import survey
+from models.weather import read_header
+from topics.errors import InvalidConfig, ModelRefused
+
+OFFICE = find_building("office-small")
+
+
+@pytest.fixture
+def idf(tmp_path: Path) -> Callable[[str], Path]:
+    def write(text: str) -> Path:
+        path = tmp_path / "mine.idf"
+        path.write_text(text, encoding="latin-1")
+        return path
+
+    return write
+
+
+def read(path: Path) -> Building:
+    return read_building(find_building(str(path)))
+
+
+def test_an_unknown_object_of_an_idf_is_named_with_its_file_and_line(idf: Callable[[str], Path]) -> None:
+    text = OFFICE.path.read_text("latin-1")
+    begin = text.index("  Zone,")
+    path = idf(text[:begin] + "  Zonne," + text[begin + len("  Zone,") :])
+    with pytest.raises(ModelRefused) as caught:
+        read(path)
+    line = text[:begin].count("\n") + 1
+    for words in (str(path), f"Line: {line} ", '"Zonne" is not a valid Object Type', "near names: 'Zone'"):
+        assert words in str(caught.value)
+
+
+def test_an_object_that_the_converter_leaves_out_is_an_error(idf: Callable[[str], Path]) -> None:
+    text = OFFICE.path.read_text("latin-1")
+    begin = text.index("  Zone,")
+    zone = text[begin : text.index(";", begin) + 1]
+    with pytest.raises(ModelRefused, match=r"mine\.idf is not a valid model:(?s:.*)Zone: \d+ of \d+ objects"):
+        read(idf(text + zone))
+
+
+@pytest.mark.parametrize("text", ["", "hello world, this is none", "\x00\xff\x01;\x02,", "! only a comment\n"])
+def test_what_is_no_idf_is_told_as_no_idf(idf: Callable[[str], Path], text: str) -> None:
+    path = idf(text)
+    with pytest.raises(InvalidConfig, match=r"mine\.idf is no IDF") as caught:
+        read(path)
+    assert str(path) in str(caught.value)
+
+
+def test_an_epjson_of_any_depth_is_one_error(tmp_path: Path) -> None:
+    path = tmp_path / "deep.epJSON"
+    path.write_text('{"Building":' + "[" * 50_000 + "]" * 50_000 + "}")
+    with pytest.raises(InvalidConfig, match=r"deep\.epJSON is no epJSON"):
+        read(path)
+
+
+def _office_with(more: Mapping[str, Any]) -> Building:
+    found = read_building(OFFICE)
+    objects = {**found.objects, **more}
+    return Building("mine", objects, found.content + json.dumps(more), (), "/home/me/mine.epJSON")
+
+
+def test_unknown_objects_and_fields_of_an_epjson_are_all_named() -> None:
+    with pytest.raises(InvalidConfig) as caught:
+        check_runnable(_office_with({"Zonne": {"a": {}}, "Zone": {"b": {"colour": "red"}}}))
+    for words in ("/home/me/mine.epJSON", "no object type 'Zonne'", "Zone 'b' has no field 'colour'"):
+        assert words in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        {"PythonPlugin:Instance": {"p": {"python_module_name": "m", "plugin_class_name": "P"}}},
+        {"ExternalInterface": {"p": {"name_of_external_interface": "PtolemyServer"}}},
+        {"ExternalInterface:FunctionalMockupUnitImport": {"p": {"fmu_file_name": "x.fmu"}}},
+    ],
+    ids=lambda kind: next(iter(kind)),
+)
+def test_a_model_that_has_other_programs_run_is_refused_by_name(kind: dict[str, Any]) -> None:
+    with pytest.raises(InvalidConfig, match=rf"mine\.epJSON has {next(iter(kind))} 'p': .*not supported"):
+        survey(_office_with(kind), bundled_weathers()[0].path)
+
+
+def test_an_error_of_energyplus_names_the_users_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ZENOSTAT_CACHE", str(tmp_path / "cache"))
+    lights = read_building(OFFICE).objects["Lights"]
+    name, fields = next(iter(lights.items()))
+    lost = _office_with({"Lights": {name: fields | {"zone_or_zonelist_or_space_or_spacelist_name": "Nowhere"}}})
+    with pytest.raises(ModelRefused, match=r"could not survey /home/me/mine\.epJSON\.(?s:.*)NOWHERE") as caught:
+        survey(lost, bundled_weathers()[0].path)
+    assert "making-" not in str(caught.value)
+
+
+def test_an_error_of_a_ddy_names_that_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ZENOSTAT_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(energyplus, "ISOLATED", ("false",))  # an EnergyPlus that ends without a word
+    epw = tmp_path / "Ort.epw"
+    epw.write_bytes(bundled_weathers()[0].path.read_bytes())
+    epw.with_suffix(".ddy").write_text("Zone,a;")
+    with pytest.raises(InvalidConfig, match=r"could not convert .*Ort\.ddy") as caught:
+        site(epw, read_header(epw))
+    assert "making-" not in str(caught.value)
+
+
+def test_many_errors_of_a_model_are_told_by_the_first_ones() -> None:
+    with pytest.raises(InvalidConfig) as caught:
+        check_runnable(Building("many", {f"None{i}": {} for i in range(1000)}, "", (), "many.epJSON"))
+    assert len(str(caught.value).splitlines()) == building._MOST + 2
