@@ -112,7 +112,7 @@ def _of_file(scenario: str) -> Any:
     if Path(scenario).suffix not in (".yaml", ".yml"):
         return None
     try:
-        found = readable.parse(Path(scenario).read_text(encoding="utf-8"), scenario)
+        found = readable.parse(readable.read_text(Path(scenario)), scenario)
     except (OSError, ValueError, InvalidConfig):
         return None
     return found.get("reward")

@@ -200,7 +200,7 @@ def load_yaml(path: Path) -> dict[str, Any]:
         InvalidConfig: it is no YAML, or something else than a mapping.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        text = readable.read_text(path)
     except FileNotFoundError:
         raise UnknownName(f"there is no file {path.absolute()}") from None
     except (OSError, UnicodeDecodeError) as error:

@@ -81,7 +81,8 @@ TRICKY = (
     " a",
 )
 BREAKS = "\x85\u2028\u2029"  # line breaks to YAML 1.1
-characters = st.characters(exclude_categories=["Cs"], exclude_characters="\x85")  # NEL has a test of its own
+# NEL has a test of its own, and a NUL is refused in a file.
+characters = st.characters(exclude_categories=["Cs"], exclude_characters="\x85\0")
 words = st.one_of(st.sampled_from(TRICKY), st.text(characters, max_size=12))
 names = st.one_of(
     st.sampled_from(("on", "No", "null", "1", "1e-4", "1.5", "010", "2018-07-01", "y")),

@@ -6,6 +6,8 @@ stranger that speaks msgpack alone) is checked like any other.
 
 from __future__ import annotations
 
+import itertools
+import reprlib
 from collections.abc import Iterable
 from functools import cache
 from typing import Any, TypeVar
@@ -132,8 +134,30 @@ def explain(error: ValidationError, known: Iterable[str] = ()) -> str:
     return "; ".join(faults) + (f"; and {more} more" if more else "")
 
 
+class _Repr(reprlib.Repr):
+    """`repr` of the begin of a value: a nested one may stand for more than fits into memory."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.maxlevel = 6
+        self.maxlist = self.maxtuple = self.maxset = self.maxdict = 20
+        self.maxstring = self.maxlong = self.maxother = 400
+
+    def repr_dict(self, x: Any, level: int) -> str:
+        """A mapping in its own order."""
+        shown = dict(itertools.islice(x.items(), self.maxdict))
+        if level <= 0:
+            return "{...}" if shown else "{}"
+        return (
+            "{" + ", ".join(f"{self.repr1(k, level - 1)}: {self.repr1(v, level - 1)}" for k, v in shown.items()) + "}"
+        )
+
+
+_repr = _Repr()
+
+
 def _short(value: Any, most: int = 60) -> str:
-    return _cut(repr(value), most)
+    return _cut(_repr.repr(value), most)
 
 
 def _cut(text: str, most: int = 200) -> str:

@@ -1,13 +1,18 @@
-"""Files for people: YAML 1.2's core, so that words are words. No I/O.
+"""Files for people: YAML 1.2's core, so that words are words.
 
 PyYAML reads YAML 1.1, in which `on` and `no` are booleans, `1e-4` a text, `12:30` a number in base 60 and
 `2018-07-01` a date. Here none of them surprises, and a key that stands twice is an error.
+
+A file may be a stranger's: size, depth and what its aliases stand for are limited before anything is built of it.
 """
 
 from __future__ import annotations
 
+import os
 import re
-from typing import Any
+import stat
+from pathlib import Path
+from typing import Any, NoReturn
 
 import yaml
 
@@ -26,6 +31,19 @@ _WORDS = (
     ),
     ("merge", r"<<", ["<"]),
 )
+
+
+MAX_BYTES = 8 * 1024 * 1024
+"""Larger files are refused unread."""
+
+MAX_NODES = 200_000
+"""Values, lists and mappings of a file together, each counted as often as an alias repeats it."""
+
+MAX_DEPTH = 64
+"""Lists and mappings within each other."""
+
+_TAGS = {f"tag:yaml.org,2002:{name}" for name in ("null", "bool", "int", "float", "str")}
+"""Tags that a value may have; a list or a mapping has none."""
 
 
 class _Loader(_Base):  # type: ignore[misc]
@@ -50,6 +68,16 @@ class _Dumper(yaml.SafeDumper):
 for _tag, _pattern, _first in _WORDS:
     for _class in (_Loader, _Dumper):
         _class.add_implicit_resolver(f"tag:yaml.org,2002:{_tag}", re.compile(rf"^(?:{_pattern})$"), _first)
+
+
+def _bool(loader: Any, node: yaml.ScalarNode) -> bool:
+    text = str(loader.construct_scalar(node)).casefold()
+    if text not in ("true", "false"):
+        raise yaml.constructor.ConstructorError(None, None, f"{text!r} is neither true nor false", node.start_mark)
+    return text == "true"
+
+
+_Loader.add_constructor("tag:yaml.org,2002:bool", _bool)
 _Loader.add_constructor("tag:yaml.org,2002:int", lambda loader, node: int(loader.construct_scalar(node)))
 
 
@@ -62,6 +90,74 @@ def _text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
 _Dumper.add_representer(str, _text)
 
 
+class _Limits:
+    """Counts what a text would be built of from its events: nothing is built, and nothing recurses."""
+
+    def __init__(self) -> None:
+        self._nodes = 0
+        self._open: list[tuple[str | None, int]] = []  # anchor, and the number of nodes before it
+        self._sizes: dict[str, int] = {}  # nodes that an alias stands for
+
+    def check(self, event: yaml.Event) -> None:
+        """Raise `YAMLError` where a limit is passed, or a tag or an alias is none that is taken."""
+        if isinstance(event, yaml.AliasEvent):
+            if event.anchor not in self._sizes:
+                _fail(f"the alias *{event.anchor} stands for nothing before it", event)
+            self._count(self._sizes[event.anchor], event)
+        elif isinstance(event, yaml.NodeEvent):
+            self._node(event)
+        elif isinstance(event, yaml.CollectionEndEvent):
+            anchor, before = self._open.pop()
+            self._name(anchor, before)
+
+    def _node(self, event: Any) -> None:
+        scalar = isinstance(event, yaml.ScalarEvent)
+        if event.tag not in (None, "!", *(_TAGS if scalar else ())):
+            _fail(f"the tag {event.tag!r} is not taken; leave it out", event)
+        before = self._nodes
+        self._count(1, event)
+        if not scalar:
+            self._open.append((event.anchor, before))
+            if len(self._open) > MAX_DEPTH:
+                _fail(f"it is nested more than {MAX_DEPTH} levels deep", event)
+        elif "\0" in event.value:
+            _fail("a NUL character in a text", event)
+        else:
+            self._name(event.anchor, before)
+
+    def _count(self, more: int, event: yaml.Event) -> None:
+        self._nodes += more
+        if self._nodes > MAX_NODES:
+            _fail(f"it has more than {MAX_NODES} values, with what its aliases repeat", event)
+
+    def _name(self, anchor: str | None, before: int) -> None:
+        if anchor is not None:
+            self._sizes[anchor] = self._nodes - before
+
+
+def _fail(text: str, event: Any) -> NoReturn:
+    raise yaml.constructor.ConstructorError(None, None, text, event.start_mark)
+
+
+def read_text(path: Path) -> str:
+    """Return the text of a file that a person wrote.
+
+    Raises:
+        OSError: it is not there, cannot be read, is no regular file, or larger than `MAX_BYTES`.
+        UnicodeDecodeError: it is not UTF-8.
+    """
+    if "\0" in str(path):
+        raise OSError("a NUL character in its name")
+    # Not waiting for the other end of a FIFO.
+    with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
+        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+            raise OSError("it is no regular file")
+        raw = file.read(MAX_BYTES + 1)
+    if len(raw) > MAX_BYTES:
+        raise OSError(f"it has more than {MAX_BYTES} bytes")
+    return raw.decode("utf-8")
+
+
 def parse(text: str, what: str) -> dict[str, Any]:
     """A mapping from a YAML text.
 
@@ -70,11 +166,16 @@ def parse(text: str, what: str) -> dict[str, Any]:
         what: the file, for the error.
 
     Raises:
-        InvalidConfig: no YAML, or something else than names and values.
+        InvalidConfig: no YAML, something else than names and values, or beyond the limits of this module.
     """
+    if len(text) > MAX_BYTES:
+        raise InvalidConfig(f"{what} has {len(text)} characters; at most {MAX_BYTES} are read")
+    limits = _Limits()
     try:
+        for event in yaml.parse(text, _Loader):
+            limits.check(event)
         found = yaml.load(text, _Loader)  # noqa: S506  # a SafeLoader
-    except (yaml.YAMLError, ValueError) as error:
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise InvalidConfig(f"{what} is no YAML: {error}") from None
     if not isinstance(found, dict) or not all(isinstance(key, str) for key in found):
         raise InvalidConfig(f"{what} should hold names and values, as `building: office-small`")

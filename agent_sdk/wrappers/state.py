@@ -53,7 +53,7 @@ def restore_wrappers(env: Any, path: str | Path) -> None:
         InvalidConfig: no such file, no such form, or another chain of wrappers; nothing was changed then.
     """
     try:
-        found = readable.parse(Path(path).read_text(encoding="utf-8"), str(path)).get("wrappers")
+        found = readable.parse(readable.read_text(Path(path)), str(path)).get("wrappers")
     except (OSError, UnicodeDecodeError) as error:
         raise InvalidConfig(f"{path} cannot be read: {error}") from None
     keepers = list(_keepers(env))

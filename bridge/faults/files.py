@@ -19,7 +19,7 @@ def read_plan(path: Path) -> FaultPlan:
         InvalidConfig: no such file, no YAML, or no plan; names all that is wrong.
     """
     try:
-        text = path.expanduser().read_text(encoding="utf-8")
+        text = readable.read_text(path.expanduser())
     except (OSError, RuntimeError, UnicodeDecodeError) as error:
         raise InvalidConfig(f"{path} cannot be read: {error}") from None
     try:
