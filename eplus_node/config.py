@@ -16,7 +16,7 @@ from eplus_node.injection import Injection
 from models import building, catalog, design_days, points, rivals, survey, variability, weather
 from models.building import Building
 from models.episode import Source
-from models.period import Period
+from models.period import Period, check_steps_per_hour, parse_day
 from models.points import Points
 from models.scenario import ActuatorSpec, Scenario, load_scenario, read_scenario
 from models.scenarios import find_scenario
@@ -112,8 +112,8 @@ def read_config(settings: Mapping[str, Any]) -> NodeConfig:
         raise InvalidConfig(explain(error)) from None
 
 
-def read_base(config: NodeConfig) -> Scenario | None:
-    """The scenario that the settings name, if they do."""
+def read_base(config: NodeConfig, errors: Faults | None = None) -> Scenario | None:
+    """The scenario that the settings name, if they do. `errors`: as in `read_scenario`."""
     if config.config is not None:
         from models.sinergym import scenario_of as of_sinergym  # few need it, and it takes a while
 
@@ -121,21 +121,21 @@ def read_base(config: NodeConfig) -> Scenario | None:
     if config.scenario is None:
         return None
     path = Path(config.scenario).expanduser()
-    return load_scenario(path) if path.suffix in (".yaml", ".yml") else find_scenario(config.scenario)
+    return load_scenario(path, errors) if path.suffix in (".yaml", ".yml") else find_scenario(config.scenario)
 
 
-def scenario_of(config: NodeConfig) -> Scenario:
-    """The scenario with all that the settings say over it.
+def scenario_of(config: NodeConfig, errors: Faults | None = None) -> Scenario:
+    """The scenario with all that the settings say over it. `errors`: as in `read_scenario`.
 
     Raises:
         UnknownName, InvalidConfig: no such scenario, or a field of it that cannot be.
     """
-    base, given = read_base(config), {name: value for name, value in config.what.items() if value is not None}
+    base, given = read_base(config, errors), {name: value for name, value in config.what.items() if value is not None}
     if base is None:
         missing = [name for name in ("building", "weather") if name not in given]
         if missing:
             raise InvalidConfig(f"name a scenario, or a building and a weather ({' and '.join(missing)} missing)")
-        return read_scenario(given, "the settings")
+        return read_scenario(given, "the settings", errors)
     if not given:
         return base
     changed = {"actuators", "actions", "control", "building"} & set(given)
@@ -143,7 +143,7 @@ def scenario_of(config: NodeConfig) -> Scenario:
     if changed:  # what was said of the former actuators does not hold for others
         stale = {"actions", "discrete"} | ({"sensors", "meters", "actuators"} if "building" in changed else set())
         fields = {name: value for name, value in fields.items() if name not in stale or isinstance(value, int)}
-    return read_scenario(fields | given, "the settings")
+    return read_scenario(fields | given, "the settings", errors)
 
 
 def plan(config: NodeConfig) -> Plan:
@@ -155,17 +155,18 @@ def plan(config: NodeConfig) -> Plan:
         ModelRefused: a model that EnergyPlus cannot read.
     """
     check_name(config.name, "the node's name")
-    scenario = scenario_of(config)
     faults = Faults()
-    plain = faults.catch(lambda: building.read_building(catalog.find_building(scenario.building)))
+    scenario = scenario_of(config, faults)
+    named = scenario.building or None  # what was missing or wrong is told already
+    plain = faults.catch(lambda: building.read_building(catalog.find_building(named))) if named else None
     # What cannot be changed in the model is no reason not to look at the rest.
     model = faults.catch(lambda: building.varied(plain, scenario.changes)) or plain if plain is not None else None
-    sources = tuple(faults.catch(lambda name=name: _source(name, scenario)) for name in scenario.weather)  # type: ignore[misc]
+    sources = tuple(faults.catch(lambda name=name: _source(name, scenario)) for name in scenario.weather if name)  # type: ignore[misc]
     faults.catch(lambda: variability.checked(scenario.variability))
     if config.keep is not None and config.keep.exists() and not config.keep.is_dir():
         faults.found.append(InvalidConfig(f"keep={config.keep} is a file; name a folder"))
     period = chosen = task = None
-    if model is not None:
+    if _dates_are_right(scenario, faults) and model is not None:
         period = faults.catch(lambda: model.period(scenario.begin, scenario.end, scenario.steps_per_hour))
     found = [source for source in sources if source is not None]
     if period is not None:
@@ -187,6 +188,18 @@ def plan(config: NodeConfig) -> Plan:
     if injected is not None:
         Injection(injected, planned, config.slots)  # so that its mistakes are known before anything starts
     return planned
+
+
+def _dates_are_right(scenario: Scenario, errors: Faults) -> bool:
+    """Check what can be known of the run period without the model."""
+    before = len(errors.found)
+    for what, day in (("begin", scenario.begin), ("end", scenario.end)):
+        if day is not None:
+            errors.catch(lambda what=what, day=day: parse_day(day, what))  # type: ignore[misc]
+    steps = scenario.steps_per_hour
+    if steps is not None:
+        errors.catch(lambda: check_steps_per_hour(steps))
+    return len(errors.found) == before
 
 
 def _waits_for_what_is_lost(config: NodeConfig, faults: FaultPlan | None) -> tuple[str, ...]:

@@ -10,6 +10,7 @@ from datetime import date, datetime, timedelta
 from topics.errors import InvalidConfig
 
 _WEEKDAYS = ("Monday", "Tuesday", "Wednesday", "Thursday", "Friday", "Saturday", "Sunday")
+_LEAP_YEAR = 2016
 _DAY = re.compile(r"(?:(\d{4})-)?(\d{1,2})-(\d{1,2})")
 
 
@@ -31,8 +32,8 @@ def year_of(begin_month: int, begin_day: int, weekday: str | None) -> int:
     raise AssertionError("each weekday occurs within any 28 years")
 
 
-def parse_day(text: str, what: str, year: int) -> date:
-    """`07-01` in the model's year, or `2018-07-01`.
+def parse_day(text: str, what: str, year: int = _LEAP_YEAR) -> date:
+    """`07-01` in the model's year, or `2018-07-01`; without the model's year, whether it is a day of any.
 
     Raises:
         InvalidConfig: no such form, or no such day.
@@ -40,13 +41,25 @@ def parse_day(text: str, what: str, year: int) -> date:
     match = _DAY.fullmatch(text.strip())
     if not match:
         raise InvalidConfig(f"{what} {text!r} is no day; write it as MM-DD or YYYY-MM-DD, for example 07-01")
+    month, day = int(match[2]), int(match[3])
+    if not 1 <= month <= 12 or not 1 <= day <= calendar.monthrange(_LEAP_YEAR, month)[1]:
+        raise InvalidConfig(f"{what} {text!r} is in no calendar; write it as MM-DD or YYYY-MM-DD, for example 07-01")
     try:
-        return date(int(match[1] or year), int(match[2]), int(match[3]))
+        return date(int(match[1] or year), month, day)
     except ValueError:
         raise InvalidConfig(
             f"{what} {text!r} is not in the calendar of {match[1] or year}"
             + ("" if match[1] else ", the model's year; name another as YYYY-MM-DD")
         ) from None
+
+
+def check_steps_per_hour(steps: int) -> None:
+    """Refuse a number of timesteps an hour that EnergyPlus does not take."""
+    if steps < 1 or steps > 60 or 60 % steps:
+        raise InvalidConfig(
+            f"steps_per_hour {steps} does not divide the hour; "
+            "EnergyPlus takes 1, 2, 3, 4, 5, 6, 10, 12, 15, 20, 30 or 60"
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,11 +73,7 @@ class Period:
     def __post_init__(self) -> None:
         if self.end < self.begin:
             raise InvalidConfig(f"the run period ends ({self.end}) before it begins ({self.begin})")
-        if self.steps_per_hour < 1 or self.steps_per_hour > 60 or 60 % self.steps_per_hour:
-            raise InvalidConfig(
-                f"steps_per_hour {self.steps_per_hour} does not divide the hour; "
-                "EnergyPlus takes 1, 2, 3, 4, 5, 6, 10, 12, 15, 20, 30 or 60"
-            )
+        check_steps_per_hour(self.steps_per_hour)
 
     @property
     def step_s(self) -> float:

@@ -25,7 +25,7 @@ from models.changes import Changes
 from models.variability import Noise
 from topics import readable
 from topics.codec import explain
-from topics.errors import InvalidConfig, UnknownName
+from topics.errors import Faults, InvalidConfig, UnknownName
 from topics.messages import Reading, SafeName, TimeField
 
 Order = Literal["random", "sequence"]
@@ -184,12 +184,22 @@ class Scenario(_Part):
         return self
 
 
-def read_scenario(given: Mapping[str, Any], what: str = "the scenario") -> Scenario:
-    """`given` as a scenario; `InvalidConfig` names all faults at once."""
+def read_scenario(given: Mapping[str, Any], what: str = "the scenario", errors: Faults | None = None) -> Scenario:
+    """`given` as a scenario; `InvalidConfig` names all faults at once.
+
+    With `errors` they are gathered there instead, and the scenario has the fields that are right: the rest of it
+    can be checked, too. A building or weather that is missing or wrong is an empty name then.
+    """
     try:
         return Scenario.model_validate(dict(given))
     except ValidationError as error:
-        raise InvalidConfig(f"{what}: {explain(error, Scenario.model_fields)}") from None
+        refused = InvalidConfig(f"{what}: {explain(error, Scenario.model_fields)}")
+        wrong = {fault["loc"][0] if fault["loc"] else None for fault in error.errors(include_url=False)}
+    if errors is None or None in wrong:  # None: of several fields together
+        raise refused
+    errors.found.append(refused)
+    right = {name: value for name, value in given.items() if name not in wrong}
+    return Scenario.model_validate({"building": "", "weather": ("",), **right})
 
 
 def load_yaml(path: Path) -> dict[str, Any]:
@@ -208,9 +218,9 @@ def load_yaml(path: Path) -> dict[str, Any]:
     return readable.parse(text, str(path))
 
 
-def load_scenario(path: Path) -> Scenario:
-    """The scenario of a file. Paths in it are relative to it."""
-    return read_scenario(beside(load_yaml(path), path.parent), str(path))
+def load_scenario(path: Path, errors: Faults | None = None) -> Scenario:
+    """The scenario of a file. Paths in it are relative to it. `errors`: as in `read_scenario`."""
+    return read_scenario(beside(load_yaml(path), path.parent), str(path), errors)
 
 
 def beside(given: Mapping[str, Any], folder: Path) -> dict[str, Any]:
