@@ -80,6 +80,8 @@ class BuildingEnv(Named, gym.Env[Observation, Any]):
             `info["baseline_applied"]` what that control set the actuators to.
         faults: a file of faults that the node injects (YAML); see docs/faults.md.
         branches: how many snapshots and branches there may be at a time; 64 if left out.
+        unresponsive_s: how long an engine may neither answer nor use processor time, before it is killed and the
+            episode fails; 10 if left out.
         affinity: see `bridge.affinity`.
         render_mode: `rgb_array`: `render()` gives a picture of the last day (needs matplotlib); `rerun`: a live
             view is opened beside the environment.
@@ -126,6 +128,7 @@ class BuildingEnv(Named, gym.Env[Observation, Any]):
         keep: str | Path | None = None,
         baseline: bool | None = None,
         branches: int | None = None,
+        unresponsive_s: float | None = None,
         faults: str | Path | None = None,
         affinity: Affinity | str = Affinity.APART,
         render_mode: str | None = None,

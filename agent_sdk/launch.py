@@ -5,20 +5,24 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import shutil
 import subprocess
 import sys
-import tempfile
+import time
 import weakref
 from pathlib import Path
 from typing import Any
 
+import psutil
+
 from bridge import affinity
 from bridge.affinity import Affinity
+from bridge.scratch import Scratch
 from topics.errors import NodeLost, from_wire
 from topics.messages import Manifest
 
-_END_S = 40.0  # EnergyPlus may be finishing files that are kept
+_END_S = 5.0
+_LOOK_S = 0.5
+_FINISH_S = 40.0  # EnergyPlus may be finishing files that are kept
 _SOCKET_PATH_MAX = 100  # sun_path has 108 bytes
 
 
@@ -38,13 +42,16 @@ class OwnNode:
     """
 
     def __init__(self, settings: dict[str, Any], placement: Affinity) -> None:
-        self.folder = Path(tempfile.mkdtemp(prefix="zenostat-"))
-        if len(str(self.folder)) > _SOCKET_PATH_MAX - 10:
-            self.folder.rmdir()
-            self.folder = Path(tempfile.mkdtemp(prefix="zenostat-", dir="/tmp"))
+        scratch = Scratch()
+        if len(str(scratch.folder)) > _SOCKET_PATH_MAX - 10:
+            scratch.remove()
+            scratch = Scratch(parent="/tmp")
+        self.folder = scratch.folder
         # Also at the interpreter's exit, and if the start is interrupted before there is a process.
         self._held: list[subprocess.Popen[bytes]] = []
-        self._let_go = weakref.finalize(self, _let_go, self._held, self.folder, os.getpid())
+        self._let_go = weakref.finalize(
+            self, _let_go, self._held, scratch, os.getpid(), _END_S if settings.get("keep") is None else _FINISH_S
+        )
         self.endpoint = f"unixsock-stream/{self.folder}/bus"
         engine_core, self.core = affinity.pick_cores(placement)
         config = {**settings, "listen": [self.endpoint], "folder": str(self.folder)}
@@ -111,18 +118,35 @@ def _close_pipes(process: subprocess.Popen[bytes]) -> None:
                 pipe.close()
 
 
-def _let_go(held: list[subprocess.Popen[bytes]], folder: Path, owner: int) -> None:
-    """Ends a node and clears its folder, in this order: a node that runs may be writing there."""
+def _let_go(held: list[subprocess.Popen[bytes]], scratch: Scratch, owner: int, limit_s: float) -> None:
+    """Ends a node, within a time, and clears its folder, in this order: a node that runs may be writing there."""
     if os.getpid() != owner:
         return  # a forked child's end is not its parent's
     for process in held:
         _close_pipes(process)
-        try:
-            process.wait(timeout=_END_S)
-        except subprocess.TimeoutExpired:
+        _end(process, limit_s)
+    scratch.remove()
+
+
+def _end(process: subprocess.Popen[bytes], limit_s: float) -> None:
+    """Waits for the end of a process that was told to end; one that does not come to it, or is stopped, is killed."""
+    began_s = time.monotonic()
+    while True:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(_LOOK_S)
+            return
+        waited_s = time.monotonic() - began_s
+        if waited_s >= limit_s or (waited_s >= _END_S and _stopped(process.pid)):
             process.kill()
             process.wait()
-    shutil.rmtree(folder, ignore_errors=True)
+            return
+
+
+def _stopped(pid: int) -> bool:
+    try:
+        return bool(psutil.Process(pid).status() == psutil.STATUS_STOPPED)
+    except psutil.Error:
+        return False
 
 
 class Monitor:

@@ -187,6 +187,8 @@ def _settings(listen: Sequence[str], connect: Sequence[str], *, wait: bool, mode
         "connect/exit_on_failure": not wait,
         "scouting/multicast/enabled": False,
         "transport/link/rx/max_message_size": MOST_BYTES,
+        # Each session would have a file in /dev/shm, which stays if its process is killed.
+        "transport/shared_memory/enabled": False,
     }
 
 

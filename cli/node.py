@@ -67,6 +67,10 @@ def node(
     slots: Annotated[int, typer.Option(help="Engines that step together, each with an episode of its own.")] = 1,
     baseline: Annotated[bool, typer.Option("--baseline", help="Run the building's own control beside it.")] = False,
     branches: Annotated[int, typer.Option(help="Snapshots and branches there may be at a time.")] = 64,
+    unresponsive: Annotated[
+        float,
+        typer.Option(metavar="SECONDS", help="An engine that neither answers nor computes for so long is killed."),
+    ] = 10.0,
     keep: Annotated[Path | None, typer.Option(help="Keep EnergyPlus's own output files in this folder.")] = None,
     affinity: Annotated[Affinity, typer.Option(help="Cores: see docs/architecture.md.")] = Affinity.APART,
 ) -> None:
@@ -105,13 +109,14 @@ def node(
             "slots": slots,
             "baseline": baseline,
             "branches": branches,
+            "unresponsive_s": unresponsive,
             "keep": keep,
             "affinity": affinity,
         }
     )
     with progress() as bars:
         watch = _Watch(bars, name)
-        with Node(config, observer=watch) as running:
+        with Node(config, observer=watch, program=True) as running:
             bars.console.print(_greeting(running, ", ".join(endpoints or config.connect)))
             for warning in filter(None, (*running.manifest.warnings, exposure(endpoints, keys))):
                 bars.console.print(f"warning: {warning}", style="yellow", markup=False)

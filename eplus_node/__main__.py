@@ -47,7 +47,7 @@ def main() -> int:
             plan(config)
             _say(ready=config.name)
             return 0
-        with Node(config) as node:
+        with Node(config, program=True) as node:
             _say(ready=config.name, manifest=node.manifest.model_dump(mode="json"))
             node.serve()
     except ZenostatError as error:

@@ -13,6 +13,7 @@ from bridge.affinity import Affinity
 from bridge.faults import read_plan
 from bridge.session import DEFAULT_ENDPOINT
 from eplus_node.injection import Injection
+from eplus_node.registry import UNRESPONSIVE_S
 from models import building, catalog, design_days, points, rivals, survey, variability, weather
 from models.building import Building
 from models.episode import Source
@@ -38,6 +39,7 @@ class NodeConfig(BaseModel):
         what: fields of a scenario, which go before those of `scenario`.
         check: only check everything, and start nothing.
         listen: endpoints; none for a node that only connects, to a router or another node.
+        unresponsive_s: time after which an engine that neither answers nor uses processor time is killed.
         keys: a folder that `zenostat keys init` made; `certificate` names another certificate than `node`.
     """
 
@@ -63,6 +65,7 @@ class NodeConfig(BaseModel):
     slots: Annotated[int, Field(ge=1, le=256)] = 1
     baseline: bool = False
     branches: Annotated[int, Field(ge=0, le=4096)] = 64
+    unresponsive_s: Annotated[float, Field(gt=0, le=1e9)] = UNRESPONSIVE_S
     keep: Path | None = None
     folder: Path | None = None
     affinity: Affinity = Affinity.APART

@@ -1,8 +1,9 @@
 """The engine: EnergyPlus in a process of its own, exchanging one frame a timestep over sockets.
 
-Run as `python -m eplus_node.engine FD`. No Zenoh, no NumPy, no threads: a process like this can be
-forked while it waits. Orders come on one socket and frames go on another: on a shared one, whoever sleeps for the
-next order would be woken when the node reads a frame. Each frame is an array of native doubles of one fixed length:
+Run as `python -m eplus_node.engine ORDERS FRAMES PARENT`: two descriptors and the node's process id. No Zenoh, no
+NumPy, no threads: a process like this can be forked while it waits. Orders come on one socket and frames go on
+another: on a shared one, whoever sleeps for the next order would be woken when the node reads a frame. Each frame is
+an array of native doubles of one fixed length:
 
     to the node:    [kind, step, sensors…, meters…, feedback…]      kind is one of `Said`
     from the node:  [order, step, actuators…]                       order is one of `Order`; NaN releases
@@ -306,6 +307,7 @@ class Engine:
             frames.close()
             self.frames.sendall(struct.pack("=q", child))
             return
+        _die_with_parent(told["parent"])  # at once: whatever comes next may take a while
         self.spec = spec = self.spec | told
         self.forked, self.forks = True, 0
         self.link.close()
@@ -340,10 +342,13 @@ def leave(code: int) -> NoReturn:
 
 
 def _die_with_parent(parent: int) -> None:
-    """Has the kernel send SIGTERM when the node ends, however it ends (Linux only)."""
+    """Has the kernel kill this process when the node ends, however it ends (Linux only).
+
+    SIGKILL, as a process that is stopped, or deep in EnergyPlus, acts on nothing else. A forked child has to ask anew.
+    """
     if sys.platform.startswith("linux"):
         set_parent_death_signal = 1
-        ctypes.CDLL(None).prctl(set_parent_death_signal, signal.SIGTERM)
+        ctypes.CDLL(None).prctl(set_parent_death_signal, signal.SIGKILL)
         if os.getppid() != parent:
             leave(0)
 
@@ -395,16 +400,16 @@ def own_files(folder: str) -> None:
 
 
 def begin(spec: dict[str, Any]) -> None:
-    """What holds for a process: whose child it is, which folder goes with it, where it runs."""
+    """Sets the scratch folder that goes with this process, and the cores on which it runs."""
     global _own_folder
     _own_folder = "" if spec["keep"] else spec["folder"]
-    _die_with_parent(spec["parent"])
     if spec["cpus"]:
         os.sched_setaffinity(0, spec["cpus"])
 
 
-def main(descriptor: int, frames: int) -> NoReturn:
+def main(descriptor: int, frames: int, parent: int) -> NoReturn:
     """Reads the run's description from the socket and simulates."""
+    _die_with_parent(parent)
     link = socket.socket(fileno=descriptor)
     length = struct.unpack("<I", link.recv(4, socket.MSG_WAITALL))[0]
     spec = json.loads(link.recv(length, socket.MSG_WAITALL))
@@ -416,4 +421,4 @@ def main(descriptor: int, frames: int) -> NoReturn:
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]), int(sys.argv[2]))
+    main(*map(int, sys.argv[1:4]))

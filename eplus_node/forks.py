@@ -326,6 +326,11 @@ class Forks:
         for branch in [*self.branches.values()]:
             branch.runner.inlets.wake()
 
+    def hurry(self) -> None:
+        """Has no branch wait for an engine that is computing; any thread may."""
+        for branch in [*self.branches.values()]:
+            branch.runner.hurry()
+
     def close(self) -> None:
         """Ends all; twice is fine."""
         for branch in self.branches.values():

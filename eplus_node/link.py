@@ -15,23 +15,32 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from time import monotonic
 from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 import psutil
 from numpy.typing import NDArray
 
+from bridge.idle import LOOK_S, IdleWatch
 from bridge.polling import Polling
 from eplus_node.engine import Order, Said
+from eplus_node.registry import EngineRegistry
 from models.energyplus import ISOLATED
 from models.errfile import explain
 from models.points import Points
-from topics.errors import EngineDied, ForkFailed, ModelRefused
+from topics.errors import EngineDied, EngineUnresponsive, ForkFailed, ModelRefused
+
+LOG = "engine.log"
+"""What an engine says on standard error, in its folder."""
 
 _SOCKET_BYTES = 1 << 20
 _NUMBER = struct.Struct("=q")
 T = TypeVar("T")
 _FINISH_S = 30.0
+_END_S = 5.0
+# The system's own timeout of a socket: it costs nothing where the answer comes in time.
+_LOOK = struct.pack("@ll", int(LOOK_S), int(LOOK_S % 1 * 1e6))
 # Fewer page tables, so that a fork copies less: it takes half the time (docs/performance.md).
 _HUGE_PAGES = {"GLIBC_TUNABLES": "glibc.malloc.hugetlb=1"}
 _FAILED, _LAST = float(Said.FAILED), float(Said.LAST)
@@ -155,13 +164,36 @@ def _socket_pair() -> tuple[socket.socket, socket.socket]:
     return pair
 
 
-def _number(link: socket.socket) -> int:
+def _fill(link: socket.socket, into: memoryview, look: Callable[[], None]) -> bool:
+    """Reads until `into` is full; false if the other side has ended. `look` is called while nothing comes."""
+    while into:
+        try:
+            got = link.recv_into(into)
+        except BlockingIOError:
+            look()
+            continue
+        except ConnectionResetError:
+            return False
+        if not got:
+            return False
+        into = into[got:]
+    return True
+
+
+def _send_all(link: socket.socket, data: bytes, look: Callable[[], None]) -> None:
+    """Sends all of it; `look` is called while the other side takes nothing."""
+    rest = memoryview(data)
+    while rest:
+        try:
+            rest = rest[link.send(rest) :]
+        except BlockingIOError:
+            look()
+
+
+def _number(link: socket.socket, look: Callable[[], None]) -> int:
     """A process id, or the negative number of an error; 0 if whoever should say it has ended."""
-    try:
-        said = link.recv(_NUMBER.size, socket.MSG_WAITALL)
-    except ConnectionResetError:
-        return 0
-    return int(_NUMBER.unpack(said)[0]) if len(said) == _NUMBER.size else 0
+    said = bytearray(_NUMBER.size)
+    return int(_NUMBER.unpack(said)[0]) if _fill(link, memoryview(said), look) else 0
 
 
 class _Ends(NamedTuple):
@@ -196,23 +228,24 @@ def _ends() -> tuple[_Ends, _Ends]:
         for end in orders:
             end.close()
         raise
+    for end in (orders[0], frames[0]):
+        end.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _LOOK)
+        end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, _LOOK)
     return _Ends(orders[0], frames[0]), _Ends(orders[1], frames[1])
 
 
 def _start(run: Run) -> tuple[_Ends, Process]:
-    """Starts an engine as a program and tells it what to simulate."""
+    """Starts an engine as a program, which waits to be told what to simulate."""
     ours, theirs = _ends()
-    with theirs, (run.folder / "engine.log").open("wb") as log:
+    with theirs, (run.folder / LOG).open("wb") as log:
         process = subprocess.Popen(
-            [*ISOLATED, "eplus_node.engine", *map(str, theirs.descriptors)],
+            [*ISOLATED, "eplus_node.engine", *map(str, theirs.descriptors), str(os.getpid())],
             pass_fds=theirs.descriptors,
             env=os.environ | _HUGE_PAGES,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=log,
         )
-    spec = json.dumps(run.spec()).encode()
-    ours.orders.sendall(struct.pack("<I", len(spec)) + spec)
     return ours, process
 
 
@@ -235,10 +268,13 @@ class EngineLink:
     Args:
         run: what it simulates.
         forked: the sockets and the process of a child that another engine has made of itself; else one is started.
+        registry: of the node's engines; also says how long this one may stand still while it is waited for.
     """
 
-    def __init__(self, run: Run, forked: tuple[_Ends, Process] | None = None) -> None:
-        self._run = run
+    def __init__(
+        self, run: Run, forked: tuple[_Ends, Process] | None = None, registry: EngineRegistry | None = None
+    ) -> None:
+        self._run, self._registry = run, registry or EngineRegistry()
         points = run.points
         self._told = [i for i, a in enumerate(points.actuators) if a.feedback]
         values = len(points.sensors) + len(points.meters)
@@ -251,17 +287,34 @@ class EngineLink:
         self._order_bytes = 8 * len(points.actuators)
         self._step = struct.pack("=dd", Order.STEP, 0.0)
         self.last = False
+        self._interrupted = False
+        if forked is None:
+            self._registry.check_open()
         self._ends, self._process = forked or _start(run)
         self._socket, self._frames = self._ends
         self._descriptor, self._frames_descriptor = self._socket.fileno(), self._frames.fileno()
         self._frame_buffers = [self._frame_bytes]
         self._polling = Polling(enabled=run.poll)
+        self._registry.add(self)
+        if self._registry.closing:
+            self.interrupt()  # the node has been told to end meanwhile
+        if forked is None:
+            self._tell_spec()
+
+    def _tell_spec(self) -> None:
+        spec = json.dumps(self._run.spec()).encode()
+        try:
+            with suppress(ConnectionError):  # an engine that has ended is noticed by whoever waits for it
+                _send_all(self._socket, struct.pack("<I", len(spec)) + spec, self._look())
+        except BaseException:
+            self.close()
+            raise
 
     def fork(self, run: Run) -> EngineLink:
         """A child of this engine, which waits: it goes on from the same sample in the folder of `run`, on its own.
 
         Raises:
-            EngineDied: this engine has ended, or its child has at once.
+            EngineDied: this engine has ended, or its child has at once, or does not answer.
             ForkFailed: the system cannot fork it; it waits on.
         """
         try:
@@ -275,22 +328,29 @@ class EngineLink:
         with theirs, suppress(OSError):  # an engine that has ended is noticed below
             self._socket.sendall(order)
             socket.send_fds(self._socket, [spec], theirs.descriptors)
-        said = _number(self._frames)
-        if said < 0:
+        try:
+            pid = self._forked(ours.frames)
+        except BaseException:
             ours.close()
-            self.receive()
-            raise ForkFailed(f"the system cannot fork an engine of {self.rss_bytes / 1e6:.0f} MB: {os.strerror(-said)}")
-        pid = _number(ours.frames) or said
-        if not pid:
-            ours.close()
-            raise EngineDied(self._last_words())
-        child = EngineLink(run, (ours, Forked(pid)))
+            raise
+        child = EngineLink(run, (ours, Forked(pid)), self._registry)
         try:
             self.receive()
         except BaseException:
             child.close()
             raise
         return child
+
+    def _forked(self, frames: socket.socket) -> int:
+        """The process id of a child that was ordered, which says it itself as well; raises as `fork` does."""
+        said = _number(self._frames, self._look())
+        if said < 0:
+            self.receive()
+            raise ForkFailed(f"the system cannot fork an engine of {self.rss_bytes / 1e6:.0f} MB: {os.strerror(-said)}")
+        pid = _number(frames, self._look(said)) or said
+        if not pid:
+            raise EngineDied(self._last_words())
+        return pid
 
     @property
     def pid(self) -> int:
@@ -325,6 +385,7 @@ class EngineLink:
 
     def interrupt(self) -> None:
         """Ends a process that is computing, so that whoever waits for its frame is told; any thread may."""
+        self._interrupted = True
         self._process.kill()
 
     @property
@@ -350,12 +411,10 @@ class EngineLink:
         Raises:
             ModelRefused: EnergyPlus gave up; with its own words.
             EngineDied: the process ended without a word.
+            EngineUnresponsive: it did not answer, used no processor time, and was killed.
         """
         got, size = self._polling.wait(self._try_read, self._read), len(self._frame_bytes)
-        while got and got < size:
-            more = self._frames.recv_into(self._frame_bytes[got:])
-            got = got + more if more else 0
-        if not got:
+        if got < size and not (got and _fill(self._frames, self._frame_bytes[got:], self._look())):
             raise EngineDied(self._last_words())
         said = self._said[0]
         if said == _FAILED:
@@ -373,8 +432,34 @@ class EngineLink:
     def _read(self) -> int:
         try:
             return os.readv(self._frames_descriptor, self._frame_buffers)
+        except BlockingIOError:
+            return self._read_slow()
         except ConnectionResetError:
             return 0
+
+    def _read_slow(self) -> int:
+        """Waits for a frame that takes its time, and looks after the engine meanwhile."""
+        return len(self._frame_bytes) if _fill(self._frames, self._frame_bytes, self._look()) else 0
+
+    def _look(self, pid: int = 0) -> Callable[[], None]:
+        """What looks after the engine, or a child `pid` in its place, while it is waited for."""
+        process = Forked(pid) if pid else self._process
+        watch = IdleWatch(process.pid)
+
+        def look() -> None:
+            if self._interrupted:
+                raise EngineDied("the engine process was ended, since the node ends")
+            limit_s = self._registry.unresponsive_s
+            if watch.look() < limit_s:
+                return
+            process.kill()
+            process.wait()
+            raise EngineUnresponsive(
+                f"the engine process neither answered nor used processor time for {limit_s:g} s after sample "
+                f"{self.step}, and was killed"
+            )
+
+        return look
 
     def send(self, actuators: bytes) -> None:
         """Orders the next timestep with these actuator values (float64); NaN releases an actuator."""
@@ -382,7 +467,9 @@ class EngineLink:
         try:
             written = os.write(self._descriptor, order)
             if written < len(order):
-                self._socket.sendall(order[written:])
+                _send_all(self._socket, order[written:], self._look())
+        except BlockingIOError:
+            _send_all(self._socket, order, self._look())
         except (BrokenPipeError, ConnectionResetError):
             raise EngineDied(self._last_words()) from None
 
@@ -395,11 +482,14 @@ class EngineLink:
 
     def finish(self) -> None:
         """Lets EnergyPlus end the run early and write its files, then closes."""
-        try:
+        look, until_s = self._look(), monotonic() + _FINISH_S
+        with suppress(OSError, EngineDied):  # it has ended already, or is ended now
             self._socket.sendall(self._finish)
-            self._process.wait(_FINISH_S)
-        except (OSError, subprocess.TimeoutExpired):
-            pass  # it has ended already, or is ended now
+            while monotonic() < until_s:
+                with suppress(subprocess.TimeoutExpired):
+                    self._process.wait(LOOK_S)
+                    break
+                look()
         self.close()
 
     def close(self) -> None:
@@ -408,18 +498,29 @@ class EngineLink:
         if self._process.poll() is None:
             self._process.kill()
         self._process.wait()
+        self._registry.remove(self)
         if not self._run.keep:
             shutil.rmtree(self._run.folder, ignore_errors=True)
 
+    def _ended(self) -> int:
+        """How a process ended that has closed its sockets."""
+        try:
+            return self._process.wait(_END_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            return self._process.wait()
+
     def _refusal(self, length: int) -> str:
-        text = self._frames.recv(length, socket.MSG_WAITALL).decode(errors="replace")
-        self._process.wait()
+        raw = bytearray(length)
+        _fill(self._frames, memoryview(raw), self._look())
+        text = raw.decode(errors="replace")
+        self._ended()
         return f"{text}. {explain(self._run.folder, 'EnergyPlus gave no reason in eplusout.err')}"
 
     def _last_words(self) -> str:
-        code = self._process.wait()
+        code = self._ended()
         how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with code {code}"
-        log = self._run.folder / "engine.log"
+        log = self._run.folder / LOG
         said = log.read_text(errors="replace").strip().splitlines()[-3:] if log.exists() else []
         words = explain(self._run.folder, "\n  ".join(["its last words:", *said]) if said else "it left no word")
         return f"the engine process {how} after sample {self.step}; {words}"

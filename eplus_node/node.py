@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import gc
-import shutil
+import os
 import signal
-import tempfile
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
@@ -14,13 +13,16 @@ from types import FrameType
 from bridge import affinity
 from bridge.handlers import ENDING, handled
 from bridge.lockstep import Exchange
+from bridge.scratch import Scratch, sweep
 from bridge.session import open_session
 from eplus_node.config import NodeConfig, Plan, plan
+from eplus_node.ending import LIMIT_S, Ending
 from eplus_node.engines import Engines
 from eplus_node.forks import Forks
 from eplus_node.injection import NO_FAULTS
 from eplus_node.injection import State as Faulty
 from eplus_node.link import EngineLink, one_for_each
+from eplus_node.registry import EngineRegistry
 from eplus_node.runner import Observer, Runner, Stopped, memory_asked
 from eplus_node.supply import Supply, Waiting, told_of
 from models import energyplus
@@ -43,12 +45,17 @@ from topics.messages import (
     Versions,
 )
 
-PATIENCE_S = 2.0
-"""How long a node that is told to end by a signal waits for an engine that is computing."""
+_KEEP_S = 35.0
+"""How long a node may take to end whose EnergyPlus finishes the files that are kept."""
 
 
 class Node:
-    """A building on the bus. `with Node(config) as node: node.serve()`.
+    """A building on the bus. `with Node(config) as node: node.serve()`, in the main thread.
+
+    Args:
+        config: what to simulate, and how.
+        observer: told of each sample and event.
+        program: the process is the node's alone, and is ended if the node does not come to its end in time.
 
     Attributes:
         runner: what it is on the bus.
@@ -57,9 +64,14 @@ class Node:
         UsageError, SimulatorError, BusError: see `topics.errors`; nothing is left behind.
     """
 
-    def __init__(self, config: NodeConfig, observer: Observer | None = None) -> None:
+    def __init__(self, config: NodeConfig, observer: Observer | None = None, *, program: bool = False) -> None:
         self.config = config
         self._observer = observer
+        self._registry = EngineRegistry(config.unresponsive_s)
+        self._scratch: Scratch | None = None
+        limit_s = LIMIT_S if config.keep is None else _KEEP_S
+        self._ending = Ending(self._hurry, self._give_up if program else None, limit_s)
+        self._runs: Runner | None = None
         self._close = ExitStack()
 
     # Life
@@ -67,6 +79,7 @@ class Node:
     def __enter__(self) -> Node:
         with ExitStack() as undo:
             undo.callback(self.close)
+            self._close.enter_context(self._ending)
             self.plan: Plan = plan(self.config)
             self._place()
             self._open_bus()
@@ -83,7 +96,8 @@ class Node:
 
     def close(self) -> None:
         """Ends the engines, leaves the bus and clears up; twice is fine. Who asks again meanwhile changes nothing."""
-        with handled(signal.SIG_IGN, *ENDING):
+        with handled(lambda *_: None, *ENDING):  # who asks again only has the end hurried
+            self._registry.close()
             self._close.close()
 
     @property
@@ -130,21 +144,32 @@ class Node:
             raise NameTaken(f"a node named {name!r} is on this bus already (instance {others[0]}); name this one else")
 
     def _make_folder(self) -> None:
-        self._folder = self.config.folder or Path(tempfile.mkdtemp(prefix="zenostat-"))
-        self._folder.mkdir(parents=True, exist_ok=True)
-        self._close.callback(shutil.rmtree, self._folder, ignore_errors=True)
+        sweep()
+        self._scratch = Scratch(self.config.folder)
+        self._close.callback(self._scratch.remove)
+        self._folder = self._scratch.folder
 
     def _supply(self) -> list[Supply]:
         waiting, slots = Waiting(), self.config.slots
         if slots == 1:
             cpus = () if self._engine_cpu is None else (self._engine_cpu,)
             poll, spare = self._engine_cpu != self.cpu, self._without(cpus)
-            return [Supply(self.plan, self._folder, waiting, cpus=cpus, spare=spare, poll=poll)]
+            return [
+                Supply(self.plan, self._folder, waiting, cpus=cpus, spare=spare, poll=poll, registry=self._registry)
+            ]
         # In blocks, the node's core last: engines there may have it before it has told all others to go.
         cores = sorted(self._cpus, key=lambda core: core == self.cpu) if self.cpu is not None else []
         own = [(cores[slot * len(cores) // slots],) if cores else () for slot in range(slots)]
         return [
-            Supply(self.plan, self._folder, waiting, place=f"slot-{slot}", cpus=cpus, spare=self._without(cpus))
+            Supply(
+                self.plan,
+                self._folder,
+                waiting,
+                place=f"slot-{slot}",
+                cpus=cpus,
+                spare=self._without(cpus),
+                registry=self._registry,
+            )
             for slot, cpus in enumerate(own)
         ]
 
@@ -172,11 +197,15 @@ class Node:
         self.runner = Runner(
             self.session, self.plan, self._manifest(), exchange, engines, self._weather_file, self._observer
         )
+        self.runner.interrupt, self.runner.on_stop = self._registry.interrupt, self._stop_asked
         self._close.callback(self.runner.close)
+        if self.config.keep is None:
+            self._close.callback(self._registry.interrupt)  # all at once, which is quicker than one by one
         if self.plan.faults is not None:
             self.runner.inject(self.plan.faults)
         self.forks = Forks(self.runner, self._folder, cpus=self._cpus, limit=self.config.branches)
         self._close.callback(self.forks.close)
+        self._runs = self.runner
         self._compare(slots)
         self._announce()
 
@@ -232,19 +261,33 @@ class Node:
     def serve(self) -> None:
         """Serves until it is told to stop (by a request, a signal, or its owner's end)."""
         gc.freeze()  # what is loaded by now stays; collections need not look at it
-        with handled(self._on_signal, *ENDING), handled(self._on_alarm, signal.SIGALRM):
-            try:
-                self.runner.serve()
-            finally:
-                signal.setitimer(signal.ITIMER_REAL, 0.0)
+        with handled(self._on_signal, *ENDING):
+            self.runner.serve()
 
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
         # Nothing is raised here: it could be anywhere, in the midst of a thread's start as well.
         self.runner.inlets.next(self.runner.leave)
-        signal.setitimer(signal.ITIMER_REAL, PATIENCE_S)
 
-    def _on_alarm(self, _number: int, _frame: FrameType | None) -> None:
+    def _stop_asked(self) -> None:
         self.runner.hurry()
+        self._ending.ask()
+
+    def _hurry(self, signals: int) -> None:
+        """Waits for no engine any more, unless it finishes files that are kept; any thread may."""
+        self._registry.close()
+        if self._runs is not None:
+            self._runs.hurry()
+            self.forks.hurry()
+        if signals > 1 or self.config.keep is None or self._runs is None:
+            self._registry.interrupt()
+
+    def _give_up(self) -> None:
+        """Ends the process in the midst of whatever it does, and leaves nothing; any thread may."""
+        self._registry.interrupt()
+        if self._scratch is not None:
+            self._scratch.remove()
+        os.write(2, f"node {self.config.name!r} did not end in time, and was ended\n".encode())
+        os._exit(0)
 
     def _on_child(self, _number: int, _frame: FrameType | None) -> None:
         self.runner.inlets.wake()  # an engine's end is seen while nothing else comes
@@ -369,6 +412,9 @@ class Node:
         runner.publish()
 
     def _tell_begin(self, source: str) -> None:
+        for supply in self._supplies:
+            while supply.warnings:
+                self.runner.event(self.exchange.event(EventKind.WARNING, supply.warnings.pop(0)))
         self.runner.event(self.exchange.event(EventKind.STARTED, self._begins(), source))
 
     def _begins(self) -> str:

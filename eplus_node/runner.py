@@ -84,6 +84,11 @@ class Runner:
         engines: waiting there.
         weather: the file that the present episode of a slot reads.
         observer: told of each sample and event.
+
+    Attributes:
+        stopping: it is to end, and what goes wrong with engines is no failure any more.
+        interrupt: ends the engines that it may be waiting for; any thread may call it.
+        on_stop: called at once, by the thread that hears of a request to stop.
     """
 
     def __init__(
@@ -108,6 +113,8 @@ class Runner:
         self._step_took, self._cycle = Latencies(), Latencies()
         self._sampled_s = 0.0
         self.stopping = False
+        self.interrupt = engines.interrupt
+        self.on_stop = self.hurry
         self._leaving = False
         self.failure = self.failure_error = ""
         self._latest = b""
@@ -126,7 +133,7 @@ class Runner:
         inlets.answer(keys.STATUS, status or (lambda asked: codec.encode(self.status(memory=memory_asked(asked)))))
         inlets.request(keys.CLAIM, Claim, self._claim)
         inlets.request(keys.WEATHER, WeatherQuery, self._weather)
-        inlets.request(keys.STOP, Stop, self._stop, at_once=self.hurry)
+        inlets.request(keys.STOP, Stop, self._stop, at_once=self.on_stop)
         self.pacing.declare()
         inlets.request(keys.FAULTS, FaultPlan, self._set_faults)
         self._close.callback(self.timer.close)
@@ -209,7 +216,7 @@ class Runner:
     def _clear_shelf(self) -> None:
         self.exchange.now_s = monotonic()
         self.inlets.clear_shelf()
-        if self.exchange.state is _WAITING and not self.engines.alive:
+        if self.exchange.state is _WAITING and not self.engines.alive and not self.stopping:
             try:
                 self.engines.raise_dead()
             except SimulatorError as error:
@@ -395,7 +402,7 @@ class Runner:
         """Does not wait for an engine that is computing; any thread may."""
         self.stopping = True
         if self.exchange.state in (State.RUNNING, State.STARTING):
-            self.engines.interrupt()
+            self.interrupt()
 
     def _stop(self, _: Stop) -> Message:
         self.inlets.shelve(self.leave)

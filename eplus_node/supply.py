@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from eplus_node.config import Plan
-from eplus_node.link import EngineLink, Run
+from eplus_node.link import LOG, EngineLink, Run
+from eplus_node.registry import EngineRegistry
 from models.episode import Draw, Draws, Episodes, Files, Source
 from topics.errors import EngineDied, ForkFailed, SimulatorError
 from topics.messages import Start
@@ -86,10 +87,12 @@ class Supply:
         cpus: the engine's core; empty leaves it to the system.
         spare: where the engine of the next episode starts, likewise.
         poll: whether the engine polls there.
+        registry: of the node's engines.
 
     Attributes:
         draw: the weather of the present episode.
         files: what it reads.
+        warnings: engines that were replaced, and why, since somebody last looked.
     """
 
     def __init__(
@@ -102,14 +105,18 @@ class Supply:
         cpus: Sequence[int] = (),
         spare: Sequence[int] = (),
         poll: bool = False,
+        registry: EngineRegistry | None = None,
     ) -> None:
         scenario, keep = plan.scenario, plan.config.keep
         self._plan, self._cpus, self._spare, self._poll = plan, tuple(cpus), tuple(spare), poll
+        self._registry = registry or EngineRegistry()
         self._keep, self._scratch = keep is not None, folder / place
         self._folder = keep.absolute() / place if keep else self._scratch
         self._draws = Draws(len(plan.sources), scenario.weather_order, noisy=bool(scenario.variability))
         self._episodes = Episodes(plan.building, plan.period, plan.sources, scenario.variability, outputs=self._keep)
+        self.warnings: list[str] = []
         self._turned = False
+        self._episode = 0
         self._seeds = 0  # in a row, lately
         self._waiting = waiting
         # The end of a run writes into the folder of the engine that it was forked from.
@@ -147,6 +154,7 @@ class Supply:
             untouched: whether the present engine still waits at sample 0.
         """
         self._drop_begun()
+        self._episode = episode
         former, self.draw = self.draw, self._drawn(seed)
         kept, self._kept = self._kept, self._keep
         if untouched and self.draw == former and kept == self._keep:
@@ -180,6 +188,9 @@ class Supply:
         """Starts the engine of the present episode, unless it is there already; it comes to sample 0 on its own."""
         if self._begun is not None or self._can_fork() or (self._ahead is not None and self._ahead.draw == self.draw):
             return
+        if _used(self.files):  # by an engine that has died meanwhile, and whose end clears its folder
+            former, self.files = self.files, self._prepared(self.draw, self._episode)
+            self._let_go(former, keeping=self.files)
         engine = self._started(self.files, self._cpus)
         if self._shares:
             self._waiting.take(self.draw, self.files, engine)
@@ -199,7 +210,14 @@ class Supply:
         begun, self._begun = self._begun, None
         engine = ahead.engine if begun is None and ahead is not None else begun
         assert engine is not None
-        _received(engine)
+        try:
+            _received(engine)
+        except EngineDied as error:
+            if ahead is None or self._registry.closing:
+                raise
+            self.warnings.append(f"the engine that was started ahead is replaced: {error}")
+            self.begin()  # the one that was started ahead harms no episode
+            return self.engine(episode)
         if ahead is not None and self._cpus:
             os.sched_setaffinity(engine.pid, self._cpus)
         return engine
@@ -280,13 +298,13 @@ class Supply:
             return self._child(self._waiting, episode)
         except ForkFailed:
             raise
-        except SimulatorError:
+        except SimulatorError as error:
             fresh = not self._waiting.told
             self._waiting.close()
-            if fresh:
+            if fresh or self._registry.closing:
                 raise
-        self.files = self._prepared(self.draw, episode)  # it has died meanwhile, and its files went with it
-        self.begin()
+            self.warnings.append(f"the engine that waits to be forked is replaced: {error}")
+        self.begin()  # it has died meanwhile, and its files went with it
         return self._child(self._waiting, episode)
 
     def _child(self, of: Waiting | EngineLink, episode: int) -> EngineLink:
@@ -300,7 +318,8 @@ class Supply:
 
     def _started(self, files: Files, cpus: Sequence[int]) -> EngineLink:
         try:
-            return EngineLink(self._run(files, files.model.parent, cpus, keep=self._keep))
+            run = self._run(files, files.model.parent, cpus, keep=self._keep)
+            return EngineLink(run, registry=self._registry)
         except OSError as error:
             raise EngineDied(f"no engine could be started: {error}") from None
 
@@ -341,6 +360,11 @@ class Supply:
             poll=self._poll,
             branch=branch,
         )
+
+
+def _used(files: Files) -> bool:
+    """Whether an engine has been started with these files: each has a folder of its own, which goes with it."""
+    return not files.model.exists() or (files.model.parent / LOG).exists()
 
 
 def told_of(source: Source) -> dict[str, Any]:

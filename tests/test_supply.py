@@ -12,10 +12,15 @@ from typing import Any
 import psutil
 import pytest
 from forking import FOUR, SMALL, Faults, engines, episode, go, make, plan, same
+from nodes import SMALL as OFFICE
 from nodes import runs, until
 
+from eplus_node.config import Plan, read_config
+from eplus_node.config import plan as read_plan
+from eplus_node.link import EngineLink
+from eplus_node.supply import Supply, Waiting
 from topics.errors import EngineDied, ForkFailed, SimulatorError
-from topics.messages import State
+from topics.messages import Start, State
 
 STOCHASTIC = SMALL.replace("continuous", "continuous-stochastic")
 IN_TURN = {"weather": ["USA_CO_Denver", "USA_FL_Miami"], "weather_order": "sequence"}
@@ -148,3 +153,70 @@ def test_the_engine_of_the_next_episode_starts_away_from_the_present_ones_core(s
     env.reset()
     assert ahead.cpu_affinity() == own
     env.close()
+
+
+@pytest.fixture(scope="module")
+def small_plan() -> Plan:
+    return read_plan(read_config(OFFICE))
+
+
+@pytest.fixture(scope="module")
+def noisy_plan() -> Plan:
+    return read_plan(read_config({"scenario": STOCHASTIC, "begin": "07-03", "end": "07-03"}))
+
+
+def ended(link: EngineLink) -> None:
+    link.interrupt()
+    until(lambda: not link.alive, "the engine has ended")
+
+
+def test_an_engine_that_waits_and_dies_within_a_reset_takes_no_file_of_its_successor(
+    folder: Path, small_plan: Plan
+) -> None:
+    """It lived when the reset chose to fork it, and had died when that was due."""
+    waiting = Waiting()
+    supply = Supply(small_plan, folder, waiting)
+    first = supply.engine(0)
+    assert waiting.engine is not None
+    assert supply.turn(None, 1, untouched=False) is Start.FORKED
+    ended(waiting.engine)
+    second = supply.engine(1)
+    assert second.step == 0
+    assert (supply.files.model.parent / "eplusout.err").exists()
+    for link in (first, second):
+        link.close()
+    supply.close()
+
+
+def test_an_engine_that_was_to_be_used_again_and_dies_within_a_reset_takes_no_file_of_its_successor(
+    folder: Path, noisy_plan: Plan
+) -> None:
+    supply = Supply(noisy_plan, folder, Waiting())
+    first = supply.engine(0)
+    assert supply.turn(None, 1, untouched=True) is Start.READY
+    ended(first)
+    second = supply.engine(1)
+    first.close()
+    assert second.step == 0
+    assert (supply.files.model.parent / "eplusout.err").exists()
+    second.close()
+    supply.close()
+
+
+def test_an_engine_that_was_started_ahead_and_dies_within_a_reset_is_replaced(folder: Path, noisy_plan: Plan) -> None:
+    supply = Supply(noisy_plan, folder, Waiting())
+    first = supply.engine(0)
+    assert supply.turn(None, 0, untouched=True) is Start.READY
+    supply.look_ahead(0)
+    assert supply.turn(None, 1, untouched=False) is Start.AHEAD
+    noise = supply.files.drawn
+    ahead = supply._ahead
+    assert ahead is not None
+    ended(ahead.engine)
+    second = supply.engine(1)
+    assert second.step == 0
+    assert supply.files.drawn == noise
+    assert supply.warnings
+    for link in (first, second):
+        link.close()
+    supply.close()

@@ -13,6 +13,7 @@
     ├── SimulatorError          EnergyPlus did not do its part
     │   ├── ModelRefused        EnergyPlus refused the model or gave up; `lines` of eplusout.err
     │   ├── EngineDied          the engine process ended without a word
+    │   │   └── EngineUnresponsive  it neither answered nor used processor time, and was killed
     │   └── ForkFailed          the system could not fork an engine, for want of memory or processes
     └── BusError                the way to the other side
         ├── EndpointTaken       another program listens there
@@ -84,6 +85,10 @@ class ModelRefused(SimulatorError):
 
 class EngineDied(SimulatorError):
     """The engine process ended without a word."""
+
+
+class EngineUnresponsive(EngineDied):
+    """The engine process neither answered nor used processor time for as long as the node allows, and was killed."""
 
 
 class ForkFailed(SimulatorError):
