@@ -13,6 +13,7 @@ import sys
 import threading
 from typing import Any
 
+from bridge.handlers import ENDING
 from eplus_node.config import plan, read_config
 from eplus_node.node import Node
 from topics.errors import ZenostatError, to_wire
@@ -33,7 +34,8 @@ def _say(**what: Any) -> None:
 
 def main() -> int:
     """Runs the node; 0 if it was told to stop, 1 if it could not start or EnergyPlus failed."""
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+    for number in ENDING:
+        signal.signal(number, lambda *_: sys.exit(0))
     line = b""
     while not line.endswith(b"\n"):
         more = os.read(0, 65536)
