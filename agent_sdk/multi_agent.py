@@ -18,13 +18,14 @@ from agent_sdk.rewards import AnyReward, BoundReward, read_reward
 from agent_sdk.rewards.linear import Weighted
 from agent_sdk.rewards.points import temperatures
 from topics.errors import EpisodeChanged, InvalidAction, InvalidConfig, near
+from topics.extras import install_command
 from topics.keys import safe
 from topics.messages import Action, Manifest
 
 try:
     from pettingzoo import ParallelEnv
 except ImportError:
-    raise InvalidConfig("agents for zones need PettingZoo: pip install 'zenostat[multi-agent]'") from None
+    raise InvalidConfig(f"agents for zones need PettingZoo: {install_command('multi-agent')}") from None
 
 BUILDING = "building"
 """The agent of all actions that belong to no single zone."""

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topics.errors import InvalidConfig
+from topics.extras import install_command
 from topics.messages import Manifest
 
 _DAY = timedelta(days=1)
@@ -24,7 +25,7 @@ class History:
         try:
             import matplotlib.figure  # noqa: F401
         except ImportError:
-            raise InvalidConfig("render_mode='rgb_array' needs matplotlib: pip install 'zenostat[plots]'") from None
+            raise InvalidConfig(f"render_mode='rgb_array' needs matplotlib: {install_command('plots')}") from None
         self._manifest = manifest
         units = [sensor.unit for sensor in manifest.sensors]
         self._panels = {

@@ -11,12 +11,13 @@ from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 from agent_sdk.infos import of_slot
 from agent_sdk.wrappers.names import inside, layers
 from topics.errors import EpisodeChanged, InvalidConfig
+from topics.extras import install_command
 
 try:
     from stable_baselines3.common.vec_env import VecEnv
     from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
 except ImportError as error:
-    raise InvalidConfig(f"as_sb3 needs stable-baselines3 ({error}): pip install 'zenostat[train]'") from None
+    raise InvalidConfig(f"as_sb3 needs stable-baselines3 ({error}): {install_command('train')}") from None
 
 
 _STATISTICS = "episode"

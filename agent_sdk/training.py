@@ -25,6 +25,7 @@ from agent_sdk.sample import SampleView
 from agent_sdk.wrappers import restore_wrappers, save_wrappers
 from topics import readable
 from topics.errors import InvalidConfig, UnknownName, near
+from topics.extras import install_command
 from topics.messages import Manifest, Mask
 
 try:
@@ -33,7 +34,7 @@ try:
     from stable_baselines3.common.base_class import BaseAlgorithm
     from stable_baselines3.common.callbacks import BaseCallback
 except ImportError as error:
-    raise InvalidConfig(f"training needs stable-baselines3 ({error}): pip install 'zenostat[train]'") from None
+    raise InvalidConfig(f"training needs stable-baselines3 ({error}): {install_command('train')}") from None
 
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {
     "a2c": sb3.A2C,

@@ -12,6 +12,7 @@ from bridge.session import default_endpoint
 from cli.console import out
 from cli.options import CertificateName, Connect, Keys
 from topics.errors import InvalidConfig
+from topics.extras import install_command
 from topics.keys import Role
 
 
@@ -30,7 +31,7 @@ def zmq(
     Example: `zenostat zmq --node office`
     """
     if importlib.util.find_spec("zmq") is None:
-        raise InvalidConfig("pyzmq is not installed: pip install 'zenostat[zeromq]'")
+        raise InvalidConfig(f"pyzmq is not installed: {install_command('zeromq')}")
     from bridge.session import open_session
     from bridge.zeromq import Gateway
 

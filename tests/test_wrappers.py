@@ -717,11 +717,11 @@ def test_parquet_has_the_same_as_csv(tmp_path: Path) -> None:
 def test_a_log_without_its_extra_names_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for module in ("pyarrow", "tensorboardX", "wandb"):
         monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(InvalidConfig, match=r"EpisodeLog needs pyarrow .*pip install 'zenostat\[parquet\]'"):
+    with pytest.raises(InvalidConfig, match=r"EpisodeLog needs pyarrow .*pip install -e '\S+\[parquet\]'"):
         w.EpisodeLog(fake(), tmp_path, "parquet")
-    with pytest.raises(InvalidConfig, match=r"pip install 'zenostat\[tensorboard\]'"):
+    with pytest.raises(InvalidConfig, match=r"pip install -e '\S+\[tensorboard\]'"):
         w.TensorBoardLog(fake(), tmp_path)
-    with pytest.raises(InvalidConfig, match=r"pip install 'zenostat\[wandb\]'"):
+    with pytest.raises(InvalidConfig, match=r"pip install -e '\S+\[wandb\]'"):
         w.WeightsAndBiasesLog(fake(), "office")
     with pytest.raises(InvalidConfig, match="EpisodeLog logs a number as reward; put it before RewardVector"):
         w.EpisodeLog(w.RewardVector(fake(), ["energy"]), tmp_path)

@@ -15,6 +15,7 @@ from agent_sdk.rewards.kind import Names
 from agent_sdk.rewards.points import Indices, beside, indices, named, of_variables, powers, temperatures, total
 from agent_sdk.rewards.season import Dated
 from topics.errors import InvalidConfig
+from topics.extras import install_command
 from topics.messages import Manifest
 
 PMV, PPD = "Zone Thermal Comfort Fanger Model PMV", "Zone Thermal Comfort Fanger Model PPD"
@@ -35,7 +36,7 @@ class ThermalSensationReward(Dated):
 
     The votes are EnergyPlus's own, where the node has sensors of 'Zone Thermal Comfort Fanger Model PMV' (or '... PPD'
     for `by: ppd`), with people, clothing and air speed as the model says. Else they are computed by the library
-    pythermalcomfort (`pip install 'zenostat[comfort]'`) from each zone's air temperature, mean radiant temperature and
+    pythermalcomfort (the extra `comfort`) from each zone's air temperature, mean radiant temperature and
     relative humidity, with `met`, clothing and `air_speed` of this object.
 
     Terms: energy, comfort. Measures: power_w, beyond_limit (the sum over the zones), and pmv_mean or ppd_mean (over
@@ -181,7 +182,7 @@ def _library(kind: str) -> Callable[..., Any]:
         models = importlib.import_module("pythermalcomfort.models")
     except ImportError:
         raise InvalidConfig(
-            f"the {kind} reward needs the library pythermalcomfort to compute votes: pip install 'zenostat[comfort]'; "
+            f"the {kind} reward needs the library pythermalcomfort to compute votes: {install_command('comfort')}; "
             f"or name sensors of {PMV!r} in sensors="
         ) from None
     found: Callable[..., Any] = models.pmv_ppd_iso

@@ -6,6 +6,7 @@ import importlib
 from typing import Any
 
 from topics.errors import InvalidConfig
+from topics.extras import install_command
 
 
 def load(module: str, extra: str, who: str) -> Any:
@@ -17,4 +18,4 @@ def load(module: str, extra: str, who: str) -> Any:
     try:
         return importlib.import_module(module)
     except ImportError as error:
-        raise InvalidConfig(f"{who} needs {module} ({error}): pip install 'zenostat[{extra}]'") from None
+        raise InvalidConfig(f"{who} needs {module} ({error}): {install_command(extra)}") from None

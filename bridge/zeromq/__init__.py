@@ -1,4 +1,4 @@
-"""The ZeroMQ gateway: programs that speak only ZeroMQ and msgpack join a bus. It needs pyzmq (`zenostat[zeromq]`)."""
+"""The ZeroMQ gateway: programs that speak only ZeroMQ and msgpack join a bus. It needs pyzmq (the extra `zeromq`)."""
 
 from bridge.zeromq.gateway import Gateway
 

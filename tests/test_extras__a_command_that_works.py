@@ -1,0 +1,35 @@
+"""The command that installs an extra, as errors say it and as pages say it."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import sys
+import tomllib
+from pathlib import Path
+
+from topics.extras import install_command
+
+ROOT = Path(__file__).resolve().parent.parent
+EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+
+
+def test_the_command_works_in_any_folder() -> None:
+    """It names this Python and this checkout by their whole paths."""
+    python, *pip, requirement = shlex.split(install_command("plots"))
+    assert (python, pip) == (sys.executable, ["-m", "pip", "install", "-e"])
+    root, _, extra = requirement.rstrip("]").rpartition("[")
+    assert (Path(root), extra) == (ROOT, "plots")
+
+
+def test_no_page_or_error_has_the_index_install_it() -> None:
+    """All extras that are named exist, and none is looked for on a package index."""
+    folders = ("agent_sdk", "bridge", "cli", "docs", "eplus_node", "examples", "models", "topics")
+    files = [p for name in folders for p in (ROOT / name).rglob("*") if p.suffix in (".py", ".md", ".c")]
+    named = set()
+    for path in (*files, ROOT / "README.md"):
+        text = path.read_text(encoding="utf-8")
+        assert "install 'zenostat[" not in text, path
+        named |= set(re.findall(r"'\.\[([a-z-]+)\]'|install_command\(['\"]([a-z-]+)", text))
+    assert {one or other for one, other in named} <= EXTRAS.keys()
+    assert len(named) > 5
