@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from agent_sdk import spaces
 from topics.errors import InvalidAction, near
 from topics.messages import Action, Choice, Manifest, Mask
+from topics.units import with_unit
 
 _FEW = 8
 
@@ -96,7 +97,9 @@ class Actions:
             low = -np.inf if actuator.low is None else actuator.low
             high = np.inf if actuator.high is None else actuator.high
             if value is not None and not (isinstance(value, Real) and isfinite(value) and low <= value <= high):
-                raise InvalidAction(f"{name} = {value!r}; its bounds are {low:g} to {high:g} {actuator.unit}")
+                raise InvalidAction(
+                    f"{name} = {value!r}; its bounds are {with_unit(f'{low:g} to {high:g}', actuator.unit)}"
+                )
             found[index] = value
         return found
 
@@ -136,7 +139,7 @@ class Actions:
         faults = []
         for *slot, index in np.argwhere(~inside).tolist():
             action = self._actions[index]
-            bounds = f"{self._low[index]:g} to {self._high[index]:g} {action.unit}"
+            bounds = with_unit(f"{self._low[index]:g} to {self._high[index]:g}", action.unit)
             faults.append(f"{_of(slot)}{action.name} = {values[*slot, index]:g}; its bounds are {bounds}")
         return "; ".join(faults)
 

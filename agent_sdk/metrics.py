@@ -129,13 +129,17 @@ class Tally:
         self._steps = self._steps_outside = 0
         self._refused = self._refused_before = (0, 0)
 
+    def begin(self, sample: SampleView) -> None:
+        """Start again from `sample`, whatever its step: the timestep that ended there does not count."""
+        self._clear()
+        self._refused_before = self._refused = (sample.wire.late, sample.wire.rejected)
+
     def add(self, sample: SampleView, terms: Mapping[str, float] | None = None) -> None:
         """Adds the timestep that ended at `sample`, and the terms of its reward; at sample 0 it begins anew."""
-        refused = (sample.wire.late, sample.wire.rejected)
         if sample.step == 0:
-            self._clear()
-            self._refused_before = self._refused = refused
+            self.begin(sample)
             return
+        refused = (sample.wire.late, sample.wire.rejected)
         values = sample.truth
         kwh = values[self._places] * self._to_kwh
         self._kwh += kwh

@@ -25,6 +25,7 @@ from agent_sdk.sample import SampleView
 from agent_sdk.settings import OF_A_NODE, of_scenario
 from topics.errors import BusError, Faults, InvalidConfig, SimulatorError, UnknownName, near
 from topics.messages import Actuator, MakeBranch, Manifest
+from topics.units import with_unit
 
 Progress = Callable[[int, int], None]
 """Told of simulated timesteps: how many are done, and how many there will be."""
@@ -162,9 +163,8 @@ class Asked:
         most = inf if actuator.high is None else actuator.high
         for side, value in (("low", low), ("high", high)):
             if value is not None and not least <= value <= most:
-                raise InvalidConfig(
-                    f"--{side} {actuator.name}={value:g}: its bounds are {least:g} to {most:g} {actuator.unit}"
-                )
+                limits = with_unit(f"{least:g} to {most:g}", actuator.unit)
+                raise InvalidConfig(f"--{side} {actuator.name}={value:g}: its bounds are {limits}")
 
     def _bounds(self, actuator: Actuator) -> tuple[float | None, float | None]:
         return self._low.get(actuator.name, actuator.low), self._high.get(actuator.name, actuator.high)

@@ -16,6 +16,7 @@ from bridge.priority import PriorityArray
 from topics import codec
 from topics.errors import BadMessage, near
 from topics.messages import Actuator, Command, Mask, Write
+from topics.units import with_unit
 
 _FEW = 8
 """Values that are looked at one by one in less time than it takes to make arrays of them."""
@@ -147,7 +148,7 @@ class Commanded:
     def _out_of_bounds(self, index: int, value: float) -> str:
         actuator = self._actuators[index]
         low, high = (str(b) if b is not None else "unbounded" for b in (actuator.low, actuator.high))
-        return f"{actuator.name} = {value:g} {actuator.unit}; its bounds are {low} to {high}"
+        return f"{actuator.name} = {with_unit(f'{value:g}', actuator.unit)}; its bounds are {low} to {high}"
 
     # Single points
 
@@ -168,14 +169,16 @@ class Commanded:
 
     def write(self, index: int, write: Write, source: int, elapsed_s: float) -> str:
         """Sets or releases one actuator of all slots; says so in words."""
+        occupied = self.array.occupied(write.priority, index)
         self.array.put_one(write.priority, source, index, np.nan if write.value is None else write.value)
         self._expiries = [e for e in self._expiries if (e.level, e.actuator) != (write.priority, index)]
         actuator = self._actuators[index]
         if write.value is None:
-            return f"{actuator.name} released at priority {write.priority}"
+            level = f"at priority {write.priority}"
+            return f"{actuator.name} {'released' if occupied else 'had nothing to release'} {level}"
         if write.for_s is not None:
             self._expiries.append(Expiry(elapsed_s + write.for_s, write.priority, index, write.source))
-        return f"{actuator.name} = {write.value:g} {actuator.unit} at priority {write.priority}"
+        return f"{actuator.name} = {with_unit(f'{write.value:g}', actuator.unit)} at priority {write.priority}"
 
     def claimed(self, claimant: Claimant) -> None:
         """What was written for a time where somebody claims holds no longer than the claim says."""

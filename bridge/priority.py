@@ -113,6 +113,11 @@ class PriorityArray:
         if np.isnan(new_values).all():
             del self._rows[level]
 
+    def occupied(self, level: int, actuator: int) -> bool:
+        """Return whether an actuator has a value at a level, in any slot."""
+        row = self._rows.get(level)
+        return row is not None and not np.isnan(np.frombuffer(row.values).reshape(self.shape)[:, actuator]).all()
+
     def put_one(self, level: int, source: int, actuator: int, value: float) -> None:
         """Sets one actuator of all slots at a level; NaN releases."""
         where = np.zeros(self.shape, np.bool_)

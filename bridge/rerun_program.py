@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import ctypes
 import importlib.util
 import os
+import shlex
+import shutil
 import socket
 import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -14,7 +18,10 @@ from pathlib import Path
 
 from topics.errors import InvalidConfig
 
-NO_VULKAN = "no Vulkan driver was found, so no picture was made; on Debian: apt install mesa-vulkan-drivers libvulkan1"
+NO_VULKAN = "a picture takes a Vulkan driver, and none was found; on Debian: apt install mesa-vulkan-drivers libvulkan1"
+_DRIVERS = ("/usr/share/vulkan/icd.d", "/usr/local/share/vulkan/icd.d", "/etc/vulkan/icd.d")
+"""Where the Vulkan loader looks for drivers, besides the files that its environment variables name."""
+
 _START_S = 20.0
 _SETTLE_S = 1.5  # `open` answers before all plots are drawn, and the viewer does not say when they are
 
@@ -26,6 +33,24 @@ def program() -> str:
     if not folders:
         raise InvalidConfig("the rerun program is not installed: pip install rerun-sdk")
     return str(Path(folders[0]) / "rerun")
+
+
+def has_vulkan() -> bool:
+    """Return whether there is a Vulkan loader and a driver for it, as far as one can know without trying."""
+    try:
+        ctypes.CDLL("libvulkan.so.1")
+    except OSError:
+        return False
+    named = any(os.environ.get(name) for name in ("VK_DRIVER_FILES", "VK_ICD_FILENAMES", "VK_ADD_DRIVER_FILES"))
+    own = Path(os.environ.get("XDG_DATA_HOME") or Path.home() / ".local/share") / "vulkan/icd.d"
+    return named or any(any(folder.glob("*.json")) for folder in (*map(Path, _DRIVERS), own))
+
+
+def how_to_open(recording: Path) -> str:
+    """Return the commands that show a recording, with a display and without one."""
+    beside = Path(sys.executable).parent / "rerun"
+    name = "rerun" if shutil.which("rerun") or not beside.exists() else shlex.quote(str(beside))
+    return f"{name} {shlex.quote(str(recording))} (in a browser: {name} --web-viewer {shlex.quote(str(recording))})"
 
 
 def _free_port() -> int:

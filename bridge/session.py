@@ -222,8 +222,8 @@ def _explained(error: zenoh.ZError, listen: Sequence[str], connect: Sequence[str
     text = str(error)
     if "Address already in use" in text or ("listener" in text and "os error 98" in text):
         return EndpointTaken(
-            f"another program listens on {' or '.join(listen)}; name another port (--listen), "
-            "or join the bus that is there (--connect)"
+            f"another program listens on {' or '.join(listen)}; name another port (--listen tcp/127.0.0.1:7448), or "
+            f"join the bus that is there without listening (--no-listen --connect {listen[0]})"
         )
     if "Unable to connect" in text or "Timeout" in text:
         if shown is not None:

@@ -11,7 +11,7 @@ import typer
 from rich.progress import track
 
 from cli.console import err
-from cli.points import show, show_json
+from cli.tables import show, show_json
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -25,10 +25,10 @@ COLUMNS = (
     "conditioned\n(m²)",
     "zones",
     "conditioned\nzones",
-    "HVAC",
-    "fuels",
     "EMS",
     "steps\n(1/h)",
+    "fuels",
+    "HVAC",
 )
 
 
@@ -51,7 +51,8 @@ def buildings(
         return
     rows = [_cells(entry.name, found) for entry, found in zip(entries, facts, strict=True)]
     numbers = [name for name in COLUMNS if name not in ("building", "HVAC", "fuels")]
-    show(f"{len(rows)} building" + ("s" if len(rows) > 1 else ""), COLUMNS, rows, right=numbers, wrap=("HVAC", "fuels"))
+    title = f"{len(rows)} building" + ("s" if len(rows) > 1 else "")
+    show(title, COLUMNS, rows, right=numbers, wrap=("building", "fuels", "HVAC"))
 
 
 def _facts(entries: Sequence[Entry]) -> list[BuildingFacts]:
@@ -71,8 +72,8 @@ def _cells(name: str, facts: BuildingFacts) -> tuple[str, ...]:
         f"{facts.conditioned_area_m2:,.0f}",
         str(facts.zones),
         str(facts.conditioned_zones),
-        facts.hvac,
-        ", ".join(facts.fuels),
         str(facts.ems_programs),
         str(facts.steps_per_hour),
+        ", ".join(facts.fuels),
+        facts.hvac,
     )

@@ -24,7 +24,7 @@ def say_error(text: str) -> None:
 
 @contextmanager
 def progress() -> Iterator[Progress]:
-    """Progress bars over timesteps, with their rate; an error of ours takes them away and stands alone."""
+    """Progress bars over timesteps, with their rate, in a terminal; an error of ours takes them away."""
     bars = Progress(
         TextColumn("{task.description}"),
         BarColumn(),
@@ -33,6 +33,7 @@ def progress() -> Iterator[Progress]:
         TimeRemainingColumn(),
         console=out,
         transient=False,
+        disable=not out.is_interactive,
     )
     stop = bars.stop
     bars.start()

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.table import Table
 
 from cli.console import out, progress
+from cli.results import show_results
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -57,7 +57,7 @@ def demo(
         bus.stop(NODE)
         own.close()
         said = _rest(watcher)
-    out.print(_table(results, f"{building}, {weather}, {begin} to {end}"))
+    show_results(results, f"{building}, {weather}, {begin} to {end}")
     for line in said:
         out.print(f"monitor: {line}", markup=False, soft_wrap=True)
     out.print(f"recording: {recording}" + (f", picture: {picture}" if picture.exists() else ""))
@@ -68,7 +68,10 @@ def _start(*arguments: object, wait: bool = False) -> subprocess.Popen[str]:
         [*ZENOSTAT, *map(str, arguments)], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     )
     if wait and process.stdout is not None:
-        process.stdout.readline()  # it says when it listens
+        for line in process.stdout:
+            if "Ctrl-C ends it" in line:  # it listens
+                break
+            out.print(line.rstrip(), markup=False, soft_wrap=True)
     return process
 
 
@@ -98,25 +101,3 @@ def _episode(bus: Bus, endpoint: str, controller: str, title: str, bars: Progres
     steps_per_s = (manifest.steps - 1) / (time.monotonic() - start)
     process.communicate(timeout=60)
     return tally.result(), steps_per_s
-
-
-def _table(results: dict[str, tuple[Result, float]], title: str) -> Table:
-    table = Table("", *results, title=title)
-    rows = {
-        "electricity (kWh)": [_said(r.energy_kwh.get("electricity"), 0) for r, _ in results.values()],
-        "  of it HVAC (kWh)": [_said(r.hvac_electricity_kwh, 0) for r, _ in results.values()],
-        "gas (kWh)": [_said(r.energy_kwh.get("natural_gas"), 0) for r, _ in results.values()],
-        "peak (kW)": [_said(r.peak_kw, 1) for r, _ in results.values()],
-        "outside comfort, occupied (K h)": [_said(r.occupied_outside_kh, 1) for r, _ in results.values()],
-        "outside comfort, always (K h)": [_said(r.outside_kh, 1) for r, _ in results.values()],
-        "timesteps": [f"{r.steps}" for r, _ in results.values()],
-        "timesteps/s": [f"{rate:,.0f}" for _, rate in results.values()],
-        "late, rejected messages": [f"{r.late}, {r.rejected}" for r, _ in results.values()],
-    }
-    for name, cells in rows.items():
-        table.add_row(name, *cells)
-    return table
-
-
-def _said(value: float | None, digits: int) -> str:
-    return "not measured" if value is None else f"{value:,.{digits}f}"

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cli.console import out, progress
-from cli.points import show, show_json
 from cli.run import read_parameters
+from cli.tables import show, show_json
 from topics.errors import InvalidConfig
 
 if TYPE_CHECKING:

@@ -1,101 +1,34 @@
-"""The `zenostat` command."""
+"""The `zenostat` program: light to import, so that signals are handled before anything heavy is."""
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
-
-import typer
-
-from cli import (
-    buildings,
-    contract,
-    demo,
-    evaluate,
-    keys,
-    monitor,
-    node,
-    pace,
-    packs,
-    points,
-    probe,
-    read,
-    router,
-    run,
-    status,
-    watch,
-    weathers,
-    write,
-    zmq,
-)
-from cli.console import say_error
-from cli.scenarios import scenarios
-from topics import VERSION
-from topics.errors import UsageError, ZenostatError
-
-app = typer.Typer(
-    name="zenostat",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    rich_markup_mode="markdown",
-    help="Put a real EnergyPlus building on a Zenoh bus, control it from other processes, watch it live.",
-)
-_COMMANDS = (
-    node.node,
-    run.run,
-    evaluate.evaluate,
-    monitor.monitor,
-    status.status,
-    router.router,
-    read.read,
-    watch.watch,
-    buildings.buildings,
-    weathers.weathers,
-    points.points,
-    probe.probe,
-    demo.demo,
-    write.release,
-    pace.pace,
-    pace.pause,
-    pace.resume,
-    pace.step,
-    pace.faults,
-    contract.contract,
-    zmq.zmq,
-)
-for command in _COMMANDS:
-    app.command()(command)
-app.command(context_settings={"ignore_unknown_options": True})(write.write)  # a value may be negative
-app.add_typer(scenarios, name="scenarios")
-app.add_typer(packs.app, name="packs")
-app.add_typer(keys.app, name="keys")
+from typing import NoReturn
 
 
-def _version(wanted: bool) -> None:
-    if wanted:
-        typer.echo(f"zenostat {VERSION}")
-        raise typer.Exit
+def main() -> NoReturn:
+    """Run the command line: 2 for a mistake in the call, 1 for what went wrong on the way, 128 and the signal."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda number, _: os._exit(128 + number))  # nothing has been started yet
+    from cli.commands import app
+    from cli.failures import say_failure
 
-
-@app.callback()
-def _root(version: bool = typer.Option(False, "--version", callback=_version, is_eager=True)) -> None:
-    """Zenostat."""
-
-
-def main() -> None:
-    """Runs the command line: 2 for a mistake in the call, 1 for what went wrong on the way, 128 and the signal."""
-    signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))  # what runs is ended in good order
+    code: int | str | None = 0
     try:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))  # what runs is ended in good order
         app()
-    except UsageError as error:
-        say_error(str(error))
-        sys.exit(2)
-    except ZenostatError as error:
-        say_error(str(error))
-        sys.exit(1)
     except KeyboardInterrupt:
-        sys.exit(130)
+        code = 130
+    except SystemExit as end:
+        code = end.code
+    except Exception as error:
+        code = say_failure(error)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_DFL)  # all is closed; a handler in Python would fail in the shutdown
+    sys.exit(code)
 
 
 if __name__ == "__main__":

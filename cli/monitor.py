@@ -7,15 +7,18 @@ import tempfile
 import threading
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from bridge.session import DEFAULT_ENDPOINT, default_endpoint
 from cli.console import err, out, until_signal
 from cli.options import CertificateName, Keys
-from topics.errors import InvalidConfig, NothingThere
+from topics.errors import InvalidConfig, NothingThere, near
 from topics.keys import Role
+
+if TYPE_CHECKING:
+    import zenoh
 
 _PAUSE_S = 0.2
 
@@ -37,11 +40,15 @@ def monitor(
     Example: `zenostat monitor --save run.rrd --screenshot run.png`
     """
     from bridge import affinity
-    from bridge.rerun_program import NO_VULKAN
+    from bridge.rerun_program import NO_VULKAN, has_vulkan, how_to_open
     from bridge.rerun_program import screenshot as draw
     from bridge.rerun_stream import RerunStream
     from bridge.session import open_session
 
+    if screenshot is not None and screenshot.suffix != ".png":
+        raise InvalidConfig(f"--screenshot {screenshot}: a file .png expected, as --screenshot run.png")
+    if screenshot is not None and not has_vulkan():
+        err.print(f"warning: {NO_VULKAN}", style="yellow", soft_wrap=True)
     connect = connect or default_endpoint(keys)
     with ExitStack() as stack:
         recording = save
@@ -56,11 +63,25 @@ def monitor(
         )
         affinity.give_way()
         with RerunStream(session, node, sinks) as stream:
-            out.print(f"listening on {connect}; Ctrl-C ends it")
+            out.print(f"connected to {connect}{_awaited(session, node)}; Ctrl-C ends it", soft_wrap=True, markup=False)
             stream.run(until=lambda: stop.is_set() or (once and stream.left))
         out.print(f"{stream.samples} samples logged, {stream.missed} missed" + (f", in {save}" if save else ""))
+        if save is not None:
+            out.print(f"open it again: {how_to_open(save)}", soft_wrap=True, markup=False)
         if screenshot is not None and recording is not None and not draw(recording, screenshot):
-            err.print(NO_VULKAN, soft_wrap=True)
+            err.print(f"no picture was made; {NO_VULKAN}", soft_wrap=True)
+
+
+def _awaited(session: zenoh.Session, node: str) -> str:
+    """What is to be said of a node, or of all, if there is none yet."""
+    from topics.keys import MANIFEST, node_of
+
+    there = sorted({node_of(str(reply.ok.key_expr)) for reply in session.get(MANIFEST.at("*")) if reply.ok})
+    if node in there or (node == "*" and there):
+        return ""
+    if node == "*":
+        return ", where no node is yet; waiting for one"
+    return f", where no node {node!r} is; {near(node, there)}; waiting for it"
 
 
 def _there(connect: str, stop: threading.Event, **who: Any) -> bool:

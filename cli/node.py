@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,14 +15,15 @@ from bridge.session import DEFAULT_ENDPOINT, default_endpoint, exposure
 from cli import statistics
 from cli.console import out, progress
 from cli.options import CertificateName, Keys
-from topics.errors import InvalidConfig
+from topics.errors import EndpointTaken, InvalidConfig, NothingThere
 from topics.messages import Mode, Policy, State
 
 if TYPE_CHECKING:
     from rich.progress import Progress
 
+    from eplus_node.config import NodeConfig
     from eplus_node.node import Node
-    from eplus_node.runner import Runner
+    from eplus_node.runner import Observer, Runner
 
 
 def node(
@@ -56,7 +59,10 @@ def node(
         float | None,
         typer.Option(metavar="SECONDS", help="How long a lockstep step waits for commands; wall time. None: for ever."),
     ] = None,
-    listen: Annotated[str | None, typer.Option(help="Endpoint to listen on.", show_default=DEFAULT_ENDPOINT)] = None,
+    listen: Annotated[
+        str | None,
+        typer.Option(help="Endpoint to listen on.", show_default=DEFAULT_ENDPOINT),
+    ] = None,
     connect: Annotated[
         list[str] | None, typer.Option(help="Endpoint of a router, or of another node to share its bus.")
     ] = None,
@@ -74,12 +80,11 @@ def node(
     keep: Annotated[Path | None, typer.Option(help="Keep EnergyPlus's own output files in this folder.")] = None,
     affinity: Annotated[Affinity, typer.Option(help="Cores: see docs/architecture.md.")] = Affinity.APART,
 ) -> None:
-    """Simulates a building and puts it on the bus, until Ctrl-C or `rpc/stop`.
+    """Simulates a building and puts it on the bus, until Ctrl-C or `zenostat stop`.
 
     Example: `zenostat node --building office-medium --weather USA_CO_Denver --begin 07-01 --end 07-07 --name office`
     """
     from eplus_node.config import read_config
-    from eplus_node.node import Node
 
     if no_listen and listen:
         raise InvalidConfig(f"--listen {listen} and --no-listen; give one of them")
@@ -114,16 +119,50 @@ def node(
             "affinity": affinity,
         }
     )
-    with progress() as bars:
+    with progress() as bars, ExitStack() as stack:
         watch = _Watch(bars, name)
-        with Node(config, observer=watch, program=True) as running:
-            bars.console.print(_greeting(running, ", ".join(endpoints or config.connect)))
-            for warning in filter(None, (*running.manifest.warnings, exposure(endpoints, keys))):
-                bars.console.print(f"warning: {warning}", style="yellow", markup=False)
-            running.serve()
-            kept = statistics.table(running.runner.statistics(), running.exchange.controllers())
+        running = _start(stack, config, watch, chosen=listen is not None, say=bars.console.print)
+        bars.console.print(_greeting(running, ", ".join(running.config.listen or running.config.connect)))
+        for warning in filter(None, (*running.manifest.warnings, exposure(running.config.listen, keys))):
+            bars.console.print(f"warning: {warning}", style="yellow", markup=False, soft_wrap=True)
+        running.serve()
+        kept = statistics.table(running.runner.statistics(), running.exchange.controllers())
     out.print(kept)
     out.print(f"{name}: ended")
+
+
+def _start(stack: ExitStack, config: NodeConfig, watch: Observer, *, chosen: bool, say: Callable[[str], None]) -> Node:
+    """Start the node; if the default endpoint is taken, without listening: connected to the node that is there.
+
+    Args:
+        stack: closes the node.
+        config: of the node.
+        watch: sees its progress.
+        chosen: whether the user named the endpoint.
+        say: prints a line.
+
+    Raises:
+        EndpointTaken: another program listens there: the user named the endpoint, or that program is not on a bus.
+    """
+    from eplus_node.node import Node
+
+    try:
+        return stack.enter_context(Node(config, observer=watch, program=True))
+    except EndpointTaken as taken:
+        if chosen:
+            raise
+        where = config.connect or config.listen
+        joined = config.model_copy(update={"listen": [], "connect": where})
+        try:
+            running = stack.enter_context(Node(joined, observer=watch, program=True))
+        except NothingThere:
+            raise taken from None
+    say(
+        f"another program listens on {', '.join(config.listen)}, so {config.name} does not listen; it is connected to "
+        f"{', '.join(where)} and on one bus with what is there. For a bus of its own, name another port: "
+        "--listen tcp/127.0.0.1:7448"
+    )
+    return running
 
 
 class _Watch:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Annotated
 
 import typer
-from rich.table import Table
 
 from cli.console import err, out
+from cli.tables import show
 from models import packs as store
 
 app = typer.Typer(add_completion=False, rich_markup_mode="markdown")
@@ -31,11 +31,11 @@ def list_packs() -> None:
 
     Example: `zenostat packs list`
     """
-    table = Table("name", "version", "licence", "where", "what")
+    rows = []
     for pack in store.PACKS.values():
         where = str(store.folder(pack.name)) if store.is_installed(pack.name) else "not added"
-        table.add_row(pack.name, pack.version, pack.licence, where, _what(pack))
-    out.print(table)
+        rows.append((pack.name, pack.version, pack.licence, where, _what(pack)))
+    show("", ("name", "version", "licence", "where", "what"), rows, wrap=("where", "what"))
 
 
 @app.command()

@@ -2,27 +2,20 @@
 
 from __future__ import annotations
 
-import json
-import sys
 from collections.abc import Sequence
 from dataclasses import asdict
 from enum import StrEnum
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.markup import escape
-from rich.table import Table
 
-from cli.console import err, out, say_error
+from cli.console import err, say_error
+from cli.tables import show, show_json
 from topics.errors import near
 
 if TYPE_CHECKING:
     from models.points import Listed
     from models.survey import Survey
-
-
-_LONG = 2000
-"""Rows from which on a drawn table takes seconds."""
 
 
 class Kind(StrEnum):
@@ -103,41 +96,3 @@ def _parts(row: Listed) -> tuple[str, ...]:
 def _cells(row: Listed) -> tuple[str, ...]:
     low, high = ("" if bound is None else f"{bound:g}" for bound in (row.low, row.high))
     return row.kind, row.name, row.key, row.where, row.unit, low, high
-
-
-def show_json(found: Sequence[dict[str, Any]] | dict[str, Any]) -> None:
-    """Prints rows, or what holds them, as JSON."""
-    json.dump(found, sys.stdout, indent=1)
-    sys.stdout.write("\n")
-
-
-def show(
-    title: str,
-    columns: Sequence[str],
-    rows: Sequence[Sequence[str]],
-    *,
-    right: Sequence[str] = (),
-    wrap: Sequence[str] = (),
-) -> None:
-    """A table in a terminal; in a pipe, or where it is very long, a line a row, as wide as it needs.
-
-    `right`: columns of numbers. `wrap`: columns whose cells may take several lines of a table.
-    """
-    if not out.is_terminal or len(rows) > _LONG:
-        _show_lines([column.replace("\n", " ") for column in columns], rows, [name in right for name in columns])
-        return
-    table = Table(title=title)
-    for name in columns:
-        least = {"min_width": 10} if name in wrap else {"no_wrap": True}
-        table.add_column(name, justify="right" if name in right else "left", **least)
-    for row in rows:
-        table.add_row(*map(escape, row))
-    out.print(table)
-
-
-def _show_lines(columns: Sequence[str], rows: Sequence[Sequence[str]], right: Sequence[bool]) -> None:
-    widths = [max(map(len, cells)) for cells in zip(columns, *rows, strict=True)]
-    for row in (columns, *rows):
-        cells = zip(row, widths, right, strict=True)
-        line = "  ".join(cell.rjust(width) if number else cell.ljust(width) for cell, width, number in cells)
-        sys.stdout.write(line.rstrip() + "\n")

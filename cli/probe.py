@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cli.console import out, progress
-from cli.points import show, show_json
 from cli.run import read_parameters
+from cli.tables import show, show_json
 from topics.errors import Faults, InvalidConfig
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ import typer
 
 from bridge.session import default_endpoint
 from cli.options import CertificateName, Connect, Keys
-from cli.points import show, show_json
+from cli.tables import show, show_json
 from topics.errors import UnknownName, near
 from topics.keys import Role
 from topics.messages import Manifest, Meter, Sensor
@@ -63,7 +63,13 @@ def read(
         return
     columns = ("kind", "name", "value", "unit", "low", "high", "ruled by")
     title = f"{node} at {sample.time}: sample {sample.step} of episode {sample.episode}"
-    show(title, columns, [_cells(row) for row in found], right=("value", "low", "high"), wrap=("name", "ruled by"))
+    show(
+        title,
+        columns,
+        [_cells(row) for row in found],
+        right=("value", "low", "high"),
+        wrap=("name", "ruled by"),
+    )
 
 
 def check_points(manifest: Manifest, names: Sequence[str]) -> None:

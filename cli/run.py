@@ -12,6 +12,7 @@ import typer
 from bridge.session import default_endpoint
 from cli.console import out, progress
 from cli.options import CertificateName, Connect, Keys
+from cli.results import show_results
 from topics.errors import InvalidConfig
 from topics.keys import safe
 
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 
     from agent_sdk import ControlLink
     from agent_sdk.controllers import Agent
+    from agent_sdk.metrics import Result
 
 _WORDS = {"true": True, "false": False}
 
@@ -30,7 +32,7 @@ def run(
         str,
         typer.Option(
             help="building (its own control), rbc (rules on comfort bands), random, fixed, setback (by the clock), "
-            "incremental, pid; or a class of your own: path/to/file.py:MyController, package.module:MyController."
+            "incremental, pid; or a class of your own: path/to/file.py:MyController or package.module:MyController."
         ),
     ] = "rbc",
     parameters: Annotated[
@@ -38,13 +40,13 @@ def run(
     ] = None,
     seed: Annotated[
         int | None,
-        typer.Option(min=0, help="Of what the controller draws, and of the first episode that this command begins."),
+        typer.Option(min=0, metavar="N", help="Of what the controller draws, and of the first episode begun here."),
     ] = None,
     connect: Connect = None,
     keys: Keys = None,
     certificate: CertificateName = None,
-    level: Annotated[int, typer.Option(min=1, max=16, help="Priority level; 1 is the highest.")] = 10,
-    episodes: Annotated[int, typer.Option(min=1, help="How many episodes to control.")] = 1,
+    level: Annotated[int, typer.Option(min=1, max=16, metavar="1-16", help="Priority level; 1 is the highest.")] = 10,
+    episodes: Annotated[int, typer.Option(min=1, metavar="N", help="How many episodes to control.")] = 1,
     reset: Annotated[bool, typer.Option("--reset", help="Begin a new episode instead of joining.")] = False,
 ) -> None:
     """Controls a node, from the sample that it stands at to the episode's end.
@@ -59,28 +61,39 @@ def run(
     name = safe(controller.rpartition(":")[2])
     with connect_bus(connect or default_endpoint(keys), keys=keys, certificate=certificate) as bus:
         agent = Agent(create(made_by, bus.manifest(node), given))
+        results: dict[str, tuple[Result, float]] = {}
         with bus.controller(node, name=name, level=level) as link, progress() as bars:
             for number in range(episodes):
                 if reset or number:
                     link.reset(seed=seed)
                     seed = None  # the sequence that it began goes on
-                _episode(link, agent, bars)
+                heading = controller if episodes == 1 else f"episode {number + 1}"
+                results[heading] = _episode(link, agent, bars)
     out.print(f"{node}: {episodes} episode{'s' if episodes > 1 else ''} controlled by {controller}")
+    show_results(results, f"{link.manifest.building}, {link.manifest.weather}")
 
 
-def _episode(link: ControlLink, agent: Agent, bars: Progress) -> None:
-    """Answers all samples to the episode's end, and shows how far it is."""
+def _episode(link: ControlLink, agent: Agent, bars: Progress) -> tuple[Result, float]:
+    """Answer all samples to the episode's end, and show how far it is; its totals and its timesteps per second."""
+    from agent_sdk.metrics import Tally
+
     bar = bars.add_task(f"{link.manifest.node}: {link.name}", total=link.manifest.steps, rate="")
+    tally, rate = Tally(link.manifest), 0.0
     start, first, shown = time.monotonic(), None, 0.0
     for sample in link:
-        first = sample.step if first is None else first
         if not sample.truncated:
             sample.send(agent.values(sample))
+        if first is None:
+            first = sample.step
+            tally.begin(sample)  # an earlier timestep was not this controller's
+        else:
+            tally.add(sample)
         now = time.monotonic()
         if now - shown > 0.1 or sample.truncated:
             shown = now
             rate = (sample.step - first) / max(now - start, 1e-9)
             bars.update(bar, completed=sample.step, rate=f"{rate:,.0f} steps/s")
+    return tally.result(), rate
 
 
 def read_parameters(given: Sequence[str]) -> dict[str, Any]:

@@ -5,13 +5,18 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
 from cli.console import err, out
-from cli.points import show as show_table
+from cli.tables import show as show_table
 from topics.errors import Faults, InvalidConfig, UnknownName
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel
+
+    from models.scenario import Scenario
 
 scenarios = typer.Typer(help="Lists scenarios; shows, checks and describes scenario files.", no_args_is_help=False)
 
@@ -35,13 +40,33 @@ def listing(
         json.dump(found, sys.stdout, indent=1)
         sys.stdout.write("\n")
         return
-    shown = found if match else list(pack_ids())
-    packed = set(pack_ids())
-    rows = [(name, "pack sinergym" if name in packed else "bundled") for name in shown]
-    if not match:
-        form = "BUILDING-WEATHER-{continuous|discrete}[-stochastic]-v1"
-        rows.append((form, f"bundled, {len(bundled_ids())}: zenostat buildings, zenostat weathers"))
-    show_table(f"{len(found)} scenarios", ("id", "from"), rows)
+    if match:
+        packed = set(pack_ids())
+        rows = [(name, "pack sinergym" if name in packed else "bundled") for name in found]
+        show_table(f"{len(found):,} scenarios", ("id", "from"), rows, wrap=("id",))
+        return
+    columns = ("building", "weathers", "actions", "ids", "from")
+    show_table(f"{len(found):,} scenarios", columns, _families(), right=("ids",), wrap=columns[:3])
+    if not out.is_terminal:
+        return
+    out.print(
+        "An id is BUILDING-WEATHER-ACTIONS-v1, or BUILDING-WEATHER-ACTIONS-stochastic-v1 with noise on the weather; "
+        'each is an environment, gym.make("zenostat/ID"). The ids themselves: zenostat scenarios --match TEXT',
+        markup=False,
+    )
+
+
+def _families() -> list[tuple[str, ...]]:
+    """A row for each building: its weathers, its kinds of actions, how many ids those make, and where they are from."""
+    from topics.scenario_ids import BUILDINGS, DEMO, PACK_IDS, WEATHERS, bundled_ids, variants
+
+    pack = "pack sinergym"
+    rows = [(DEMO, "", "", "1", pack)]
+    for building, (weathers, forms) in PACK_IDS.items():
+        count = len(weathers) * len(variants(building, "", forms))
+        rows.append((building, ", ".join(weathers), ", ".join(forms), str(count), pack))
+    everything = (f"{len(BUILDINGS)}, see zenostat buildings", f"{len(WEATHERS)}, see zenostat weathers")
+    return [*rows, (*everything, "continuous, discrete", f"{len(bundled_ids()):,}", "bundled")]
 
 
 @scenarios.command()
@@ -64,10 +89,21 @@ def show(
     else:
         with err.status(f"asking EnergyPlus about {scenario}"):
             planned = plan(config)
-        found = expanded(planned.scenario, planned.building, planned.points, planned.task)
+        found = _with_reward(expanded(planned.scenario, planned.building, planned.points, planned.task))
     sys.stdout.write("# yaml-language-server: $schema=scenario.schema.json\n")
     sys.stdout.write("# (made by `zenostat scenarios schema > scenario.schema.json`)\n")
     sys.stdout.write(dump(found, defaults=not brief))
+
+
+def _with_reward(scenario: Scenario) -> Scenario:
+    """The scenario with all parameters of its reward, those that have their defaults included."""
+    from agent_sdk.rewards import REWARDS, read_reward
+
+    if scenario.reward is None:
+        return scenario
+    reward = read_reward(scenario.reward)
+    whole = cast("BaseModel", reward).model_dump(mode="json") if isinstance(reward, tuple(REWARDS.values())) else {}
+    return scenario.model_copy(update={"reward": dict(scenario.reward) | whole})
 
 
 @scenarios.command()

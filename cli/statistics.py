@@ -12,6 +12,7 @@ from topics.messages import ControllerStatus, Spread, Statistics
 def table(statistics: Statistics, controllers: Sequence[ControllerStatus]) -> Table:
     """Durations in milliseconds, the messages that changed nothing, and what came too late; see docs/time.md."""
     made = Table("", *(one for one in ("times", "median (ms)", "p99 (ms)", "max (ms)")), caption=_counts(statistics))
+    made.columns[0].overflow = "fold"  # a controller's name stands whole
     for column in made.columns[1:]:
         column.justify = "right"
     for name, spread in (("step", statistics.step), ("cycle", statistics.cycle)):

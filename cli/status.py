@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from contextlib import suppress
 
-from rich.table import Table
-
 from bridge.session import default_endpoint
 from cli.console import out
 from cli.options import CertificateName, Connect, Keys
 from cli.statistics import milliseconds
+from cli.tables import show
 from topics.errors import NothingThere
 from topics.keys import Role
 from topics.messages import ControllerStatus, Mode, Status
@@ -35,7 +34,7 @@ def status(
     if not nodes:
         out.print(f"no nodes on {connect}")
     for node in nodes:
-        out.print(_node_table(node))
+        _print_node(node)
     _print_controllers(nodes)
     _print_forks(nodes)
     for node in nodes:
@@ -43,13 +42,12 @@ def status(
             out.print(f"{node.node}: {node.failure}", style="red", markup=False)
 
 
-def _node_table(node: Status) -> Table:
+def _print_node(node: Status) -> None:
     """A node's state, a line each."""
-    table = Table("node", node.node, title_justify="left")
     shared = f"node {_mb(node.node_rss_bytes)}, engines {_mb(node.engine_rss_bytes)}"
     messages = f"{node.accepted} accepted, {node.rejected} rejected, {node.late} late, {node.duplicate} duplicate"
     messages += f", {node.statistics.flooded} passed over" if node.statistics.flooded else ""
-    for name, value in {
+    rows = {
         "state": f"{node.state} ({_pace(node)})",
         "without a controller": _policy(node),
         "building": f"{node.building}, {node.weather}",
@@ -57,9 +55,8 @@ def _node_table(node: Status) -> Table:
         "simulated time": node.time[0],
         "commands": messages,
         "memory": f"{shared}, of which {_mb(node.engine_private_bytes)} shared with no other",
-    }.items():
-        table.add_row(name, value)
-    return table
+    }
+    show("", ("node", node.node), list(rows.items()), wrap=(node.node,))
 
 
 def _pace(node: Status) -> str:
@@ -78,33 +75,33 @@ def _mb(size: int) -> str:
 
 def _print_forks(nodes: list[Status]) -> None:
     """Snapshots and branches, with the memory by which they differ."""
-    table = Table("fork", "of", "step", "engines", "owner", "memory of its own")
+    rows = []
     for node in nodes:
         for kind, forks in (("snapshot", node.snapshots), ("branch", node.branches)):
             for fork in forks:
                 cells = (str(fork.step), str(fork.engines), fork.owner, _mb(fork.private_bytes))
-                table.add_row(f"{kind} {fork.name}", node.node, *cells)
-    if table.row_count:
-        out.print(table)
+                rows.append((f"{kind} {fork.name}", node.node, *cells))
+    if rows:
+        columns = ("fork", "of", "step", "engines", "owner", "memory of its own")
+        show("", columns, rows, right=("step", "engines", "memory of its own"), wrap=("fork", "of", "owner"))
 
 
 def _print_controllers(nodes: list[Status]) -> None:
     """Who controls what; what came of their messages; how fast they answer (ms)."""
-    who = Table("controller", "node", "level", "actuators", "required", "is")
-    did = Table("controller", "accepted", "late", "rejected", "duplicate", "missed", "median", "p99", "max (ms)")
-    for column in did.columns[1:]:
-        column.justify = "right"
+    who, did = [], []
     for node in nodes:
         for c in node.controllers:
-            who.add_row(c.controller, node.node, str(c.level), str(c.actuators), _yes(c.required), _presence(c))
+            who.append((c.controller, node.node, str(c.level), str(c.actuators), _yes(c.required), _presence(c)))
             counts = (c.accepted, c.late, c.rejected, c.duplicate, c.missed)
-            did.add_row(c.controller, *map(str, counts), *milliseconds(c.response))
-    if not who.row_count:
+            did.append((c.controller, *map(str, counts), *milliseconds(c.response)))
+    if not who:
         if nodes:
             out.print("no controllers")
         return
-    out.print(who)
-    out.print(did)
+    columns = ("controller", "node", "level", "actuators", "required", "is")
+    show("", columns, who, right=("level", "actuators"), wrap=("controller", "node", "is"))
+    counted = ("accepted", "late", "rejected", "duplicate", "missed", "median\n(ms)", "p99\n(ms)", "max\n(ms)")
+    show("", ("controller", *counted), did, right=counted, wrap=("controller",))
 
 
 def _yes(holds: bool) -> str:

@@ -10,14 +10,15 @@ from itertools import islice
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich.console import RenderableType
 from rich.live import Live
-from rich.markup import escape
-from rich.table import Table
 
 from bridge.session import default_endpoint
 from cli.console import err, out
 from cli.options import CertificateName, Connect, Keys
-from cli.read import Row, check_points, rows, shown, where
+from cli.read import Row, check_points, shown, where
+from cli.read import rows as rows_of
+from cli.tables import fitted
 from topics.errors import NodeLost
 from topics.keys import Role
 
@@ -80,7 +81,7 @@ def _samples(bus: Bus, node: str, slot: int) -> Iterator[SampleView]:
 
 def _say(sample: SampleView, names: Sequence[str]) -> None:
     """One line of JSON."""
-    found = rows(sample, names)
+    found = rows_of(sample, names)
     line = {
         **where(sample),
         "points": {row.name: row.value for row in found if row.ruled_by is None},
@@ -98,21 +99,20 @@ class _Extremes:
         self._lines: list[tuple[Row, float | None, float | None]] = []
 
     def take(self, sample: SampleView, names: Sequence[str]) -> None:
-        found = rows(sample, names)
+        found = rows_of(sample, names)
         before = [(low, high) for _, low, high in self._lines] or [(None, None)] * len(found)
         self._title = f"{sample.manifest.node} at {sample.time}: sample {sample.step} of episode {sample.episode}"
         self._lines = [(row, *_widened(row.value, low, high)) for row, (low, high) in zip(found, before, strict=True)]
 
-    def drawn(self) -> Table:
+    def drawn(self) -> RenderableType:
         """As it is now; the thread that draws asks ten times a second."""
-        table = Table(title=self._title)
-        for name in ("kind", "name", "unit", "value", "min", "max", "ruled by"):
-            table.add_column(name, justify="right" if name in ("value", "min", "max") else "left")
+        rows = []
         for row, low, high in self._lines:
             ruler = "" if row.ruled_by is None else row.ruled_by or "the building"
-            cells = (row.kind, row.name, row.unit, shown(row.value), shown(low), shown(high), ruler)
-            table.add_row(*map(escape, cells))
-        return table
+            rows.append((row.name, row.kind, row.unit, shown(row.value), shown(low), shown(high), ruler))
+        numbers = ("value", "min", "max")
+        columns = ("name", "kind", "unit", *numbers, "ruled by")
+        return fitted(columns, rows, out.width, title=self._title, right=numbers, wrap=("name", "ruled by"))
 
 
 def _widened(value: float | None, low: float | None, high: float | None) -> tuple[float | None, float | None]:

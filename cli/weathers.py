@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cli.points import show, show_json
+from cli.tables import show, show_json
 
 if TYPE_CHECKING:
     from models.facts import WeatherFacts
@@ -51,7 +51,7 @@ def weathers(
         COLUMNS,
         rows,
         right=numbers,
-        wrap=("place", "years"),
+        wrap=("weather", "place", "years", "days"),
     )
 
 

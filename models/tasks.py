@@ -12,6 +12,7 @@ from models.scenario import Scenario
 from topics.errors import InvalidConfig, near
 from topics.keys import check_name, safe
 from topics.messages import Action, Actuator, Choice, Limit, Task
+from topics.units import with_unit
 
 T = TypeVar("T")
 
@@ -131,7 +132,7 @@ def _inside(value: float, action: Action) -> bool:
 def _range(action: Action) -> str:
     low = "-inf" if action.low is None else f"{action.low:g}"
     high = "inf" if action.high is None else f"{action.high:g}"
-    return f"{low} to {high} {action.unit}".strip()
+    return with_unit(f"{low} to {high}", action.unit)
 
 
 def _steps(

@@ -17,7 +17,7 @@ import agent_sdk
 ZENOSTAT = [sys.executable, "-P", "-m", "cli.main"]
 COMMANDS = (
     "node", "run", "evaluate", "monitor", "status", "read", "watch", "write", "release", "points", "buildings",
-    "weathers", "contract", "demo", "pace", "pause", "resume", "step", "faults",
+    "weathers", "contract", "demo", "pace", "pause", "resume", "step", "faults", "reset", "stop",
 )  # fmt: skip
 DAY = ["--building", "ref-small-office", "--weather", "USA_CO_Denver", "--begin", "07-03", "--end", "07-03"]
 
@@ -72,13 +72,17 @@ def test_three_terminals(scratch):
             text=True,
             cwd=scratch,
         )
-        assert "listening" in monitor.stdout.readline()
+        assert f"connected to {endpoint}; Ctrl-C" in monitor.stdout.readline()
         status = _plain(_zenostat("status", "--connect", endpoint).stdout)
         assert "waiting (lockstep)" in status
         assert "no controllers" in status
         ran = _zenostat("run", "--node", "office", "--controller", "rbc", "--connect", endpoint, cwd=scratch)
         assert ran.returncode == 0, ran.stderr
         assert "1 episode controlled by rbc" in ran.stdout
+        assert re.search(r"^electricity \(kWh\) +\d+$", ran.stdout, re.M)
+        assert re.search(r"^peak \(kW\) +\d+\.\d$", ran.stdout, re.M)
+        assert re.search(r"^timesteps +144$", ran.stdout, re.M)
+        assert "━" not in ran.stdout  # no bars in a pipe
         status = _plain(_zenostat("status", "--connect", endpoint).stdout)
         assert re.search(r"ended \(lockstep\)", status)
         assert re.search(r"(\d+) accepted, 0 rejected, 0 late, 0 duplicate", status)
@@ -132,6 +136,7 @@ def test_ctrl_c_in_a_controller_leaves_the_node_waiting(scratch):
         (["node", *DAY, "--listen", "7447"], ["is no endpoint", "tcp/127.0.0.1:7447"]),
         (["run", "--node", "office", "--controller", "rb"], ["no controller 'rb'", "'rbc'"]),
         (["monitor", "--save", "nowhere/run.rrd"], ["there is no folder", "nowhere"]),
+        (["monitor", "--screenshot", "run.jpg"], ["--screenshot run.jpg", "a file .png expected"]),
     ],
 )
 def test_mistakes_in_the_call_are_named_before_anything_starts(scratch, arguments, words):
@@ -245,7 +250,8 @@ def test_demo(scratch):
     for row in ("electricity (kWh)", "peak (kW)", "timesteps/s"):
         assert row in said
     assert (scratch / "out" / "run.rrd").exists()
+    assert "rerun out/run.rrd" in said
     assert (scratch / "out" / "run.png").exists() or "mesa-vulkan-drivers" in said
     counts = re.search(r"(\d+) samples logged, 0 missed", said)
-    steps = int(re.search(r"timesteps │ (\d+) │ (\d+)", said)[1])
+    steps = int(re.search(r"timesteps (\d+) (\d+)", said)[1])
     assert int(counts[1]) == 2 * (steps + 1)

@@ -23,7 +23,7 @@ from nodes import NodeProgram
 from typer.testing import CliRunner
 
 from agent_sdk.rewards import read_reward
-from cli.main import app
+from cli.commands import app
 from models.scenario import Scenario, read_scenario
 
 ROOT = Path(__file__).parent.parent

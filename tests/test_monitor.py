@@ -136,7 +136,7 @@ def test_monitor_that_is_frozen_or_killed_changes_nothing(scratch, fate):
         command += ["--save", str(scratch / "run.rrd")]
         monitor = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         try:
-            assert "listening" in monitor.stdout.readline()
+            assert "connected" in monitor.stdout.readline()
             with agent_sdk.connect(node.endpoint, affinity="off") as bus, bus.controller("office") as link:
                 disturbed = []
                 link.reset()
@@ -205,7 +205,7 @@ def test_a_monitor_may_come_before_its_node(scratch):
     try:
         assert "waiting for it" in monitor.stdout.readline()
         with NodeProgram(scratch / "node", **SMALL, listen=[endpoint]):
-            assert "listening" in monitor.stdout.readline()
+            assert "connected" in monitor.stdout.readline()
             assert len(_run(endpoint)) == 97
         said, _ = monitor.communicate(timeout=60)
     finally:

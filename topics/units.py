@@ -36,3 +36,12 @@ def unit_name(energyplus: str) -> str:
 def limits(unit: str) -> tuple[float | None, float | None]:
     """Lowest and highest value that a quantity of this unit can have; None where there is none."""
     return _LIMITS.get(unit, (None, None))
+
+
+_PLAIN = ("", "1", "fraction", "count", "on_off")
+"""Units that people leave out."""
+
+
+def with_unit(number: str, unit: str) -> str:
+    """Return a number with its unit as people write it: `26 degC`, `0 to 1` without one."""
+    return number if unit in _PLAIN else f"{number} {unit}"

@@ -13,6 +13,7 @@ from agent_sdk.controllers.parts import SETPOINTS, role_of
 from agent_sdk.sample import SampleView
 from topics.errors import InvalidAction, near
 from topics.messages import Action, Choice, Manifest
+from topics.units import with_unit
 
 
 class Agent:
@@ -73,8 +74,8 @@ def action_of(manifest: Manifest, values: Mapping[str, float | None]) -> Any:
     for action in actions:
         low, high = bounds(action)
         if not low <= wanted[action.name] <= high:
-            text = f"{action.name} = {wanted[action.name]:g}; its bounds are {low:g} to {high:g} {action.unit}"
-            raise InvalidAction(text)
+            limits = with_unit(f"{low:g} to {high:g}", action.unit)
+            raise InvalidAction(f"{action.name} = {wanted[action.name]:g}; its bounds are {limits}")
     return np.array([wanted[action.name] for action in actions], np.float32)
 
 

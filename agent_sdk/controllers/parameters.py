@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 
 from topics.errors import InvalidConfig, near
 from topics.messages import Action, Actuator, Manifest
+from topics.units import with_unit
 
 T = TypeVar("T")
 
@@ -53,7 +54,7 @@ def named(manifest: Manifest, values: Mapping[str, object]) -> dict[str, float]:
         point = points[name]
         value, (low, high) = number(name, given), bounds(point)
         if not low <= value <= high:
-            raise InvalidConfig(f"{name} = {value:g}; its bounds are {low:g} to {high:g} {point.unit}")
+            raise InvalidConfig(f"{name} = {value:g}; its bounds are {with_unit(f'{low:g} to {high:g}', point.unit)}")
         for actuator in point.actuators if isinstance(point, Action) else (name,):
             if actuator in found:
                 raise InvalidConfig(f"{actuator!r} is set twice, the second time by {name!r}")

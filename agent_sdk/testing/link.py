@@ -11,6 +11,7 @@ from agent_sdk.sample import SampleView
 from agent_sdk.testing.building import FakeBuilding
 from topics.errors import EpisodeChanged, InvalidAction, PeerError, Refused, near
 from topics.messages import Accepted, Begun, Flag, Mask, Sample, Start, WeatherSeries
+from topics.units import with_unit
 
 Floats = NDArray[np.float64]
 
@@ -130,9 +131,8 @@ class FakeLink:
     def _refuse(self, values: Floats, kinds: Floats) -> None:
         for index in np.flatnonzero((kinds == Mask.SET) & ~((values >= self._low) & (values <= self._high))):
             actuator = self.manifest.actuators[index]
-            said = (
-                f"{actuator.name} = {values[index]:g} {actuator.unit}; its bounds are {actuator.low} to {actuator.high}"
-            )
+            value = with_unit(f"{values[index]:g}", actuator.unit)
+            said = f"{actuator.name} = {value}; its bounds are {actuator.low} to {actuator.high}"
             raise Refused(f"node 'fake' did not take the command: {said}")
 
     def _sample(self, values: Floats, applied: Floats) -> SampleView:

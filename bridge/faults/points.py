@@ -19,6 +19,7 @@ from bridge.faults.windows import Grid, Told, Windows
 from topics.errors import Faults, InvalidConfig, near
 from topics.faults import FaultPlan, PointFault, Stuck
 from topics.messages import Actuator
+from topics.units import with_unit
 
 State = dict[str, Any]
 """Where one slot stands: plain data that can be pickled."""
@@ -207,5 +208,6 @@ def _check_bounds(label: str, value: float, actuator: Actuator, gathered: Faults
     high = np.inf if actuator.high is None else actuator.high
     if not low <= value <= high:
         bounds = " to ".join("unbounded" if b is None else f"{b:g}" for b in (actuator.low, actuator.high))
-        text = f"fault {label!r}: {actuator.name} cannot be stuck at {value:g} {actuator.unit}; its bounds are {bounds}"
+        stuck = with_unit(f"{value:g}", actuator.unit)
+        text = f"fault {label!r}: {actuator.name} cannot be stuck at {stuck}; its bounds are {bounds}"
         gathered.found.append(InvalidConfig(text))

@@ -1,0 +1,88 @@
+"""All commands, in groups."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import typer
+import typer.core
+
+from cli import (
+    buildings,
+    contract,
+    demo,
+    evaluate,
+    keys,
+    lifecycle,
+    monitor,
+    node,
+    pace,
+    packs,
+    points,
+    probe,
+    read,
+    router,
+    run,
+    status,
+    watch,
+    weathers,
+    write,
+    zmq,
+)
+from cli.scenarios import scenarios
+from topics import VERSION
+
+_GROUPS: dict[str, tuple[Callable[..., None] | typer.Typer, ...]] = {
+    "Simulate and control": (demo.demo, node.node, run.run, evaluate.evaluate, probe.probe),
+    "Watch a bus": (status.status, monitor.monitor, watch.watch, read.read),
+    "Act on a running node": (
+        write.write, write.release, lifecycle.reset, pace.pause, pace.resume, pace.step, pace.pace, pace.faults,
+        lifecycle.stop,
+    ),
+    "Choose what is simulated": (scenarios, buildings.buildings, weathers.weathers, points.points, packs.app),
+    "Connect others": (keys.app, router.router, zmq.zmq, contract.contract),
+}  # fmt: skip
+"""The commands by the heading under which `--help` lists them, in its order."""
+
+_SUBCOMMANDS = {id(scenarios): "scenarios", id(packs.app): "packs", id(keys.app): "keys"}
+
+
+class _Ordered(typer.core.TyperGroup):
+    """Lists commands in the order of `_GROUPS`; typer would list groups of commands last."""
+
+    def list_commands(self, ctx: Any) -> list[str]:  # noqa: ARG002
+        return [_name(command) for commands in _GROUPS.values() for command in commands]
+
+
+def _name(command: Callable[..., None] | typer.Typer) -> str:
+    return _SUBCOMMANDS[id(command)] if isinstance(command, typer.Typer) else command.__name__
+
+
+app = typer.Typer(
+    name="zenostat",
+    cls=_Ordered,
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="markdown",
+    help="Put a real EnergyPlus building on a Zenoh bus, control it from other processes, watch it live.",
+)
+for heading, commands in _GROUPS.items():
+    for command in commands:
+        if isinstance(command, typer.Typer):
+            app.add_typer(command, name=_name(command), rich_help_panel=heading)
+        else:
+            negative = {"ignore_unknown_options": command is write.write}  # a value may be negative
+            app.command(rich_help_panel=heading, context_settings=negative)(command)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"zenostat {VERSION}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(version: bool = typer.Option(False, "--version", callback=_version, is_eager=True)) -> None:
+    """Zenostat."""

@@ -1,0 +1,54 @@
+"""`zenostat reset` and `zenostat stop`: the beginning of an episode and the end of a node, by hand."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from bridge.session import default_endpoint
+from cli.console import out
+from cli.options import CertificateName, Connect, Keys
+from cli.write import Node, person
+from topics.errors import NodeLost
+
+
+def reset(
+    node: Node,
+    seed: Annotated[int | None, typer.Option(min=0, metavar="N", help="Of the weather that is drawn.")] = None,
+    connect: Connect = None,
+    keys: Keys = None,
+    certificate: CertificateName = None,
+) -> None:
+    """Starts a new episode of a node; a controller of the present one is told so.
+
+    Example: `zenostat reset office --seed 1`
+    """
+    from agent_sdk import connect as connect_bus
+    from topics.messages import Reset
+
+    with connect_bus(connect or default_endpoint(keys), keys=keys, certificate=certificate) as bus:
+        steps = bus.manifest(node).steps
+        accepted = bus.reset(node, Reset(controller=person(), seed=seed))
+    weathers = ", ".join(dict.fromkeys(begun.weather for begun in accepted.begun))
+    text = f"{node}: episode {accepted.episode[0]}, {steps} timesteps, {weathers}"
+    out.print(text, markup=False, soft_wrap=True)
+
+
+def stop(node: Node, connect: Connect = None, keys: Keys = None, certificate: CertificateName = None) -> None:
+    """Ends a node, and waits until it has left the bus.
+
+    Example: `zenostat stop office`
+    """
+    from agent_sdk import connect as connect_bus
+
+    with (
+        connect_bus(connect or default_endpoint(keys), keys=keys, certificate=certificate) as bus,
+        bus.listen(node) as samples,
+    ):
+        bus.stop(node)
+        try:
+            for _ in samples:
+                pass
+        except NodeLost:
+            out.print(f"{node}: ended", markup=False)

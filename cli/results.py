@@ -1,0 +1,33 @@
+"""What episodes came to, as the table of `zenostat demo` and `zenostat run`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from cli.tables import show
+
+if TYPE_CHECKING:
+    from agent_sdk.metrics import Result
+
+
+def show_results(results: Mapping[str, tuple[Result, float]], title: str) -> None:
+    """Print energy, peak, comfort and timesteps a second; `results` has a column each, by its heading."""
+    pairs = list(results.values())
+    rows = {
+        "electricity (kWh)": [_number(r.energy_kwh.get("electricity"), 0) for r, _ in pairs],
+        "  of it HVAC (kWh)": [_number(r.hvac_electricity_kwh, 0) for r, _ in pairs],
+        "gas (kWh)": [_number(r.energy_kwh.get("natural_gas"), 0) for r, _ in pairs],
+        "peak (kW)": [_number(r.peak_kw, 1) for r, _ in pairs],
+        "outside comfort, occupied (K h)": [_number(r.occupied_outside_kh, 1) for r, _ in pairs],
+        "outside comfort, always (K h)": [_number(r.outside_kh, 1) for r, _ in pairs],
+        "timesteps": [f"{r.steps}" for r, _ in pairs],
+        "timesteps/s": [f"{rate:,.0f}" for _, rate in pairs],
+        "late, rejected messages": [f"{r.late}, {r.rejected}" for r, _ in pairs],
+    }
+    cells = [(name, *values) for name, values in rows.items()]
+    show(title, ("", *results), cells, right=tuple(results), wrap=("", *results))
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "not measured" if value is None else f"{value:,.{digits}f}"
