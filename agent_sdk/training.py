@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import random
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import timedelta
 from pathlib import Path
@@ -254,10 +254,11 @@ class PolicyControl(Controller):
             ("actions", model.action_space, self._actions.space),
         ):
             if trained != here:
+                names = _dimensions(manifest, what)
                 raise InvalidConfig(
-                    f"the model was trained on other {what} than those of {manifest.node!r} ({trained}, here {here}): "
-                    "use the scenario of its training; a model trained behind wrappers is evaluated by "
-                    "agent_sdk.training.evaluate_model"
+                    f"the model was trained on other {what} than those of {manifest.node!r}: "
+                    f"{_difference(trained, here, names)}; use the scenario of its training; a model trained behind "
+                    "wrappers is evaluated by agent_sdk.training.evaluate_model"
                 )
         self._model, self._memory = model, _Memory(model)
         self._step = timedelta(hours=1 / manifest.steps_per_hour)
@@ -276,6 +277,23 @@ class PolicyControl(Controller):
         kinds = self._actions.mask or bytes([Mask.SET] * len(chosen))
         named = zip(self.manifest.actuators, chosen.tolist(), kinds, strict=True)
         return {actuator.name: value for actuator, value, kind in named if kind == Mask.SET}
+
+
+def _dimensions(manifest: Manifest, what: str) -> list[str]:
+    """The names of the dimensions of a node's observations or actions."""
+    task = manifest.task
+    return [*task.time, *manifest.names] if what == "observations" else [action.name for action in task.actions]
+
+
+def _difference(trained: gym.Space[Any], here: gym.Space[Any], names: Sequence[str]) -> str:
+    """How two spaces differ: by the names whose bounds do, if both have as many dimensions."""
+    if not (isinstance(trained, gym.spaces.Box) and isinstance(here, gym.spaces.Box)):
+        return f"{trained}, here {here}"
+    if trained.shape != here.shape or len(names) != here.low.size:
+        return f"{trained.low.size} of them, here {here.low.size}: {', '.join(names)}"
+    before, now = (np.stack([box.low.ravel(), box.high.ravel()], 1) for box in (trained, here))
+    rows = zip(names, before.tolist(), now.tolist(), strict=True)
+    return "; ".join(f"{name} was {a[0]:g} to {a[1]:g}, here {b[0]:g} to {b[1]:g}" for name, a, b in rows if a != b)
 
 
 def load_policy(path: str | Path, algorithm: str | type[BaseAlgorithm] | None = None) -> Maker:

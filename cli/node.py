@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -121,7 +122,8 @@ def node(
     )
     with progress() as bars, ExitStack() as stack:
         watch = _Watch(bars, name)
-        running = _start(stack, config, watch, chosen=listen is not None, say=bars.console.print)
+        say = partial(bars.console.print, markup=False, soft_wrap=True)
+        running = _start(stack, config, watch, chosen=listen is not None, say=say)
         bars.console.print(_greeting(running, ", ".join(running.config.listen or running.config.connect)))
         for warning in filter(None, (*running.manifest.warnings, exposure(running.config.listen, keys))):
             bars.console.print(f"warning: {warning}", style="yellow", markup=False, soft_wrap=True)

@@ -114,7 +114,9 @@ def _table(
     title: str,
     right: Sequence[str],
 ) -> Table:
-    table = Table(title=title or None, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False)
+    table = Table(
+        title=escape(title) or None, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False
+    )
     table.padding = (0, _GAP - 1, 0, 0)  # the box adds one
     for name, width in zip(columns, widths, strict=True):
         head = _wrapped(name, width, pattern)

@@ -1,0 +1,72 @@
+"""Tables at any width: every cell whole, no line too long."""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+import subprocess
+import sys
+
+import pytest
+from rich.console import Console
+
+from cli.commands import app
+from cli.tables import fitted
+
+ZENOSTAT = [sys.executable, "-P", "-m", "cli.main"]
+COLUMNS = ("kind", "name", "key", "unit", "low", "high")
+ROWS = [
+    ("sensor", "Zone People Occupant Count", "PERIMETER_BOT_ZN_1", "degC", "-100", "200"),
+    ("actuator", "core_bottom_cooling_setpoint", "a-controller-of-mine-1234-0", "1", "0", "1"),
+]
+
+
+def drawn(width: int, wrap: tuple[str, ...]) -> str:
+    console = Console(width=width, file=io.StringIO(), color_system=None)
+    console.print(fitted(COLUMNS, ROWS, width, title="[points]", right=("low", "high"), wrap=wrap))
+    return console.file.getvalue()
+
+
+@pytest.mark.parametrize("width", [20, 40, 60, 80, 120, 200])
+@pytest.mark.parametrize("wrap", [(), ("name",), ("name", "key")], ids=str)
+def test_every_cell_is_whole(width: int, wrap: tuple[str, ...]) -> None:
+    text = drawn(width, wrap)
+    assert "…" not in text
+    assert max(len(line.rstrip()) for line in text.splitlines()) <= width
+    letters = re.sub(r"\s", "", text)
+    if "──" not in text:  # paragraphs: each cell stands in one piece
+        assert all(re.sub(r"\s", "", cell) in letters for row in ROWS for cell in row)
+    else:
+        whole = "".join(["[points]", *COLUMNS, *map("".join, ROWS)]).replace(" ", "")
+        assert sorted(re.sub(r"[\s─]", "", text)) == sorted(whole)
+
+
+def test_a_wide_terminal_has_a_line_a_row_and_a_narrow_one_paragraphs() -> None:
+    assert len(drawn(120, ("name",)).splitlines()) == 2 + 1 + len(ROWS)
+    narrow = drawn(30, ("name",)).splitlines()
+    assert narrow[1].rstrip() == ROWS[0][1]
+    assert narrow[2].startswith("  kind: sensor; key:")
+
+
+def test_no_help_cuts_anything_at_80_columns_and_each_command_stands_in_a_group() -> None:
+    size = {**os.environ, "COLUMNS": "80", "TERMINAL_WIDTH": "80"}
+    groups = subprocess.run([*ZENOSTAT, "--help"], capture_output=True, text=True, env=size, timeout=60).stdout
+    names = re.findall(r"^│ (\w+) ", groups.split("Simulate and control")[1], re.M)
+    registered = {c.callback.__name__ for c in app.registered_commands} | {g.name for g in app.registered_groups}
+    assert (len(names), set(names)) == (len(registered), registered)
+    assert "╭─ Commands" not in groups
+    assert names[:3] == ["demo", "node", "run"]
+    assert names[names.index("scenarios") + 1] == "buildings"
+    for name in ("run", "node", "evaluate", "probe"):  # those with the longest texts
+        shown = subprocess.run([*ZENOSTAT, name, "--help"], capture_output=True, text=True, env=size, timeout=60).stdout
+        assert "…" not in shown
+        assert max(map(len, shown.splitlines())) <= 80
+
+
+def test_scenarios_have_a_row_for_each_family_and_their_numbers_add_up() -> None:
+    done = subprocess.run([*ZENOSTAT, "scenarios"], capture_output=True, text=True, timeout=60)
+    head, *rows = done.stdout.splitlines()
+    assert head.split() == ["building", "weathers", "actions", "ids", "from"]
+    counts = [int(re.search(r"([\d,]+)  (?:pack|bundled)", row)[1].replace(",", "")) for row in rows]
+    assert (len(rows), sum(counts)) == (11, 2157)
