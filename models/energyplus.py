@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import json
 import os
+import sqlite3
 import subprocess
 import sys
+from contextlib import closing
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -73,7 +75,11 @@ def _convert(source: str, target: str) -> None:
 
 
 def _survey(model: str, weather: str, target: str) -> None:
-    """Two passes: the first names the model's variables, the second asks for each with every key."""
+    """Two passes: the first names the model's variables, the second asks for each with every key.
+
+    The API's list leaves out variables of integers (a status, a type, a count) though it serves them; EnergyPlus's
+    own dictionary of what it reports, in its SQLite file, has them.
+    """
     folder = os.path.dirname(target)
     with open(model) as file:
         prepared: dict[str, Any] = json.load(file)
@@ -84,7 +90,9 @@ def _survey(model: str, weather: str, target: str) -> None:
         f"v{i}": {"key_value": "*", "variable_name": name, "reporting_frequency": "RunPeriod"}
         for i, name in enumerate(kinds)
     }
+    prepared["Output:SQLite"] = {"dictionary": {"option_type": "Simple"}}
     points = _run_until_ready(prepared, weather, os.path.join(folder, "keys"))
+    points += _unlisted_variables(points, os.path.join(folder, "keys", "eplusout.sql"))
     with open(target + ".part", "w") as file:
         json.dump({"kinds": kinds, "points": points}, file)
     os.replace(target + ".part", target)
@@ -100,6 +108,18 @@ def _variable_kinds(dictionary: str) -> dict[str, list[str]]:
                 name = parts[2].rsplit("[", 1)[0].strip()
                 kinds[name] = [parts[0].lower(), parts[1].lower()]
     return kinds
+
+
+def _unlisted_variables(points: list[list[str]], report: str) -> list[list[str]]:
+    """The variables that EnergyPlus would report and `points` lacks, in the form of `points`."""
+    listed = {(name.casefold(), key.casefold()) for what, name, key, *_ in points if what == "OutputVariable"}
+    with closing(sqlite3.connect(report)) as file:
+        rows = file.execute("SELECT Name, KeyValue, Units FROM ReportDataDictionary WHERE IsMeter = 0 ORDER BY 1, 2")
+        return [
+            ["OutputVariable", name, key.upper(), "", unit or ""]  # in upper case, as in the API's list
+            for name, key, unit in rows
+            if (name.casefold(), key.casefold()) not in listed
+        ]
 
 
 def _run_until_ready(model: dict[str, Any], weather: str, folder: str) -> list[list[str]]:

@@ -61,20 +61,6 @@ class Parsed:
     reason: str
 
 
-GONE = ("zone radiant hvac operation mode",)
-"""Variables of the pack's scenarios that EnergyPlus 25.2 does not have (Sinergym then observes 0.0 for ever)."""
-
-
-def _still_there(sensors: dict[str, SensorSpec], decided: Mapping[str, ActuatorSpec]) -> dict[str, SensorSpec]:
-    """Where a gone variable has the name of a schedule that the action sets, that schedule's value stands for it."""
-    return {
-        name: SensorSpec(variable=decided[name].control_type, key=decided[name].key)
-        if spec.variable.casefold() in GONE and name in decided
-        else spec
-        for name, spec in sensors.items()
-    }
-
-
 class Reader(Fields):
     """Reads a configuration.
 
@@ -101,7 +87,7 @@ class Reader(Fields):
             "sizing": "weather",
             **self._building_config(),
             "time": self._time(),
-            "sensors": _still_there(self._sensors(), decided),
+            "sensors": self._sensors(),
             "meters": self._meters(),
             "reading": Reading.INSTANT,
             "control": "point",

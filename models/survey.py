@@ -20,7 +20,7 @@ from topics.units import unit_name
 
 Kinds = Mapping[str, Objects]
 
-_FORMAT = "1"
+_FORMAT = "2"
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +108,11 @@ def survey(building: Building, weather: Path) -> Survey:
     return _read(cached_bytes(name, make))
 
 
-_LISTS = {"OutputControl:Files": {"lists": {"output_rdd": "Yes", "output_eso": "No", "output_tabular": "No"}}}
+_LISTS = {
+    "OutputControl:Files": {
+        "lists": {"output_rdd": "Yes", "output_sqlite": "Yes", "output_eso": "No", "output_tabular": "No"}
+    }
+}
 
 
 def _read(content: bytes) -> Survey:
