@@ -76,6 +76,7 @@ class BuildingEnv(Named, gym.Env[Observation, Any]):
         node: the node's name there.
         level: priority level that this agent commands at, 1 to 16.
         keep: folder in which EnergyPlus's own output files are kept, one folder an episode.
+        keep_last: how many finished episodes' files are kept there beside the running one's; None is all.
         baseline: run the building under its own control beside the episode: `info["baseline"]` has its points,
             `info["baseline_applied"]` what that control set the actuators to.
         faults: a file of faults that the node injects (YAML); see docs/faults.md.
@@ -126,6 +127,7 @@ class BuildingEnv(Named, gym.Env[Observation, Any]):
         node: str | None = None,
         level: int = 10,
         keep: str | Path | None = None,
+        keep_last: int | None = None,
         baseline: bool | None = None,
         branches: int | None = None,
         unresponsive_s: float | None = None,

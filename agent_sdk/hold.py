@@ -89,6 +89,8 @@ class Hold:
     ) -> None:
         if endpoint is None:
             wanted = settings.for_node(given, node or NAME, self._slots)
+            if reward != settings.OF_THE_SCENARIO:
+                wanted["own_reward"] = True
             settings.check_reward(reward, wanted, placement)
             own = self.own_node = OwnNode(wanted, placement)
             self._close.callback(own.close)

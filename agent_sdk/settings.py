@@ -20,7 +20,7 @@ OF_THE_SCENARIO = "scenario"
 OF_A_NODE = (
     "building", "weather", "scenario", "file", "config", "variant", "sensors", "meters", "actuators", "begin", "end",
     "steps_per_hour", "weather_order", "variability", "sizing", "changes", "time", "reading", "actions", "control",
-    "discrete", "terminate", "keep", "baseline", "branches", "faults",
+    "discrete", "terminate", "keep", "keep_last", "baseline", "branches", "faults",
     "unresponsive_s",
 )  # fmt: skip
 """The arguments that a node decides by."""

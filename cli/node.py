@@ -79,6 +79,9 @@ def node(
         typer.Option(metavar="SECONDS", help="An engine that neither answers nor computes for so long is killed."),
     ] = 10.0,
     keep: Annotated[Path | None, typer.Option(help="Keep EnergyPlus's own output files in this folder.")] = None,
+    keep_last: Annotated[
+        int | None, typer.Option(help="Of how many finished episodes; all if left out.", min=1)
+    ] = None,
     affinity: Annotated[Affinity, typer.Option(help="Cores: see docs/architecture.md.")] = Affinity.APART,
 ) -> None:
     """Simulates a building and puts it on the bus, until Ctrl-C or `zenostat stop`.
@@ -117,6 +120,7 @@ def node(
             "branches": branches,
             "unresponsive_s": unresponsive,
             "keep": keep,
+            "keep_last": keep_last,
             "affinity": affinity,
         }
     )

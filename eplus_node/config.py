@@ -37,6 +37,9 @@ class NodeConfig(BaseModel):
         scenario: an id or a file; or None.
         config: a Sinergym configuration instead, and which `variant` of it (`hot-continuous`; None: its first).
         what: fields of a scenario, which go before those of `scenario`.
+        own_reward: the agent has a reward of its own; that of a Sinergym configuration is not read.
+        keep: a folder for EnergyPlus's own files, an episode each; those of the last `keep_last` finished episodes
+            and of the running one (None: of all, or as many as the Sinergym configuration says).
         check: only check everything, and start nothing.
         listen: endpoints; none for a node that only connects, to a router or another node.
         unresponsive_s: time after which an engine that neither answers nor uses processor time is killed.
@@ -49,6 +52,7 @@ class NodeConfig(BaseModel):
     config: Path | None = None
     variant: str | None = None
     what: dict[str, Any] = Field(default_factory=dict)
+    own_reward: bool = False
     check: bool = False
     name: str = "building"
     mode: Mode = Mode.LOCKSTEP
@@ -67,6 +71,7 @@ class NodeConfig(BaseModel):
     branches: Annotated[int, Field(ge=0, le=4096)] = 64
     unresponsive_s: Annotated[float, Field(gt=0, le=1e9)] = UNRESPONSIVE_S
     keep: Path | None = None
+    keep_last: Annotated[int, Field(ge=1)] | None = None
     folder: Path | None = None
     affinity: Affinity = Affinity.APART
     cpu: int | None = None
@@ -115,12 +120,24 @@ def read_config(settings: Mapping[str, Any]) -> NodeConfig:
         raise InvalidConfig(explain(error)) from None
 
 
+def kept_episodes(config: NodeConfig) -> int | None:
+    """How many finished episodes' files are kept; None is all of them."""
+    if config.keep_last is not None or config.config is None or config.keep is None:
+        return config.keep_last
+    from models.sinergym import kept_episodes as of_sinergym
+
+    return of_sinergym(config.config)
+
+
 def read_base(config: NodeConfig, errors: Faults | None = None) -> Scenario | None:
     """The scenario that the settings name, if they do. `errors`: as in `read_scenario`."""
     if config.config is not None:
         from models.sinergym import scenario_of as of_sinergym  # few need it, and it takes a while
 
-        return of_sinergym(config.config, config.variant)
+        overridden = {name for name, value in config.what.items() if value is not None}
+        overridden |= {"reward"} if config.own_reward else set()
+        overridden |= {"period"} if {"begin", "end"} <= overridden else set()
+        return of_sinergym(config.config, config.variant, overridden=overridden)
     if config.scenario is None:
         return None
     path = Path(config.scenario).expanduser()

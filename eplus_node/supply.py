@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 import shutil
+from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from eplus_node.config import Plan
+from eplus_node.config import Plan, kept_episodes
 from eplus_node.link import LOG, EngineLink, Run
 from eplus_node.registry import EngineRegistry
 from models.episode import Draw, Draws, Episodes, Files, Source
@@ -111,6 +112,7 @@ class Supply:
         self._plan, self._cpus, self._spare, self._poll = plan, tuple(cpus), tuple(spare), poll
         self._registry = registry or EngineRegistry()
         self._keep, self._scratch = keep is not None, folder / place
+        self._keep_last, self._kept_folders = kept_episodes(plan.config), deque[Path]()
         self._folder = keep.absolute() / place if keep else self._scratch
         self._draws = Draws(len(plan.sources), scenario.weather_order, noisy=bool(scenario.variability))
         self._episodes = Episodes(plan.building, plan.period, plan.sources, scenario.variability, outputs=self._keep)
@@ -331,9 +333,18 @@ class Supply:
                 folder = folder.with_name(f"{folder.name}-")
             folder.mkdir(parents=True, exist_ok=True)
             weather = folder / "in.epw" if self._keep else folder.with_suffix(".epw")
+            self._sweep(folder)
             return self._episodes.prepare(draw, folder, weather)
         except OSError as error:
             raise EngineDied(no_room("an engine's files", error)) from None
+
+    def _sweep(self, folder: Path) -> None:
+        """Removes the kept files of episodes before the last ones; the former one's engine may still write its own."""
+        if not self._keep or self._keep_last is None:
+            return
+        self._kept_folders.append(folder)
+        while len(self._kept_folders) > self._keep_last + 1:
+            shutil.rmtree(self._kept_folders.popleft(), ignore_errors=True)
 
     def _let_go(self, files: Files, *, keeping: Files) -> None:
         if not self._keep and files.weather != keeping.weather and files.weather.parent == self._folder:

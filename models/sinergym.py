@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -54,7 +54,11 @@ def scenarios_of(config: Path, *, discrete_tables: Mapping[str, Table] | None = 
 
 
 def scenario_of(
-    config: Path, wanted: str | None = None, *, discrete_tables: Mapping[str, Table] | None = None
+    config: Path,
+    wanted: str | None = None,
+    *,
+    discrete_tables: Mapping[str, Table] | None = None,
+    overridden: Collection[str] = (),
 ) -> Scenario:
     """One scenario of a Sinergym configuration file.
 
@@ -63,12 +67,14 @@ def scenario_of(
         wanted: an id (`Eplus-` may stand before it), or the end of one that fits only one, as `hot-discrete`;
             None is the first.
         discrete_tables: as in `scenarios_of`.
+        overridden: arguments (see `models.sinergym_config.OVERRIDDEN_BY`) that replace what the file says; mistakes
+            there do not matter.
 
     Raises:
         UnknownName: none or several fit.
         InvalidConfig: as in `scenarios_of`, or the one that is wanted is discrete and there is no table for it.
     """
-    found = read(config, discrete_tables=discrete_tables)
+    found = read(config, discrete_tables=discrete_tables, overridden=overridden)
     ids = [*found.scenarios, *found.lacking]
     name = (wanted or ids[0]).removeprefix(_EPLUS)
     end = f"-{name.removesuffix('-v1')}-v1"
@@ -82,10 +88,17 @@ def scenario_of(
     return found.scenarios[fits[0]]
 
 
-def read(config: Path, *, discrete_tables: Mapping[str, Table] | None = None) -> Configuration:
+def kept_episodes(config: Path) -> int | None:
+    """Of how many episodes a configuration keeps files (`max_ep_store`); None where it says nothing."""
+    return Reader(load_yaml(config), config, {}).kept_episodes()
+
+
+def read(
+    config: Path, *, discrete_tables: Mapping[str, Table] | None = None, overridden: Collection[str] = ()
+) -> Configuration:
     """All that a Sinergym configuration file describes; raises as `scenarios_of` does for its faults."""
     tables = _tables_of_pack() if discrete_tables is None else discrete_tables
-    return _variants(Reader(load_yaml(config), config, tables).read(), config)
+    return _variants(Reader(load_yaml(config), config, tables, overridden).read(), config)
 
 
 def _variants(parsed: Parsed, path: Path) -> Configuration:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
@@ -25,6 +25,8 @@ from topics.keys import check_name
 from topics.messages import Reading, TimeField
 from topics.scenario_ids import CONTINUOUS, DISCRETE, PACK_IDS
 
+T = TypeVar("T")
+
 PACK = "sinergym"
 """The data pack of the buildings and weather files that a configuration may name."""
 
@@ -32,9 +34,23 @@ MODEL, WEATHER = packs.PACKS[PACK].buildings, packs.PACKS[PACK].weathers
 
 REQUIRED = ("id_base", "building_file", "weather_specification", "variables", "action_space", "reward", "reward_kwargs")
 OPTIONAL = ("actuators", "meters", "context", "time_variables", "building_config", "weather_variability",
-            "action_space_discrete", "only_discrete")  # fmt: skip
-IGNORED = ("max_ep_store", "initial_context")
-"""How many folders Sinergym keeps, and values for actuators that no action sets: settings of its program."""
+            "action_space_discrete", "only_discrete", "initial_context", "max_ep_store")  # fmt: skip
+
+OVERRIDDEN_BY = {
+    "building": ("building_file",),
+    "steps_per_hour": (),
+    "period": (),
+    "weather": (),
+    "time": ("time_variables",),
+    "sensors": ("variables",),
+    "meters": ("meters",),
+    "actuators": ("actuators", "action_space", "context", "initial_context"),
+    "discrete": ("action_space_discrete",),
+    "variability": ("weather_variability",),
+    "reward": ("reward", "reward_kwargs"),
+}
+"""What arguments of an environment replace, and the required settings that may be missing then; mistakes there do not
+matter. `period` is `begin` and `end` together."""
 
 _RUN_PERIOD = "[day, month, year, day, month, year]"
 
@@ -68,11 +84,14 @@ class Reader(Fields):
         given: the file's content.
         path: the file; paths in it are relative to its folder.
         tables: what discrete choices mean, by id base.
+        overridden: arguments (of `OVERRIDDEN_BY`) that replace what the file says.
     """
 
-    def __init__(self, given: Mapping[str, Any], path: Path, tables: Mapping[str, Table]) -> None:
+    def __init__(
+        self, given: Mapping[str, Any], path: Path, tables: Mapping[str, Table], overridden: Collection[str] = ()
+    ) -> None:
         super().__init__(given)
-        self.path, self.tables = path, tables
+        self.path, self.tables, self.overridden = path, tables, overridden
         self.renamed: dict[str, str] = {}
 
     def read(self) -> Parsed:
@@ -80,22 +99,24 @@ class Reader(Fields):
         self._check_keys()
         base = self._id_base()
         weathers = self._weathers()
-        decided = self._decided()
+        decided = self._unless("actuators", self._decided)
         fields = {
-            "building": self._file("building_file", self.given.get("building_file"), catalog.buildings, MODEL),
+            "building": self._unless("building", self._building),
             "weather": next(iter(weathers.values()), ("none",)),
             "sizing": "weather",
-            **self._building_config(),
-            "time": self._time(),
-            "sensors": self._sensors(),
-            "meters": self._meters(),
+            **self._unless("steps_per_hour", self._timesteps),
+            **self._unless("period", self._run_period),
+            "time": self._unless("time", self._time),
+            "sensors": self._unless("sensors", self._sensors),
+            "meters": self._unless("meters", self._meters),
             "reading": Reading.INSTANT,
             "control": "point",
-            **self._with_context(decided),
-            "reward": self._reward(),
+            **self._unless("actuators", lambda: self._with_context(decided)),
+            "reward": self._unless("reward", self._reward),
         }
-        noise = self._variability()
-        choices, reason = self._choices(base, decided)
+        noise = self._unless("variability", self._variability)
+        choices, reason = self._unless("discrete", lambda: self._choices(base, decided))
+        self.kept_episodes()
         if self.faults:
             raise InvalidConfig("\n".join(f"{self.path}: {fault}" for fault in self.faults))
         forms = [] if self.given.get("only_discrete") else [CONTINUOUS]
@@ -103,18 +124,38 @@ class Reader(Fields):
         scenario = read_scenario(fields, str(self.path))
         return Parsed(base, tuple(forms), scenario, weathers, noise, choices, reason)
 
+    def _unless(self, argument: str, read: Callable[[], T]) -> T:
+        """What is read; its mistakes do not matter where an argument replaces it."""
+        before = len(self.faults)
+        found = read()
+        if argument in self.overridden:
+            del self.faults[before:]
+        return found
+
     # What is said and what is not
 
     def _check_keys(self) -> None:
-        self.known(self.given, (*REQUIRED, *OPTIONAL, *IGNORED), "")
+        self.known(self.given, (*REQUIRED, *OPTIONAL), "")
+        replaced = [name for argument in self.overridden for name in OVERRIDDEN_BY.get(argument, ())]
         for name in REQUIRED:
-            if self.given.get(name) is None:
+            if self.given.get(name) is None and name not in replaced:
                 self.fault(f"{name} is missing")
+        config = self.given.get("building_config")
+        if isinstance(config, Mapping):
+            self.known(config, ("timesteps_per_hour", "runperiod"), "building_config: ")
         only = self.given.get("only_discrete")
         if only is not None and not isinstance(only, bool):
             self.fault(f"only_discrete: true or false expected, got {only!r}")
         if only is True and not self.given.get("action_space_discrete"):
             self.fault("only_discrete: true leaves nothing without action_space_discrete")
+
+    def kept_episodes(self) -> int | None:
+        """`max_ep_store`: of how many episodes the files are kept, where they are; None where it says nothing."""
+        given = self.given.get("max_ep_store")
+        if given is None or (type(given) is int and given >= 1):
+            return given
+        self.fault(f"max_ep_store: a whole number of 1 or more expected, got {given!r}")
+        return None
 
     # The building, its weather and its run period
 
@@ -126,6 +167,9 @@ class Reader(Fields):
             self.fault(f"id_base: a text expected, got {base!r}")
             return ""
         return self.attempt(lambda: check_name(base, "the base of the ids"), "id_base") or ""
+
+    def _building(self) -> str:
+        return self._file("building_file", self.given.get("building_file"), catalog.buildings, MODEL)
 
     def _file(self, where: str, text: Any, known: Callable[[], tuple[Entry, ...]], promised: tuple[str, ...]) -> str:
         """A file beside the configuration, an absolute path, or the catalogue's name of a file of the data pack."""
@@ -169,29 +213,34 @@ class Reader(Fields):
         for number, (key, file) in enumerate(zip(keys, files, strict=False)):
             names = file if isinstance(file, list) else [file]
             where_file = f"{where}.weather_files.{number}"
+            before = len(self.faults)
             found[key] = tuple(self._file(where_file, name, catalog.weathers, WEATHER) for name in names)
+            if "weather" in self.overridden:
+                del self.faults[before:]
         return found
 
-    def _building_config(self) -> dict[str, Any]:
-        given = self.mapping("building_config")
-        self.known(given, ("timesteps_per_hour", "runperiod"), "building_config: ")
-        found: dict[str, Any] = {}
-        steps = given.get("timesteps_per_hour")
-        if steps is not None:
-            found["steps_per_hour"] = steps
-            if not isinstance(steps, int) or isinstance(steps, bool):
-                self.fault(f"building_config.timesteps_per_hour: a whole number expected, got {steps!r}")
-        period = given.get("runperiod")
-        if period is not None:
-            try:
-                d1, m1, y1, d2, m2, y2 = period
-                begin, end = date(y1, m1, d1), date(y2, m2, d2)
-                if end < begin:
-                    self.fault(f"building_config.runperiod ends ({end}) before it begins ({begin})")
-                found |= {"begin": begin.isoformat(), "end": end.isoformat()}
-            except (TypeError, ValueError) as error:
-                self.fault(f"building_config.runperiod: {_RUN_PERIOD} expected, got {period!r} ({error})")
-        return found
+    def _timesteps(self) -> dict[str, Any]:
+        steps = self.mapping("building_config").get("timesteps_per_hour")
+        if steps is None:
+            return {}
+        if type(steps) is not int:
+            self.fault(f"building_config.timesteps_per_hour: a whole number expected, got {steps!r}")
+            return {}
+        return {"steps_per_hour": steps}
+
+    def _run_period(self) -> dict[str, Any]:
+        period = self.mapping("building_config").get("runperiod")
+        if period is None:
+            return {}
+        try:
+            d1, m1, y1, d2, m2, y2 = period
+            begin, end = date(y1, m1, d1), date(y2, m2, d2)
+        except (TypeError, ValueError) as error:
+            self.fault(f"building_config.runperiod: {_RUN_PERIOD} expected, got {period!r} ({error})")
+            return {}
+        if end < begin:
+            self.fault(f"building_config.runperiod ends ({end}) before it begins ({begin})")
+        return {"begin": begin.isoformat(), "end": end.isoformat()}
 
     # What is observed
 
@@ -274,8 +323,23 @@ class Reader(Fields):
         for name in context:
             if name in decided:
                 self.fault(f"context: {name!r} is an actuator of the action already")
-        found: dict[str, Any] = {"actuators": {**decided, **context}}
+        found: dict[str, Any] = {"actuators": {**decided, **context}, **self._initial_context(list(context))}
         return found | ({"actions": {name: ActionSpec(actuators=(name,)) for name in decided}} if context else {})
+
+    def _initial_context(self, names: list[str]) -> dict[str, Any]:
+        """What the actuators of the context are set to when an episode begins: a wrapper that does it."""
+        given = self.given.get("initial_context")
+        if not given or "actuators" in self.overridden:  # Sinergym takes an empty list for none
+            return {}
+        if not isinstance(given, list) or len(given) != len(names):
+            self.fault(
+                f"initial_context: a number for each of {len(names)} actuators of context expected, got {given!r}"
+            )
+            return {}
+        values = {
+            name: self.number(n, f"initial_context.{i}") for i, (name, n) in enumerate(zip(names, given, strict=True))
+        }
+        return {"wrappers": ({"wrapper": "ChangingContext", "schedule": {"00:00": values}},)}
 
     def _specs(self, section: str) -> dict[str, ActuatorSpec]:
         found: dict[str, ActuatorSpec] = {}
@@ -305,7 +369,7 @@ class Reader(Fields):
     def _choices(self, base: str, actuators: Mapping[str, ActuatorSpec]) -> tuple[tuple[ChoiceSpec, ...] | None, str]:
         """The discrete dimensions of these actuators; None and the reason if nobody knows what the choices mean."""
         given = self.given.get("action_space_discrete")
-        if not given or (discrete := self._space("action_space_discrete")) is None:
+        if not given or "discrete" in self.overridden or (discrete := self._space("action_space_discrete")) is None:
             return (), ""
         if isinstance(discrete, Box):
             self.fault(f"action_space_discrete: Discrete or MultiDiscrete expected, got {given!r}")

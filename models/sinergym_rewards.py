@@ -18,7 +18,10 @@ _BANDS = {"range_comfort_winter": "winter", "range_comfort_summer": "summer"}
 _DAYS = {"summer_start": ("summer_begin", [6, 1]), "summer_final": ("summer_end", [9, 30])}
 _ZONES = ("temperature_variables", *_BANDS, *_DAYS)
 _PRICES = "energy_cost_data_path"
-"""The file that Sinergym's `EnergyCostWrapper` reads; here the reward has to name it."""
+"""The file that Sinergym's `EnergyCostWrapper` reads; here the reward may name it."""
+
+_PACKED_PRICES = "PVPC_active_energy_billing_Iberian_Peninsula_2023.csv"
+"""Sinergym's own file of prices: what its class has in mind, which has no argument for a file."""
 
 
 class RewardReader:
@@ -175,8 +178,8 @@ class RewardReader:
         return [self._renamed.get(name, name) for name in names]
 
     def _prices(self) -> str:
-        """The file of prices: beside the configuration, an absolute path, or one of the data pack."""
-        given = self._given.get(_PRICES)
+        """The file of prices: beside the configuration, an absolute path, or one of the data pack (left out: that)."""
+        given = self._given.get(_PRICES, _PACKED_PRICES)
         if not isinstance(given, str) or not given:
             self._fields.fault(
                 f"reward_kwargs.{_PRICES}: the file of prices (as EnergyCostWrapper reads it: ';' between columns, "
