@@ -471,6 +471,31 @@ def test_errors_grow_with_the_horizon_as_said(error: Any, deviation: Callable[[f
     assert np.abs(difference.mean(axis=0)).max() < 0.1
 
 
+def test_errors_have_a_mean_limits_and_ranges() -> None:
+    """Without a spread the error is its mean: that of a day ahead, or the one that it ends at."""
+    truth = w.WeatherForecast(fake(), ["dry_bulb_temperature"], n=3, spacing_h=12.0)
+    drifting = w.WeatherForecast(
+        fake(), ["dry_bulb_temperature"], 3, 12.0, {"dry_bulb_temperature": {"sigma": 0, "mu": 2}}
+    )
+    biased = w.WeatherForecast(
+        fake(), ["dry_bulb_temperature"], 3, 12.0, {"dry_bulb_temperature": {"sigma": 0, "mu": -2, "tau_h": 12}}
+    )
+    seen, told, low = (env.reset(seed=1)[0][-3:] for env in (truth, drifting, biased))
+    assert told - seen == pytest.approx([1.0, 2.0, 3.0], abs=1e-5)
+    assert low - seen == pytest.approx(-2 * (1 - np.exp([-1.0, -2.0, -3.0])), abs=1e-5)
+    limited = {"sigma": [1.0, 5.0], "mu": [3.0, 4.0], "tau_h": [1.0, 2.0], "low": -2.0, "high": 60.0}
+    env = w.WeatherForecast(fake(), ["dry_bulb_temperature"], 3, 12.0, {"dry_bulb_temperature": limited})
+    first, again, other = (env.reset(seed=seed)[0][-3:] for seed in (1, 1, 2))
+    assert not np.array_equal(first, other)
+    assert np.array_equal(first, again)
+    assert env.observation_space.low[-1] == -2.0
+    assert env.observation_space.high[-1] == 60.0
+    capped = w.WeatherForecast(
+        fake(), ["dry_bulb_temperature"], 3, 12.0, {"dry_bulb_temperature": limited | {"high": 1.0}}
+    )
+    assert max(capped.reset(seed=1)[0][-3:]) <= 1.0 < max(first)
+
+
 def test_two_forecasts_of_a_chain_err_differently_and_a_seed_rules_both() -> None:
     one = w.WeatherForecast(fake(), [DRY], n=1, errors={DRY: 1.0})
     two = w.WeatherForecast(
@@ -561,6 +586,19 @@ def test_an_increment_out_of_the_space_changes_nothing(action: list[float]) -> N
     assert env.unwrapped.commands == []  # type: ignore[attr-defined]
 
 
+def test_several_step_sizes_are_sinergyms_default_of_seventeen_choices() -> None:
+    steps = [0.5, 1.0, 1.5, 2.0]
+    env = w.DiscreteIncrementalAction(fake(), {"heat": steps, "cool": steps}, {"heat": 19.0, "cool": 26.0})
+    assert env.action_space == gym.spaces.Discrete(17)
+    moves = [0.0, *steps, *(-step for step in steps)]
+    for number in range(17):
+        env.reset(seed=0)
+        applied = env.step(number)[4]["applied"]
+        heat = moves[number] if number < 9 else 0.0
+        cool = moves[number - 8] if number >= 9 else 0.0
+        assert list(applied)[:2] == pytest.approx([19.0 + heat, 26.0 + cool])
+
+
 def test_discrete_incremental_action_by_hand() -> None:
     env = w.DiscreteIncrementalAction(fake(), {"cool": 0.5, "heat": 2.0}, {"heat": 20.0, "cool": 29.5})
     assert env.action_space == gym.spaces.Discrete(5)
@@ -586,7 +624,14 @@ def test_discrete_incremental_action_by_hand() -> None:
         ),
         (lambda env: w.IncrementalAction(env, {"cool": [1, 2]}, {"cool": 25}), "its step is not above that"),
         (lambda env: w.DiscreteIncrementalAction(env, {"cool": 1}, {"cool": 25}), "initial needs a value of heat too"),
-        (lambda env: w.DiscreteIncrementalAction(env, {"cool": 0}, {"cool": 25, "heat": 20}), "each above 0"),
+        (
+            lambda env: w.DiscreteIncrementalAction(env, {"cool": 0}, {"cool": 25, "heat": 20}),
+            "a step above 0, or several different ones",
+        ),
+        (
+            lambda env: w.DiscreteIncrementalAction(env, {"cool": [1, 1]}, {"cool": 25, "heat": 20}),
+            "a step above 0, or several different ones",
+        ),
     ],
 )
 def test_increments_that_cannot_be(wrong: Callable[[Any], Any], text: str) -> None:

@@ -1,8 +1,8 @@
-"""A number that moves one value by a step."""
+"""A number that moves one value by one of its steps."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from gymnasium.spaces import Discrete
@@ -14,29 +14,35 @@ from topics.errors import InvalidConfig
 
 
 class DiscreteIncrementalAction(Moving):
-    """`Discrete`: 0 changes nothing; 1 and 2 move the first action of `steps` up and down by its step; and so on.
+    """`Discrete`: 0 changes nothing, all other numbers move one action by a step.
 
-    The values start from `initial` in each episode and stay within the actions' bounds.
+    The numbers from 1 on move the first action of `steps` up by each of its steps, then down by each; then come those
+    of the other actions. The values start from `initial` in each episode and stay within the actions' bounds.
 
     Args:
-        steps: action to its step, in the action's unit.
+        steps: action to its step, or to several, in the action's unit: with `[0.5, 1.0, 1.5, 2.0]` for each of two
+            setpoints there are 17 choices.
         initial: the value of every action of the environment at an episode's begin; those without a step keep it.
 
     Raises:
-        InvalidConfig: no such action, an action without initial value, one out of bounds, a step not above 0, or a
-            wrapper within that takes actions out of their units. `InvalidAction` at a step: no such number.
+        InvalidConfig: no such action, an action without initial value, one out of bounds, a step not above 0 or given
+            twice, or a wrapper within that takes actions out of their units. `InvalidAction` at a step: no such number.
     """
 
-    def __init__(self, view: View, steps: Mapping[str, float], initial: Mapping[str, float]) -> None:
+    def __init__(self, view: View, steps: Mapping[str, float | Sequence[float]], initial: Mapping[str, float]) -> None:
         super().__init__(view, initial)
         if missing := [name for name in self.names if name not in initial]:
             raise InvalidConfig(f"{view.who}: initial needs a value of {', '.join(missing)} too")
         moving = places(steps, list(initial), view.who, "action")
-        if not steps or not all(0 < step < np.inf for step in steps.values()):
-            raise InvalidConfig(f"{view.who}: give at least one action a step, each above 0")
-        self._table = np.zeros((1 + 2 * len(steps), len(initial)))
-        for row, (at, step) in enumerate(zip(moving, steps.values(), strict=True)):
-            self._table[1 + 2 * row, at], self._table[2 + 2 * row, at] = step, -step
+        if not steps:
+            raise InvalidConfig(f"{view.who}: give at least one action a step")
+        rows = [np.zeros(len(initial))]
+        for at, (name, given) in zip(moving, steps.items(), strict=True):
+            sizes = _sizes(given, f"{view.who}: {name}")
+            for size in (*sizes, *(-size for size in sizes)):
+                rows.append(np.zeros(len(initial)))
+                rows[-1][at] = size
+        self._table = np.array(rows)
         self.action_space = Discrete(len(self._table))
         self.action_names = tuple(steps)
 
@@ -48,3 +54,13 @@ class DiscreteIncrementalAction(Moving):
         told = np.empty((len(slots), len(self.names)), np.float32)
         told[:, self.at] = self.move(slots, self._table[actions])
         return told
+
+
+def _sizes(given: float | Sequence[float], who: str) -> list[float]:
+    try:
+        sizes = [float(size) for size in (given if isinstance(given, Sequence | np.ndarray) else [given])]
+    except (TypeError, ValueError):
+        sizes = []
+    if not sizes or not all(0 < size < np.inf for size in sizes) or len(set(sizes)) < len(sizes):
+        raise InvalidConfig(f"{who}: {given!r}; a step above 0, or several different ones, expected")
+    return sizes

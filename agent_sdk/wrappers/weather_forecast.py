@@ -30,22 +30,53 @@ def _bounds(column: str) -> tuple[float, float]:
 
 
 class ErrorModel(NamedTuple):
-    """How wrong a forecast of one column is: `sigma` in its unit, `tau_h` None for one that grows without end."""
+    """How wrong a forecast of one column is, in its unit; `tau_h` None for an error that grows without end."""
 
     sigma: float
     tau_h: float | None = None
+    mu: float = 0.0
+
+
+class ErrorSpec(NamedTuple):
+    """What an `ErrorModel` is drawn from for each episode: numbers, or ranges (low, high); and limits of the values."""
+
+    sigma: Any
+    tau_h: Any = None
+    mu: Any = 0.0
+    low: float = -np.inf
+    high: float = np.inf
 
     @classmethod
-    def read(cls, given: Any, who: str) -> ErrorModel:
-        """From a number or `{"sigma": …, "tau_h": …}`."""
+    def read(cls, given: Any, who: str) -> ErrorSpec:
+        """From a number or `{"sigma": …, "tau_h": …, "mu": …, "low": …, "high": …}`."""
         try:
-            model = cls(**given) if isinstance(given, Mapping) else cls(float(given))
-            fine = 0 <= model.sigma < np.inf and (model.tau_h is None or 0 < model.tau_h < np.inf)
+            spec = cls(**given) if isinstance(given, Mapping) else cls(float(given))
+            (sigma, sigmas), (mu, mus) = _range(spec.sigma), _range(spec.mu)
+            tau_h, taus_h = (1.0, 1.0) if spec.tau_h is None else _range(spec.tau_h)
+            fine = 0 <= sigma <= sigmas < np.inf and -np.inf < mu <= mus < np.inf and 0 < tau_h <= taus_h < np.inf
+            fine = fine and float(spec.low) < float(spec.high)
         except (TypeError, ValueError):
             fine = False
         if not fine:
-            raise InvalidConfig(f'{who}: an error is sigma or {{"sigma": …, "tau_h": …}}, not {given!r}')
-        return model
+            raise InvalidConfig(
+                f'{who}: an error is sigma or {{"sigma": …, "tau_h": …, "mu": …, "low": …, "high": …}}, the first '
+                f"three of them numbers or ranges [low, high]; not {given!r}"
+            )
+        return spec
+
+    def draw(self, rng: np.random.Generator) -> ErrorModel:
+        """An episode's; ranges are drawn from uniformly."""
+
+        def one(given: Any) -> float:
+            low, high = _range(given)
+            return float(rng.uniform(low, high)) if low < high else low
+
+        return ErrorModel(one(self.sigma), None if self.tau_h is None else one(self.tau_h), one(self.mu))
+
+
+def _range(given: Any) -> tuple[float, float]:
+    low, high = given if isinstance(given, Sequence) else (given, given)
+    return float(low), float(high)
 
 
 def error_path(normal: Floats, horizons_h: Floats, model: ErrorModel) -> Floats:
@@ -53,7 +84,8 @@ def error_path(normal: Floats, horizons_h: Floats, model: ErrorModel) -> Floats:
 
     A path that starts at 0 at horizon 0. Without `tau_h` it is a random walk with the standard deviation
     sigma * sqrt(horizon / 24 h); with it, AR(1) with phi = exp(-spacing / tau) and
-    sigma * sqrt(1 - exp(-2 horizon / tau)), which ends at sigma.
+    sigma * sqrt(1 - exp(-2 horizon / tau)), which ends at sigma. Its mean is mu * horizon / 24 h, or with `tau_h`
+    mu * (1 - exp(-horizon / tau)), which ends at mu.
     """
     spacing = np.diff(horizons_h, prepend=0.0)
     if model.tau_h is None:
@@ -64,7 +96,8 @@ def error_path(normal: Floats, horizons_h: Floats, model: ErrorModel) -> Floats:
     for at in range(len(horizons_h)):
         error = keep[at] * error + model.sigma * spread[at] * normal[..., at]
         path[..., at] = error
-    return path
+    share = horizons_h / 24.0 if model.tau_h is None else -np.expm1(-horizons_h / model.tau_h)
+    return path + model.mu * share
 
 
 class _Column(NamedTuple):
@@ -90,13 +123,15 @@ class WeatherForecast(Observing):
 
     With an error the forecast is wrong by a path that starts at 0 now and is drawn anew at each step, ruled by
     `reset(seed=)`: its standard deviation is sigma * sqrt(horizon / 24 h), so sigma is that of a day ahead; or,
-    with `tau_h`, that of an AR(1) path, sigma * sqrt(1 - exp(-2 horizon / tau_h)). Physical limits hold.
+    with `tau_h`, that of an AR(1) path, sigma * sqrt(1 - exp(-2 horizon / tau_h)). `mu` is the mean of the error a day
+    ahead, or with `tau_h` the one that it ends at. Ranges [low, high] of sigma, tau_h and mu are drawn from at each
+    reset. Physical limits hold, and `low` and `high` where they are narrower.
 
     Args:
         columns: of an EPW, as `dry_bulb_temperature`; the third value of it is `dry_bulb_temperature_in_3h`.
         n: how many values of each column.
         spacing_h: hours between them.
-        errors: column to sigma in the column's unit, or to `{"sigma": …, "tau_h": …}`.
+        errors: column to sigma in the column's unit, or to `{"sigma": …, "tau_h": …, "mu": …, "low": …, "high": …}`.
 
     Raises:
         InvalidConfig: errors of a column that is not asked for, or n or spacing_h not above 0; at reset, a column
@@ -119,8 +154,9 @@ class WeatherForecast(Observing):
         places(errors or {}, columns, view.who, "column")
         self._columns = list(columns)
         self._horizons_h = spacing_h * np.arange(1, n + 1, dtype=np.float64)
-        self._errors = {name: ErrorModel.read(given, f"{view.who}: {name}") for name, given in (errors or {}).items()}
-        self._bounds = np.array([_bounds(column) for column in columns])
+        self._errors = {name: ErrorSpec.read(given, f"{view.who}: {name}") for name, given in (errors or {}).items()}
+        self._drawn: list[dict[str, ErrorModel]] = [{} for _ in range(view.slots)]
+        self._bounds = np.array([self._limits(column) for column in columns])
         self._randoms = Randoms(view.env, view.who, view.slots)
         self._weather: list[list[_Column]] = [[] for _ in range(view.slots)]
         self._begins: dict[int, datetime] = {}
@@ -136,11 +172,17 @@ class WeatherForecast(Observing):
         told = [self._forecast(slot, seen.infos.time(row)) for row, slot in enumerate(seen.slots)]
         return append(seen.observations, np.array(told))
 
+    def _limits(self, column: str) -> tuple[float, float]:
+        low, high = _bounds(column)
+        error = self._errors.get(column, ErrorSpec(0.0))
+        return max(low, float(error.low)), min(high, float(error.high))
+
     def _fetch(self, start: Start) -> None:
         self._randoms.seed(start.slots, start.seeds)
         series = self.view.each(start.slots, "weather", self._columns)
         for row, slot in enumerate(start.slots):
             self._weather[slot] = self._read(series[row])
+            self._drawn[slot] = {name: spec.draw(self._randoms[slot]) for name, spec in self._errors.items()}
             self._begins[slot] = start.infos.time(row) - start.infos.step(row) * self._timestep
 
     def _read(self, series: WeatherSeries) -> list[_Column]:
@@ -162,16 +204,19 @@ class WeatherForecast(Observing):
         for at, name in enumerate(self._columns):
             if name in self._errors:
                 normal = self._randoms[slot].standard_normal(len(times_s))
-                told[at] += error_path(normal, self._horizons_h, self._errors[name])
+                told[at] += error_path(normal, self._horizons_h, self._drawn[slot][name])
                 if self._weather[slot][at].turns:
                     told[at] %= 360.0
         bounded: Floats = np.clip(told, self._bounds[:, :1], self._bounds[:, 1:])
         return bounded.reshape(-1)
 
     def get_state(self) -> list[dict[str, Any]]:
-        """The random generators; the weather is asked for again at the next reset."""
-        return self._randoms.get_state()
+        """The random generators and what they drew; the weather is asked for again at the next reset."""
+        drawn = [{name: model._asdict() for name, model in models.items()} for models in self._drawn]
+        return [{**state, "errors": errors} for state, errors in zip(self._randoms.get_state(), drawn, strict=True)]
 
     def set_state(self, slots: Sequence[Mapping[str, Any]]) -> None:
         """See `Core`."""
         self._randoms.set_state(slots)
+        for slot, state in enumerate(slots):
+            self._drawn[slot] = {name: ErrorModel(**drawn) for name, drawn in state.get("errors", {}).items()}
