@@ -837,7 +837,19 @@ def test_tensorboards_own_files(tmp_path: Path) -> None:
 def test_weights_and_biases_offline(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("wandb")
     monkeypatch.setenv("WANDB_SILENT", "true")
-    env = w.WeightsAndBiasesLog(fake(), "office", folder=tmp_path, every=5)
+    (tmp_path / "model.txt").write_text("weights")
+    env = w.WeightsAndBiasesLog(
+        fake(),
+        "office",
+        folder=tmp_path,
+        every=5,
+        group="summer",
+        tags=["a"],
+        entity="us",
+        artifacts=[tmp_path / "model.txt"],
+    )
+    run = env._core._run
+    assert (run.group, run.tags, run.entity) == ("summer", ("a",), "us")
     episode(env, lambda: MIDDLE)
     env.close()
     assert list(tmp_path.rglob("*.wandb"))

@@ -17,7 +17,7 @@ from agent_sdk.wrappers.single import (
     WeatherForecast,
     WeightsAndBiasesLog,
 )
-from agent_sdk.wrappers.state import restore_wrappers, save_wrappers
+from agent_sdk.wrappers.state import restore_normalization, restore_wrappers, save_wrappers
 
 __all__ = [
     "GYMNASIUMS",
@@ -37,6 +37,7 @@ __all__ = [
     "action_names_of",
     "apply_wrappers",
     "names_of",
+    "restore_normalization",
     "restore_wrappers",
     "save_wrappers",
     "wrappers_of",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -31,7 +31,12 @@ class _Mean:
 
 
 class MeansLog(Core):
-    """Base: means of each episode and of every n steps, of the reward, its terms and measures, the observations."""
+    """Base of loggers: means of each episode and of every n steps.
+
+    They are of the reward, its terms and measures and the observations. A logger of one's own overrides `write`, which
+    gets them, and may override `values`, which says what is averaged; then a wrapper names it:
+    `class MyLog(Single): core = MyCore` (`agent_sdk.wrappers.single`, or `Vector` of `agent_sdk.wrappers.vector`).
+    """
 
     def __init__(self, view: View, every: int) -> None:
         super().__init__(view)
@@ -43,7 +48,12 @@ class MeansLog(Core):
         self._window, self._since, self.steps = _Mean(), 0, 0
 
     def write(self, values: Mapping[str, float], step: int) -> None:
-        """Hands numbers on."""
+        """Hands numbers on: those of an episode at its end (`episode/…`), those of every n steps (`steps/…`).
+
+        Args:
+            values: means by name; with them `episode/return` and `episode/steps`.
+            step: the number of steps of all slots so far.
+        """
         raise NotImplementedError
 
     def start(self, start: Start) -> Values:
@@ -55,7 +65,7 @@ class MeansLog(Core):
     def step(self, step: Step) -> tuple[Values, Values]:
         """See `Core`."""
         for row, slot in enumerate(step.slots):
-            values = self._values(row, step)
+            values = self.values(row, step)
             self.steps += 1
             self._since += 1
             self._window.add(values)
@@ -67,7 +77,8 @@ class MeansLog(Core):
                 self._end(slot)
         return step.observations, step.rewards
 
-    def _values(self, row: int, step: Step) -> dict[str, float]:
+    def values(self, row: int, step: Step) -> dict[str, float]:
+        """Numbers of one timestep of the slot `step.slots[row]`, by name; their means are logged."""
         values = {"reward": float(step.rewards[row])}
         for group, key in (("reward", "reward_terms"), ("measure", "reward_measures")):
             said = step.infos.get(row, key) or {}
@@ -131,6 +142,10 @@ class WeightsAndBiasesLog(MeansLog):
         mode: `offline` writes files that `wandb sync` sends later; `online` needs a login.
         folder: where wandb keeps its files; None is the present folder.
         config: what the run is to be known by.
+        entity: the user or team that the run belongs to; None is the login's own.
+        group: of runs that belong together.
+        tags: words to find the run by.
+        artifacts: files and folders that are logged as an artifact of the run when the environment is closed.
 
     Raises:
         InvalidConfig: the extra is missing, or a `RewardVector` within.
@@ -145,10 +160,16 @@ class WeightsAndBiasesLog(MeansLog):
         mode: Literal["offline", "online", "disabled"] = "offline",
         folder: str | Path | None = None,
         config: Mapping[str, Any] | None = None,
+        entity: str | None = None,
+        group: str | None = None,
+        tags: Sequence[str] | None = None,
+        artifacts: Sequence[str | Path] = (),
     ) -> None:
         super().__init__(view, every)
-        wandb = load("wandb", "wandb", view.who)
+        wandb = self._wandb = load("wandb", "wandb", view.who)
+        self._artifacts = [Path(path) for path in artifacts]
         given: dict[str, Any] = {"project": project, "name": name, "mode": mode, "config": dict(config or {})}
+        given |= {"entity": entity, "group": group, "tags": None if tags is None else list(tags)}
         self._run: Any = wandb.init(**given, dir=None if folder is None else str(folder), reinit="create_new")
 
     def write(self, values: Mapping[str, float], step: int) -> None:
@@ -158,5 +179,17 @@ class WeightsAndBiasesLog(MeansLog):
     def close(self) -> None:
         """See `Core`."""
         if self._run is not None:
+            self._log_artifacts()
             self._run.finish()
             self._run = None
+
+    def _log_artifacts(self) -> None:
+        there = [path for path in self._artifacts if path.exists()]
+        if there:
+            artifact = self._wandb.Artifact(f"run-{self._run.id}", type="output")
+            for path in there:
+                if path.is_dir():
+                    artifact.add_dir(str(path), name=path.name)
+                else:
+                    artifact.add_file(str(path), name=path.name)
+            self._run.log_artifact(artifact)

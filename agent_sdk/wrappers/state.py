@@ -127,3 +127,36 @@ def _array(plain: Mapping[str, Any]) -> Any:
     if plain["kind"] not in _KINDS:
         raise ValueError(f"numbers of kind {plain['kind']!r}; {' or '.join(_KINDS)} expected")
     return np.array(plain["values"], plain["kind"])
+
+
+def restore_normalization(env: Any, folder: str | Path) -> None:
+    """Takes over the statistics of observations that Sinergym saved: `mean.txt`, `var.txt` and `count.txt`.
+
+    They are numbers of a model's training, one for each observation; `count.txt` may be missing.
+
+    Args:
+        env: with Gymnasium's `NormalizeObservation` around it, whose observation has the same order.
+        folder: Sinergym's `norm_stats`.
+
+    Raises:
+        InvalidConfig: no such wrapper; a file that is missing or not of so many numbers.
+    """
+    try:
+        statistics = env.get_wrapper_attr("obs_rms")
+    except AttributeError:
+        raise InvalidConfig("there is no NormalizeObservation around the environment to take the statistics") from None
+    shape, found = np.shape(statistics.mean), {}
+    for name in ("mean", "var", "count"):
+        path = Path(folder) / f"{name}.txt"
+        if name == "count" and not path.exists():
+            continue
+        try:
+            found[name] = np.loadtxt(path, np.float64, ndmin=1)
+        except (OSError, ValueError) as error:
+            raise InvalidConfig(f"{path}: a number a line expected ({error})") from None
+        wanted = shape if name != "count" else (1,)
+        if found[name].shape != wanted or not np.isfinite(found[name]).all():
+            raise InvalidConfig(f"{path}: {int(np.prod(wanted))} numbers expected, it has {found[name].size}")
+    statistics.mean, statistics.var = found["mean"], found["var"]
+    if "count" in found:
+        statistics.count = float(found["count"][0])
