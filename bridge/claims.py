@@ -27,6 +27,7 @@ class Record:
     rejected: int = 0
     duplicate: int = 0
     missed: int = 0
+    accepted_late: int = 0
     response: Latencies = field(default_factory=Latencies)
 
 

@@ -16,7 +16,8 @@ policy the node waits until it is back or another takes its level over, or goes 
 what it commanded, or the episode is aborted. So it is with one that does not answer by the deadline.
 
 Three kinds of messages change nothing and are counted and named in an event: `late` (answers a step that is
-over), `duplicate` (answers the present step again), `rejected` (everything else that is wrong).
+over), `duplicate` (answers the present step again), `rejected` (everything else that is wrong). Under the policy to
+wait, a command that comes after the deadline still answers the present step: it is taken, and `accepted_late` says so.
 """
 
 from __future__ import annotations
@@ -101,6 +102,7 @@ class Counts:
     duplicate: int = 0
     missed: int = 0
     flooded: int = 0
+    accepted_late: int = 0
 
 
 @dataclass(slots=True)
@@ -457,9 +459,10 @@ class Exchange:
             claimant.silent = False
             return self.event(EventKind.JOINED, f"{claimant.name} answers again", claimant.name)
         if self._overdue_s is not None and claimant.joined_s <= self._overdue_s:
-            return self._late(
-                f"was taken, though after the deadline of {self.deadline_s:g} s", claimant.name, self._overdue_s
-            )
+            self.counts.accepted_late += 1
+            claimant.record.accepted_late += 1
+            text = f"was taken, though after the deadline of {self.deadline_s:g} s"
+            return self._late_event(EventKind.ACCEPTED_LATE, text, claimant.name, self._overdue_s)
         return None
 
     def _late(self, text: str, source: str, since_s: float | None) -> Event:
@@ -467,7 +470,10 @@ class Exchange:
         claimant = self.claims.by_name.get(source)
         if claimant is not None:
             claimant.record.late += 1
-        event = self.event(EventKind.LATE, text, source)
+        return self._late_event(EventKind.LATE, text, source, since_s)
+
+    def _late_event(self, kind: EventKind, text: str, source: str, since_s: float | None) -> Event:
+        event = self.event(kind, text, source)
         return event if since_s is None else event.model_copy(update={"late_s": self.now_s - since_s})
 
     def _for_the_present(self, command: Command, answered: Sequence[int]) -> bool:
@@ -546,6 +552,7 @@ class Exchange:
                 missed=c.record.missed,
                 waived=c.waived,
                 silent=c.silent,
+                accepted_late=c.record.accepted_late,
                 response=c.record.response.spread(),
             )
             for c in [*self.claims.by_name.values()]

@@ -38,6 +38,7 @@ _TITLES = {
     "J": "energy of the timestep (J)",
 }
 _SETPOINTS = "setpoints"
+_GRAVE = (EventKind.FAILED, EventKind.REJECTED, EventKind.LATE, EventKind.ACCEPTED_LATE, EventKind.WARNING)
 
 
 @dataclass(slots=True)
@@ -296,7 +297,7 @@ class RerunStream:
         self.recording.log(f"{name}/events", rr.TextLog(f"unreadable message: {error}", level="WARN"))
 
     def _log_event(self, name: str, event: Event) -> None:
-        grave = event.kind in (EventKind.FAILED, EventKind.REJECTED, EventKind.LATE, EventKind.WARNING)
+        grave = event.kind in _GRAVE
         text = f"{event.kind}: {event.text}" + (f" ({event.source})" if event.source else "")
         self.recording.set_time("step", sequence=event.step)
         self.recording.log(f"{name}/events", rr.TextLog(text, level="WARN" if grave else "INFO"))

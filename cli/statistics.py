@@ -39,4 +39,5 @@ def milliseconds(spread: Spread) -> tuple[str, str, str]:
 def _counts(statistics: Statistics) -> str:
     names = ("late", "rejected", "duplicate", "flooded", "missed", "overruns")
     behind = f" ({statistics.behind_s:.3g} s behind at worst)" if statistics.overruns else ""
-    return ", ".join(f"{getattr(statistics, name)} {name}" for name in names) + behind
+    taken = f", {statistics.accepted_late} accepted late" if statistics.accepted_late else ""
+    return ", ".join(f"{getattr(statistics, name)} {name}" for name in names) + behind + taken

@@ -437,6 +437,7 @@ class Runner:
             rejected=counts.rejected,
             duplicate=counts.duplicate,
             flooded=counts.flooded + self.inlets.flooded,
+            accepted_late=counts.accepted_late,
         )
 
     def status(self, *, memory: bool) -> Status:

@@ -379,12 +379,13 @@ def test_waiting_takes_a_late_command_and_says_how_late() -> None:
     assert not at.take_usual("agent", payload)
     event = at.hear("agent", payload)
     assert event is not None
-    assert (event.kind, event.late_s) == (EventKind.LATE, 1.5)
+    assert (event.kind, event.late_s) == (EventKind.ACCEPTED_LATE, 1.5)
     assert "was taken" in event.text
     check_ruled(at, ([21.0, 26.0], ["agent", "agent"]))
     assert not at.fallback
     agent = status(at, "agent")
-    assert (agent.accepted, agent.late, agent.missed) == (2, 1, 0)
+    assert (agent.accepted, agent.accepted_late, agent.late, agent.missed) == (2, 1, 0, 0)
+    assert (at.counts.accepted_late, at.counts.late) == (1, 0)
     assert at.take_usual("agent", wire(command([21.0, 26.0], step=2)))  # the next one is usual again
 
 
@@ -396,7 +397,7 @@ def test_who_joins_after_the_deadline_is_not_late() -> None:
     claim(at, "guard", 5)
     at.now_s = 9.5
     assert answer(at, "guard", [16.0, 29.0]) is None
-    assert status(at, "guard").late == 0
+    assert status(at, "guard").accepted_late == 0
     assert status(at, "guard").response.max_ms == pytest.approx(500.0)
 
 
@@ -768,7 +769,8 @@ def test_whatever_happens_a_command_rules_its_own_step_and_every_message_is_coun
                     late_but_taken += says(at, name, step, taken)
     counts = at.counts
     told_of = counts.accepted + counts.rejected + counts.late + counts.duplicate + counts.flooded
-    assert told_of == messages + late_but_taken
+    assert told_of == messages
+    assert counts.accepted_late == late_but_taken
     assert counts.missed == missed
     assert sum(c.accepted for c in at.controllers()) == counts.accepted
 
@@ -782,7 +784,7 @@ def says(at: Exchange, name: str, step: int, taken: dict[str, list[int]]) -> boo
         return False
     assert step == at.step[0]
     taken[name].append(step)
-    return event is not None and event.kind is EventKind.LATE
+    return event is not None and event.kind is EventKind.ACCEPTED_LATE
 
 
 def goes_on(at: Exchange, policy: Policy, taken: dict[str, list[int]]) -> bool:

@@ -237,6 +237,7 @@ class Statistics(Message):
     `step`: from the begin of a timestep to its sample. `cycle`: from sample to sample. `overruns`: paced timesteps
     whose sample came after the next one was due, `behind_s` by how much at worst. `missed`: timesteps that went on
     without a required controller. `late`, `rejected`, `duplicate`, `flooded`: messages that changed nothing.
+    `accepted_late`: commands that were taken although the deadline was over.
     """
 
     step: Spread = Spread()
@@ -248,6 +249,7 @@ class Statistics(Message):
     rejected: Count = 0
     duplicate: Count = 0
     flooded: Count = 0
+    accepted_late: Count = 0
 
 
 class Manifest(Message):
@@ -376,7 +378,11 @@ class Batch(Message):
 
 
 class EventKind(StrEnum):
-    """What an event tells."""
+    """What an event tells.
+
+    `REJECTED`, `LATE`, `DUPLICATE`: a message that was not taken and changed nothing. `ACCEPTED_LATE`: a command that
+    was taken, although the deadline of its step was over.
+    """
 
     STARTED = "started"
     ENDED = "ended"
@@ -384,6 +390,7 @@ class EventKind(StrEnum):
     STOPPED = "stopped"
     REJECTED = "rejected"
     LATE = "late"
+    ACCEPTED_LATE = "accepted_late"
     DUPLICATE = "duplicate"
     WRITTEN = "written"
     EXPIRED = "expired"
@@ -400,7 +407,8 @@ class EventKind(StrEnum):
 class Event(Message):
     """What happened on a node; `source` is the controller or device that it is about.
 
-    `late_s`: of a late command, how long after its step had gone on, or after the deadline, it came (wall time).
+    `late_s`, in seconds of wall time: how long after its step had gone on a `late` command came, or how long after the
+    deadline an `accepted_late` one.
     """
 
     kind: EventKind
@@ -577,7 +585,9 @@ class Denied(Message):
 class ControllerStatus(Message):
     """One controller that has claimed something.
 
-    `missed`: timesteps that went on without its command. `waived`: it has gone, and the policy goes on without it.
+    `accepted_late`: of the accepted commands, those that came after the deadline; `late`: those that were refused
+    because their step was over. `missed`: timesteps that went on without its command. `waived`: it has gone, and the
+    policy goes on without it.
     `silent`: it gave no command by the deadline, and none since. `response`: from a sample to its answer.
     """
 
@@ -593,6 +603,7 @@ class ControllerStatus(Message):
     missed: Count = 0
     waived: bool = False
     silent: bool = False
+    accepted_late: Count = 0
     response: Spread = Spread()
 
 
