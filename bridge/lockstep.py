@@ -32,6 +32,7 @@ from bridge.commanded import Commanded, Held
 from topics import codec
 from topics.errors import BadMessage, EpisodeAborted
 from topics.messages import (
+    ANONYMOUS,
     Actuator,
     Claim,
     Command,
@@ -512,7 +513,7 @@ class Exchange:
         if holder is not None:
             return self.rejected(f"level {write.priority} of {name!r} is claimed by {holder.name!r}", write.source)
         self.touched = self._moved
-        who = self.commanded.array.source(write.source or "anonymous", self.claims.sources)
+        who = self.commanded.array.source(write.source or ANONYMOUS, self.claims.sources)
         return self.event(EventKind.WRITTEN, self.commanded.write(index, write, who, elapsed_s), write.source)
 
     def expire(self, elapsed_s: float) -> list[Event]:

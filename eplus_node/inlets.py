@@ -20,8 +20,8 @@ from zenoh.handlers import Callback, FifoChannel
 
 from bridge.wake import Wake
 from topics import codec, errors, keys
-from topics.errors import ZenostatError
-from topics.messages import Denied, Message
+from topics.errors import BadMessage, ZenostatError
+from topics.messages import Ask, Denied, Message
 
 INBOX = 256
 """Commands that may wait for the node's own thread; their senders wait with those beyond."""
@@ -33,10 +33,17 @@ _AT_A_TIME = 8
 """Of what is on the shelf, before the next command has its turn."""
 
 _WAKE = "-"  # no controller can have this name
+_NO_FIELDS = b"\x80"  # an empty map
 
 
 def _nothing() -> None:
     """What is to be done when only the waking counts."""
+
+
+def _asked(query: zenoh.Query) -> tuple[bytes, str]:
+    """Payload and encoding of a query; empty where it has none."""
+    payload, encoding = query.payload, query.encoding
+    return payload.to_bytes() if payload is not None else b"", str(encoding) if encoding is not None else ""
 
 
 Take = Callable[[str, bytes, str], None]
@@ -173,14 +180,31 @@ class Inlets:
         watch = self._session.liveliness().declare_subscriber(tokens, Callback(on_token, indirect=False))
         self._close.callback(watch.undeclare)
 
-    def answer(self, topic: keys.Topic, answer: Callable[[bytes], bytes]) -> None:
-        """A question that is answered by the thread that hears it: `answer` gets its payload and only reads."""
-        key = topic.at(self._node)
-        said = zenoh.Encoding(codec.encoding(topic.reply)) if topic.reply else None
+    def fetch(self, topic: keys.Topic, latest: Callable[[], bytes]) -> None:
+        """A query without a payload, answered by the thread that hears it; `latest` only reads."""
+
+        def answer(payload: bytes, _: str) -> bytes:
+            if payload:
+                raise BadMessage(f"{len(payload)} bytes; a query on {topic.key} has no payload")
+            return latest()
+
+        self._answer(topic, answer)
+
+    def answer(self, topic: keys.Topic, answer: Callable[[Ask], bytes]) -> None:
+        """A question that is answered by the thread that hears it, and may come without a payload; only reads."""
+        self._answer(topic, lambda payload, said: answer(codec.decode(Ask, payload or _NO_FIELDS, said)))
+
+    def _answer(self, topic: keys.Topic, answer: Callable[[bytes, str], bytes]) -> None:
+        key, kind = topic.at(self._node), topic.reply or Denied
 
         def on_query(query: zenoh.Query) -> None:
             with query:
-                query.reply(key, answer(query.payload.to_bytes() if query.payload else b""), encoding=said)
+                said = kind
+                try:
+                    payload = answer(*_asked(query))
+                except ZenostatError as error:
+                    said, payload = Denied, codec.encode(Denied(**errors.to_wire(error)))
+                query.reply(key, payload, encoding=zenoh.Encoding(codec.encoding(said)))
 
         answers = self._session.declare_queryable(key, Callback(on_query, indirect=False), complete=True)
         self._close.callback(answers.undeclare)
@@ -203,10 +227,10 @@ class Inlets:
                 query.reply(key, codec.encode(busy), encoding=zenoh.Encoding(codec.encoding(Denied)))
 
         def decoded(query: zenoh.Query) -> Any:
-            return codec.decode(kind, query.payload.to_bytes() if query.payload else b"", str(query.encoding))
+            return codec.decode(kind, *_asked(query))
 
         def understood(query: zenoh.Query) -> bool:
-            with suppress(errors.BadMessage):
+            with suppress(BadMessage):
                 decoded(query)
                 return True
             return False

@@ -23,13 +23,14 @@ from eplus_node.injection import NO_FAULTS
 from eplus_node.injection import State as Faulty
 from eplus_node.link import EngineLink, one_for_each
 from eplus_node.registry import EngineRegistry
-from eplus_node.runner import Observer, Runner, Stopped, memory_asked
+from eplus_node.runner import Observer, Runner, Stopped
 from eplus_node.supply import Supply, Waiting, told_of
 from models import energyplus
 from topics import VERSION, codec, errors, keys
 from topics.errors import NameTaken, SimulatorError
 from topics.messages import (
     Accepted,
+    Ask,
     Begun,
     Branched,
     DropSnapshot,
@@ -478,9 +479,8 @@ class Node:
         self._end(former)
         return self._accepted(slots, [Start.SNAPSHOT] * len(slots))
 
-    def status(self, asked: bytes) -> bytes:
+    def status(self, asked: Ask) -> bytes:
         """Where the node stands; any thread may ask."""
-        memory = memory_asked(asked)
-        snapshots, branches = self.forks.status(memory=memory)
-        told = self.runner.status(memory=memory)
+        snapshots, branches = self.forks.status(memory=asked.memory)
+        told = self.runner.status(memory=asked.memory)
         return codec.encode(told.model_copy(update={"snapshots": snapshots, "branches": branches}))

@@ -19,7 +19,7 @@ import psutil
 import zenoh
 
 from bridge.latencies import Latencies
-from bridge.lockstep import Exchange, Input
+from bridge.lockstep import MOST_NAME, Exchange, Input
 from bridge.timer import Timer
 from eplus_node.config import Plan
 from eplus_node.engines import Engines
@@ -34,6 +34,7 @@ from topics import codec, errors, keys
 from topics.errors import EpisodeAborted, Refused, SimulatorError, ZenostatError
 from topics.faults import FaultPlan
 from topics.messages import (
+    ANONYMOUS,
     Accepted,
     Ask,
     Claim,
@@ -59,14 +60,6 @@ _FALLBACK = int(Flag.FALLBACK)
 _LOCKSTEP, _WAITING, _ENDED = Mode.LOCKSTEP, State.WAITING, State.ENDED
 
 Observer = Callable[["Runner"], None]
-
-
-def memory_asked(payload: bytes) -> bool:
-    """Whether a question for the status wants what each process shares with no other."""
-    try:
-        return codec.decode(Ask, payload).memory
-    except errors.BadMessage:
-        return False  # a stranger may ask with nothing at all
 
 
 class Stopped(BaseException):
@@ -123,14 +116,14 @@ class Runner:
 
     # On the bus
 
-    def declare(self, status: Callable[[bytes], bytes] | None = None) -> None:
+    def declare(self, status: Callable[[Ask], bytes] | None = None) -> None:
         """What it answers and hears; `status` in place of its own."""
         inlets = self.inlets = self._close.enter_context(Inlets(self.session, self.manifest.node))
         inlets.listen(keys.ACTUATOR, self._write)
-        inlets.answer(keys.MANIFEST, lambda _: codec.encode(self._manifest()))
-        inlets.answer(keys.SAMPLE, lambda _: self._latest)
+        inlets.fetch(keys.MANIFEST, lambda: codec.encode(self._manifest()))
+        inlets.fetch(keys.SAMPLE, lambda: self._latest)
         inlets.answer(keys.SCENARIO, lambda _: codec.encode(ScenarioText(text=dump(self.plan.scenario))))
-        inlets.answer(keys.STATUS, status or (lambda asked: codec.encode(self.status(memory=memory_asked(asked)))))
+        inlets.answer(keys.STATUS, status or (lambda asked: codec.encode(self.status(memory=asked.memory))))
         inlets.request(keys.CLAIM, Claim, self._claim)
         inlets.request(keys.WEATHER, WeatherQuery, self._weather)
         inlets.request(keys.STOP, Stop, self._stop, at_once=self.on_stop)
@@ -412,7 +405,8 @@ class Runner:
         try:
             write_ = codec.decode(Write, payload, said)
         except errors.BadMessage as error:
-            self.event(self.exchange.rejected(f"{name}: {error}", "anonymous"))
+            source = codec.text_field(payload, "source", MOST_NAME) or ANONYMOUS
+            self.event(self.exchange.rejected(f"{name}: {error}", source))
             return
         self.event(self.exchange.write(name, write_, self._passed_s))
 

@@ -269,6 +269,29 @@ def test_another_class_is_refused_by_name() -> None:
     assert "zenostat/1.Command" in said
 
 
+@pytest.mark.parametrize(
+    "said", ["text/plain", "application/json", "zenoh/string", "application/msgpack;other/1.Write"]
+)
+def test_an_encoding_that_is_no_msgpack_is_refused_by_name(said: str) -> None:
+    assert f"got {said!r}" in refused(Write, codec.encode(Write(value=1.0)), said)
+
+
+@pytest.mark.parametrize(
+    ("payload", "source"),
+    [
+        (codec.pack(value="x", source="panel"), "panel"),
+        (codec.pack(source="p" * 200), "p" * 128),
+        (codec.pack(value=math.nan, other={"source": "inner"}), ""),
+        (codec.pack(source=7), ""),
+        (b"\xc1", ""),
+        (b"", ""),
+        (b"\x91\xa5panel", ""),
+    ],
+)
+def test_a_text_is_read_of_what_else_is_wrong(payload: bytes, source: str) -> None:
+    assert codec.text_field(payload, "source", 128) == source
+
+
 @pytest.mark.parametrize("said", ["", "zenoh/bytes", "application/msgpack"])
 def test_a_stranger_that_names_no_version_is_checked_like_any_other(said: str) -> None:
     assert codec.decode(Write, msgpack.packb({"value": 21}), said) == Write(value=21.0)

@@ -35,6 +35,8 @@ _MOST_FAULTS = 10
 FLOAT = np.dtype("<f8")
 _MEDIA = "application/msgpack"
 _SCHEMA_MARK = ";zenostat/"
+_UNNAMED = frozenset(("", "zenoh/bytes", "application/octet-stream", _MEDIA, "application/x-msgpack"))
+"""Encodings that say nothing of the class: what Zenoh's libraries send unasked, and msgpack as such."""
 
 
 @cache
@@ -45,7 +47,7 @@ def encoding(message: type[Message]) -> str:
 
 def names(message: type[Message], said: str) -> bool:
     """Whether the encoding `said` is that of a message class and of this version, or names none."""
-    return said == encoding(message) or _SCHEMA_MARK not in said
+    return said == encoding(message) or said in _UNNAMED
 
 
 def _plain(value: Any) -> Any:
@@ -95,6 +97,18 @@ def decode(message: type[M], payload: bytes, said: str = "") -> M:
         return message.__pydantic_validator__.validate_python(fields)  # type: ignore[no-any-return]
     except ValidationError as error:
         raise BadMessage(f"{message.__name__}: {explain(error)}") from None
+
+
+def text_field(payload: bytes, name: str, most: int) -> str:
+    """One text of a map, whatever else is wrong with it: its first `most` characters; empty if it cannot be read."""
+    if len(payload) > MAX_BYTES:
+        return ""
+    try:
+        fields = _unpacked(payload, MOST_ENTRIES)
+    except Exception:  # msgpack raises a dozen unrelated classes on malformed input
+        return ""
+    text = fields.get(name) if isinstance(fields, dict) else None
+    return text[:most] if isinstance(text, str) else ""
 
 
 def _unpacked(payload: bytes, most: int) -> Any:

@@ -21,6 +21,9 @@ SafeName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.\-]{0,127}$")
 Who = Annotated[str, Field(max_length=128)]
 """Who asks or writes, in its own words."""
 
+ANONYMOUS = "anonymous"
+"""Source of a write that names none."""
+
 # Strict where strangers write: a text is no number, and true is no step.
 Count = Annotated[int, Field(ge=0, strict=True)]
 Level = Annotated[int, Field(ge=1, le=16, strict=True)]
@@ -351,7 +354,7 @@ class Write(Message):
     value: Finite | None
     priority: Level = 8
     for_s: Annotated[float, Field(gt=0, strict=True)] | None = None
-    source: Who = "anonymous"
+    source: Who = ANONYMOUS
 
 
 class PointValue(Message):
