@@ -43,7 +43,7 @@ def zmq(
     ):
         of = "all nodes" if node == "*" else node
         where = f"samples on {gateway.publish}, requests to {gateway.command}"
-        out.print(f"{of} of {connect}: {where}; Ctrl-C ends it", soft_wrap=True)
+        out.print(f"ready: {of} of {connect}: {where}; Ctrl-C ends it", soft_wrap=True)
         gateway.run()
     counts = gateway.counts
     out.print(f"{counts.samples} samples, {counts.requests} requests, {counts.denied} of them denied")

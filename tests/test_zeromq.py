@@ -39,9 +39,9 @@ class GatewayProgram:
 
     def __init__(self, endpoint: str, *options: str) -> None:
         command = [sys.executable, "-P", "-u", "-m", "cli.main", "zmq", "--connect", endpoint]
-        command += ["--publish", ANY, "--command", ANY, *options]
+        command += [*(() if "--publish" in options else ("--publish", ANY, "--command", ANY)), *options]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-        line = self.process.stdout.readline()
+        line = self.said = self.process.stdout.readline()
         if not line:
             raise AssertionError(self.process.communicate()[1])
         self.publish, self.command = re.findall(r"tcp://127\.0\.0\.1:\d+", line)[-2:]

@@ -1,8 +1,8 @@
 """Frames of the gateway: what a request says, and the answer to it. No I/O.
 
 A request is `[topic]` or `[topic, payload]`; an answer, like what is published, `[topic, encoding, payload]`. Frames
-up to an empty one that stand before (a REQ socket sends just the empty one, proxies add their own) come back as they
-were.
+up to the first empty one that stand before (a REQ socket sends just the empty one, proxies add their own) come back as
+they were.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def split(frames: Sequence[bytes], fd: int) -> tuple[Peer, Sequence[bytes]]:
     """The peer, and the frames that are the request; `frames` begin with the routing id."""
     route, rest = frames[0], frames[1:]
     for place, frame in enumerate(rest[:_ENVELOPE]):
-        if not frame and 1 <= len(rest) - place - 1 <= 2:
+        if not frame and place + 1 < len(rest):
             return Peer(route, tuple(rest[: place + 1]), fd), rest[place + 1 :]
     return Peer(route, (), fd), rest
 

@@ -7,7 +7,7 @@ its monitor (connections that end) and a shelf, on which Zenoh's threads put wha
 from __future__ import annotations
 
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import zenoh
 
@@ -17,13 +17,22 @@ from bridge.zeromq.lanes import Lanes
 from bridge.zeromq.nodes import NodeView
 from bridge.zeromq.sockets import DEFAULT_COMMAND, DEFAULT_PUBLISH, Sockets, check_endpoint
 from topics import codec, errors, keys
-from topics.errors import BadMessage, InvalidConfig, NodeLost, NothingThere, ZenostatError, near
+from topics.errors import BadMessage, InvalidConfig, NodeLost, NothingThere, Refused, ZenostatError, near
 from topics.keys import Delivery, Role
 from topics.messages import Denied, Event, EventKind, Manifest, Message
 
 LEASE_S = 10.0
 
 _ECHO = 256  # bytes of a topic that makes no sense
+_MOST_WAITING = 1000  # requests for a node whose manifest has not come yet
+
+
+@dataclass(slots=True)
+class _Announced:
+    """A node whose presence is known, and whose manifest has not come yet; what is asked of it waits."""
+
+    instances: set[str] = field(default_factory=set)
+    waiting: list[Request] = field(default_factory=list)
 
 
 @dataclass(slots=True)
@@ -37,6 +46,9 @@ class Counts:
 
 class Gateway:
     """Joins ZeroMQ peers to a bus: `with Gateway(session) as gateway: gateway.run()`.
+
+    Once it is made it is ready: it listens, and knows the nodes that are there. Requests and subscriptions that come
+    while it is being made are kept until `run`.
 
     Args:
         session: an open Zenoh session; it stays the caller's.
@@ -74,6 +86,7 @@ class Gateway:
         self.counts = Counts()
         self._stopped = False
         self._nodes: dict[str, NodeView] = {}
+        self._announced: dict[str, _Announced] = {}
         self._close = ExitStack()
         with ExitStack() as undo:
             undo.callback(self.close)
@@ -162,21 +175,41 @@ class Gateway:
 
     def _presence(self, name: str, instance: str, there: bool) -> None:  # noqa: FBT001
         node = self._nodes.get(name)
-        if there:
-            if node is None:
-                self._bus.ask(keys.MANIFEST, name, None, lambda said: self._came(instance, said))
-                self._bus.ask(keys.SAMPLE, name, None, self._first_sample)
-            else:
-                node.instances.add(instance)
-        elif node is not None:
+        if node is None:
+            self._announce(name, instance, there=there)
+        elif there:
+            node.instances.add(instance)
+        else:
             node.instances.discard(instance)
             if not node.instances:
                 self._lost(node)
 
-    def _came(self, instance: str, said: Said | None) -> None:
+    def _announce(self, name: str, instance: str, *, there: bool) -> None:
+        announced = self._announced.setdefault(name, _Announced())
+        if there:
+            announced.instances.add(instance)
+            self._bus.ask(keys.MANIFEST, name, None, lambda said: self._came(name, said))
+        else:
+            announced.instances.discard(instance)
+        if not announced.instances:
+            self._settle(name)
+
+    def _came(self, name: str, said: Said | None) -> None:
+        """An announced node has said what it is; its sample is asked for only now, so that it finds its node."""
         self._meet(said)
-        if said is not None and (node := self._nodes.get(keys.node_of(said.key))):
-            node.instances.add(instance)
+        if name in self._nodes:
+            self._bus.ask(keys.SAMPLE, name, None, self._first_sample)
+        self._settle(name)
+
+    def _settle(self, name: str) -> None:
+        """What waited for an announced node is done, or refused if it has gone."""
+        announced = self._announced.pop(name, None)
+        if announced is None:
+            return
+        if node := self._nodes.get(name):
+            node.instances |= announced.instances
+        for request in announced.waiting:
+            self._do(request)
 
     def _lost(self, node: NodeView) -> None:
         """A node that could not say so itself is said to have failed."""
@@ -208,20 +241,29 @@ class Gateway:
         peer, rest = split(frames, fd)
         try:
             request = read(peer, rest)
-            self._refuse_other_nodes(request)
+            if self.node not in ("*", request.node):
+                raise NothingThere(f"this gateway is for node {self.node!r} alone, not for {request.node!r}")
         except ZenostatError as error:
             self._send(peer, rest[0][:_ECHO] if rest else b"", denied(error))
             return
-        if request.row in (keys.COMMAND, keys.CLAIM, keys.ACTUATOR):
+        announced = self._announced.get(request.node)
+        if announced is None:
+            self._do(request)
+        elif len(announced.waiting) < _MOST_WAITING:
+            announced.waiting.append(request)
+        else:
+            self._answer(
+                request, denied(Refused(f"node {request.node!r} has not said yet what it is; ask again later"))
+            )
+
+    def _do(self, request: Request) -> None:
+        if request.node not in self._nodes:
+            why = f"no node {request.node!r} on the bus; {near(request.node, self._nodes)}"
+            self._answer(request, denied(NothingThere(why)))
+        elif request.row in (keys.COMMAND, keys.CLAIM, keys.ACTUATOR):
             self._lanes.take(request)
         else:
             self._query(request)
-
-    def _refuse_other_nodes(self, request: Request) -> None:
-        if self.node not in ("*", request.node):
-            raise NothingThere(f"this gateway is for node {self.node!r} alone, not for {request.node!r}")
-        if request.node not in self._nodes:
-            raise NothingThere(f"no node {request.node!r} on the bus; {near(request.node, self._nodes)}")
 
     def _query(self, request: Request) -> None:
         lost = NodeLost(f"node {request.node!r} is gone")

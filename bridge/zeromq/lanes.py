@@ -144,8 +144,8 @@ class Lanes:
         self._leave(lambda owner: owner.fd == fd)
 
     def heard_from(self, route: bytes, fd: int) -> None:
-        """A connection spoke; whoever had its descriptor before is gone."""
-        self._leave(lambda owner: owner.fd == fd and owner.route != route)
+        """A connection spoke: whoever had its descriptor or its identity before is gone."""
+        self._leave(lambda owner: (owner.fd == fd) != (owner.route == route))
 
     def _leave(self, who: Callable[[Owner], bool]) -> None:
         for owner in [owner for owner in self._claiming if who(owner)]:

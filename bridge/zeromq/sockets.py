@@ -11,10 +11,12 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
+from time import monotonic
 
 import zmq
 from zmq.utils.monitor import recv_monitor_message
 
+from bridge.zeromq.connections import CHECK_S, Connections
 from topics import codec
 from topics.errors import EndpointTaken, InvalidConfig
 
@@ -25,6 +27,7 @@ _FORM = re.compile(r"tcp://[^\s:/]+:(\d{1,5}|\*)|ipc:///\S+")
 _LOOPBACK = re.compile(r"tcp://127\.\d+\.\d+\.\d+:.*|ipc:.*")
 _BURST = 256
 _PING = 3  # of a lease: a peer that has answered none of three pings is gone
+_MOST_SUBSCRIBED = 1024  # bytes of a subscription; the longest topic has some 300
 
 
 def check_endpoint(endpoint: str, *, expose: bool) -> str:
@@ -62,8 +65,10 @@ class Sockets:
     def __init__(self, publish: str, command: str, *, lease_s: float) -> None:
         self.dropped = 0
         self._shelf: deque[Callable[[], None]] = deque()
-        self._connected: set[int] = set()
         self._lease_ms = int(lease_s * 1000)
+        self._connected = Connections(lease_s / _PING)
+        self._subscribed = Connections(lease_s / _PING)
+        self._checked_s = 0.0
         self._close = ExitStack()
         with ExitStack() as undo:
             undo.callback(self.close)
@@ -76,15 +81,17 @@ class Sockets:
             self._close.callback(self._context.destroy, linger=0)
             self._publisher = self._socket(zmq.XPUB)
             self._publisher.xpub_verbose = True
+            self._publisher.maxmsgsize = _MOST_SUBSCRIBED
             self._router = self._socket(zmq.ROUTER)
             self._router.router_mandatory = True
+            self._router.router_handover = True
             self._router.maxmsgsize = 2 * codec.MAX_BYTES
-            self._monitor = self._router.get_monitor_socket(zmq.EVENT_ACCEPTED | zmq.EVENT_DISCONNECTED)
-            self._close.callback(self._router.disable_monitor)
+            self._monitor = self._monitor_of(self._router)
+            self._subscribers = self._monitor_of(self._publisher)
             self.publish = _bind(self._publisher, publish)
             self.command = _bind(self._router, command)
             self._poller = zmq.Poller()
-            for waited in (self._publisher, self._router, self._monitor, self._woken):
+            for waited in (self._publisher, self._router, self._monitor, self._subscribers, self._woken):
                 self._poller.register(waited, zmq.POLLIN)
             undo.pop_all()
 
@@ -94,6 +101,11 @@ class Sockets:
         made.heartbeat_ivl = max(1, self._lease_ms // _PING)
         made.heartbeat_timeout = self._lease_ms
         return made
+
+    def _monitor_of(self, watched: zmq.Socket[bytes]) -> zmq.Socket[bytes]:
+        monitor: zmq.Socket[bytes] = watched.get_monitor_socket(zmq.EVENT_ACCEPTED | zmq.EVENT_DISCONNECTED)
+        self._close.callback(watched.disable_monitor)
+        return monitor
 
     def __enter__(self) -> Sockets:
         return self
@@ -116,8 +128,8 @@ class Sockets:
     # The sockets' own thread
 
     def wait(self) -> None:
-        """Until anything has come."""
-        self._poller.poll()
+        """Until anything has come, or connections are to be looked at."""
+        self._poller.poll(int(CHECK_S * 1000) if self._connected or self._subscribed else None)
 
     def clear_shelf(self) -> None:
         """Does what other threads have put on the shelf."""
@@ -139,21 +151,28 @@ class Sockets:
                 frames = self._router.recv_multipart(zmq.NOBLOCK, copy=False)
             except zmq.Again:
                 self._watch(gone)
+                self._end_endless()
                 return
             self._watch(gone)
             fd = int(frames[-1].get(zmq.SRCFD))
             if fd in self._connected:
+                self._connected.read(fd)
                 yield [frame.bytes for frame in frames], fd
 
     def _watch(self, gone: Callable[[int], None]) -> None:
-        while self._monitor.poll(0):
-            told = recv_monitor_message(self._monitor, zmq.NOBLOCK)
-            fd = int(told["value"])
-            if told["event"] == zmq.EVENT_DISCONNECTED:
-                self._connected.discard(fd)
-                gone(fd)
-            else:
-                self._connected.add(fd)
+        for fd in _ended(self._monitor, self._connected):
+            gone(fd)
+
+    def _end_endless(self) -> None:
+        """Ends connections that send a message without an end, from time to time."""
+        now_s = monotonic()
+        if now_s - self._checked_s < CHECK_S:
+            return
+        self._checked_s = now_s
+        for _ in _ended(self._subscribers, self._subscribed):
+            pass
+        self._connected.end_endless()
+        self._subscribed.end_endless()
 
     def subscriptions(self) -> Iterator[bytes]:
         """Prefixes that were subscribed to."""
@@ -177,6 +196,18 @@ class Sockets:
     def put(self, frames: Sequence[bytes]) -> None:
         """To all subscribers; it never waits: one that is slow misses messages."""
         self._publisher.send_multipart(frames, zmq.NOBLOCK)
+
+
+def _ended(monitor: zmq.Socket[bytes], connections: Connections) -> Iterator[int]:
+    """Takes in what a monitor tells; yields the connections that have ended."""
+    while monitor.poll(0):
+        told = recv_monitor_message(monitor, zmq.NOBLOCK)
+        fd = int(told["value"])
+        if told["event"] == zmq.EVENT_DISCONNECTED:
+            connections.closed(fd)
+            yield fd
+        else:
+            connections.opened(fd)
 
 
 def _bind(made: zmq.Socket[bytes], endpoint: str) -> str:
