@@ -12,7 +12,7 @@ import ipaddress
 import os
 import stat
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -105,13 +105,14 @@ def add(
     """Makes another certificate of the folder's authority.
 
     Raises:
-        InvalidConfig: no authority there, a name that is taken, hosts for a role that does not listen, days that
+        InvalidConfig: no authority there, or one whose key others may read, a name that is taken, hosts for a role that does not listen, days that
             outlast the authority.
     """
     authority = _read(folder / f"{AUTHORITY}.pem")
     key = _read_key(folder / f"{AUTHORITY}.key")
     left = (authority.not_valid_after_utc - datetime.now(UTC)).days
     faults = Faults()
+    faults.catch(lambda: _check_private(folder / f"{AUTHORITY}.key"))
     faults.catch(lambda: _check_name(name))
     names = faults.catch(lambda: _hosts(hosts)) if role is Role.NODE else ()
     faults.catch(lambda: _days(days, left))
@@ -129,10 +130,16 @@ def add(
 
 
 def show(folder: Path) -> list[Certificate]:
-    """The certificates of a folder: the authority, then by role and name."""
+    """The certificates of a folder: the authority, then by role and name; one whose key others may read has a fault."""
     authority = _read(folder / f"{AUTHORITY}.pem")
-    found = [_described(path.stem, _read(path), authority) for path in sorted(folder.glob("*.pem"))]
+    found = [_shown(path, authority) for path in sorted(folder.glob("*.pem"))]
     return sorted(found, key=lambda one: (-1 if one.role is None else ROLES.index(one.role), one.name))
+
+
+def _shown(path: Path, authority: x509.Certificate) -> Certificate:
+    described, key = _described(path.stem, _read(path), authority), path.with_suffix(".key")
+    fault = _open_to_others(key)
+    return described if described.fault or not fault else replace(described, fault=f"{key.name} {fault}")
 
 
 def identity(folder: Path, role: Role, name: str | None = None) -> Identity:
@@ -333,8 +340,19 @@ def _read_key(path: Path) -> ec.EllipticCurvePrivateKey:
 def _check_key(path: Path, certificate: x509.Certificate) -> None:
     if _read_key(path).public_key() != certificate.public_key():
         raise InvalidConfig(f"{path} is not the key of the certificate beside it")
-    if path.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO):
-        raise InvalidConfig(f"{path} can be read by others; make it yours alone: chmod 600 {path}")
+    _check_private(path)
+
+
+def _check_private(key: Path) -> None:
+    if fault := _open_to_others(key):
+        raise InvalidConfig(f"{key} {fault}")
+
+
+def _open_to_others(key: Path) -> str:
+    """What is wrong with the mode of a key's file; empty if nothing is, or there is none."""
+    if key.exists() and key.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO):
+        return f"can be read by others; make it yours alone: chmod 600 {key}"
+    return ""
 
 
 def _described(name: str, certificate: x509.Certificate, authority: x509.Certificate) -> Certificate:

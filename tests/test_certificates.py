@@ -187,6 +187,19 @@ def test_a_key_that_others_may_read(made: Path) -> None:
         identity(made, Role.MONITOR)
 
 
+@pytest.mark.parametrize("mode", [0o640, 0o604])
+def test_an_authority_whose_key_others_may_read_is_named_and_makes_no_certificate(made: Path, mode: int) -> None:
+    (made / "ca.key").chmod(mode)
+    faults = {one.name: one.fault for one in show(made)}
+    assert faults.pop("ca") == f"ca.key can be read by others; make it yours alone: chmod 600 {made}/ca.key"
+    assert set(faults.values()) == {""}
+    with pytest.raises(InvalidConfig, match=r"ca\.key can be read by others; make it yours alone: chmod 600"):
+        add(made, Role.CONTROLLER, "annex")
+    assert not (made / "annex.pem").exists()
+    (made / "ca.key").chmod(0o600)
+    assert add(made, Role.CONTROLLER, "annex").fault == ""
+
+
 @pytest.mark.parametrize(("name", "said"), [("monitor.pem", "is no certificate"), ("monitor.key", "is no private key")])
 def test_a_file_of_something_else(made: Path, name: str, said: str) -> None:
     (made / name).write_text("hello")
