@@ -99,7 +99,7 @@ class Frame:
         """Who set each actuator of each slot: a tuple for each slot, of these names in the order of `rulers`."""
         shape = (self._manifest.slots, len(self._manifest.actuators))
         told = np.empty(shape[0], object)
-        for slot, row in enumerate(codec.octets(self.wire.ruler, shape, "ruler").tolist()):
+        for slot, row in enumerate(codec.indices(self.wire.ruler, shape, "ruler").tolist()):
             told[slot] = tuple(names[i] for i in row)
         return told
 

@@ -94,7 +94,7 @@ class SampleView:
     def ruled_by(self) -> dict[str, str]:
         """Actuator to who set it; `""` is the building's own control."""
         shape = (self.manifest.slots, len(self.manifest.actuators))
-        who = codec.octets(self.wire.ruler, shape, "ruler")[self.slot]
+        who = codec.indices(self.wire.ruler, shape, "ruler")[self.slot]
         return {a.name: self.wire.rulers[i] for a, i in zip(self.manifest.actuators, who.tolist(), strict=True)}
 
     def __getitem__(self, name: str) -> float:

@@ -105,8 +105,8 @@ def add(
     """Makes another certificate of the folder's authority.
 
     Raises:
-        InvalidConfig: no authority there, or one whose key others may read, a name that is taken, hosts for a role that does not listen, days that
-            outlast the authority.
+        InvalidConfig: no authority there, or one whose key others may read, a name that is taken, hosts for a role that
+            does not listen, days that outlast the authority.
     """
     authority = _read(folder / f"{AUTHORITY}.pem")
     key = _read_key(folder / f"{AUTHORITY}.key")

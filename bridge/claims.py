@@ -17,6 +17,9 @@ from bridge.priority import PriorityArray
 from topics.errors import Refused, near
 from topics.messages import Actuator, Claim
 
+MAX_CLAIMS = 1000
+"""Controllers that may have claimed something at a node at a time."""
+
 
 @dataclass(slots=True)
 class Record:
@@ -74,11 +77,16 @@ class Claims:
         """Takes or renews a claim; also returns the absent controllers that it replaces.
 
         Raises:
-            Refused: unknown actuators, or another present controller holds the level on one of them.
+            Refused: unknown actuators, another present controller holds the level on one of them, or too many claims.
         """
         allowed = self._select(claim.actuators)
         self._refuse_held(claim, allowed)
         replaced = [c.name for c in self.by_name.values() if self._replaces(claim, allowed, c)]
+        if claim.controller not in self.by_name and len(self.by_name) - len(replaced) >= MAX_CLAIMS:
+            raise Refused(
+                f"{MAX_CLAIMS} controllers have claimed something, which is the most; "
+                "a reset of all slots forgets those that have gone"
+            )
         for name in replaced:
             self._give_up(self.by_name.pop(name), kept=allowed)
         old = self.by_name.get(claim.controller)

@@ -29,6 +29,7 @@ from enum import StrEnum
 
 from bridge.claims import Claimant, Claims
 from bridge.commanded import Commanded, Held
+from bridge.priority import MAX_SOURCES
 from topics import codec
 from topics.errors import BadMessage, EpisodeAborted
 from topics.messages import (
@@ -267,7 +268,7 @@ class Exchange:
         return sorted(self._pending)
 
     def go(self) -> tuple[bytes, bytes]:
-        """Starts the timestep: the values that rule it (float64, NaN: the building's own) and who set them (uint8)."""
+        """Starts the timestep: the values that rule it (float64, NaN: the building's own) and who set them (uint16)."""
         self.take(_GO)
         self.fallback = self._falls and self._missed()
         self._went.append((self.episode, self.step, self.now_s))
@@ -512,8 +513,12 @@ class Exchange:
         holder = self.claims.holder(write.priority, index)
         if holder is not None:
             return self.rejected(f"level {write.priority} of {name!r} is claimed by {holder.name!r}", write.source)
+        array, name_ = self.commanded.array, write.source or ANONYMOUS
+        if write.value is not None and not array.has_room(name_, self.claims.sources):
+            text = f"{name}: {MAX_SOURCES} sources hold actuators, which is the most; release what some of them hold"
+            return self.rejected(text, write.source)
         self.touched = self._moved
-        who = self.commanded.array.source(write.source or ANONYMOUS, self.claims.sources)
+        who = array.source(name_, self.claims.sources)
         return self.event(EventKind.WRITTEN, self.commanded.write(index, write, who, elapsed_s), write.source)
 
     def expire(self, elapsed_s: float) -> list[Event]:

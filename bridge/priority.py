@@ -15,16 +15,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from topics.codec import INDEX
+
 LEVELS = 16
 THE_BUILDING = ""
 """Name of the building's own control among the rulers."""
 
-MOST_SOURCES = 255
+MAX_SOURCES = 4096
+"""Sources that may hold something at a time, claims included; each sample carries their names."""
+
+FEW_SOURCES = 256
+"""Names that are kept although nothing of theirs holds; beyond, they make place for others."""
 
 
 @dataclass(slots=True)
 class _Row:
-    """One occupied level: float64 values, NaN where it is free, and who set each, as raw bytes."""
+    """One occupied level: float64 values, NaN where it is free, and who set each (uint16), as raw bytes."""
 
     values: bytes
     sources: bytes
@@ -42,7 +48,7 @@ class PriorityArray:
     def clear(self) -> None:
         """Releases everything and forgets the sources, for a new episode."""
         self._rows: dict[int, _Row] = {}
-        self._released = (np.full(self._size, np.nan).tobytes(), bytes(self._size))
+        self._released = (np.full(self._size, np.nan).tobytes(), bytes(INDEX.itemsize * self._size))
         self.names: list[str] = [THE_BUILDING]
 
     def release(self, slots: Sequence[int]) -> None:
@@ -70,7 +76,7 @@ class PriorityArray:
         width = self.shape[1]
         for level, row in self._rows.items():
             values = row.values[8 * width * slot : 8 * width * (slot + 1)] * slots
-            sources = row.sources[width * slot : width * (slot + 1)] * slots
+            sources = row.sources[2 * width * slot : 2 * width * (slot + 1)] * slots
             if not np.isnan(np.frombuffer(values)).all():
                 other._rows[level] = _Row(values, sources, row.full)
         return other
@@ -78,35 +84,43 @@ class PriorityArray:
     def source(self, name: str, keeping: Collection[int] = ()) -> int:
         """The index of a source's name.
 
-        Once there are 255 names, a new one takes the place of one that stands in no row and is not in `keeping`; were
-        there none, it would share the last one's.
+        Once there are 256 names, a new one takes the place of one that stands in no row and is not in `keeping`.
         """
         if name in self.names:
             return self.names.index(name)
-        if len(self.names) < MOST_SOURCES:
+        free = len(self.names) if len(self.names) < FEW_SOURCES else self._free(keeping)
+        if free == len(self.names):
             self.names.append(name)
-            return len(self.names) - 1
-        used = {0, *keeping}.union(*(row.sources for row in self._rows.values()))
-        free = next((index for index in range(MOST_SOURCES) if index not in used), None)
-        if free is None:
-            return MOST_SOURCES - 1
-        self.names = [*self.names[:free], name, *self.names[free + 1 :]]
+        else:
+            self.names = [*self.names[:free], name, *self.names[free + 1 :]]
         return free
+
+    def has_room(self, name: str, keeping: Collection[int] = ()) -> bool:
+        """Whether one more source may hold something."""
+        return len(self.names) < MAX_SOURCES or name in self.names or self._free(keeping) < MAX_SOURCES
+
+    def _free(self, keeping: Collection[int]) -> int:
+        used = np.zeros(len(self.names) + 1, np.bool_)
+        used[[0, *keeping]] = True
+        for row in self._rows.values():
+            used[np.frombuffer(row.sources, INDEX)] = True
+        return int(used.argmin())
 
     def put_all(self, level: int, source: int, values: bytes) -> None:
         """Sets all actuators of a level to finite values."""
         row = self._rows.get(level)
-        if row is not None and row.full and row.sources[:1] == bytes((source,)):
+        index = source.to_bytes(2, "little")
+        if row is not None and row.full and row.sources[:2] == index:
             row.values = values
         else:
-            self._rows[level] = _Row(values, bytes((source,)) * self._size, full=True)
+            self._rows[level] = _Row(values, index * self._size, full=True)
 
     def put(self, level: int, source: int, values: NDArray[np.float64], where: NDArray[np.bool_]) -> None:
         """Sets those of a level that `where` says; NaN releases."""
         row = self._rows.get(level)
         old, sources = (row.values, row.sources) if row else self._released
         new_values = np.frombuffer(old).reshape(self.shape).copy()
-        new_sources = np.frombuffer(sources, np.uint8).reshape(self.shape).copy()
+        new_sources = np.frombuffer(sources, INDEX).reshape(self.shape).copy()
         new_values[where] = values[where]
         new_sources[where] = source
         self._rows[level] = _Row(new_values.tobytes(), new_sources.tobytes(), full=False)
@@ -125,7 +139,7 @@ class PriorityArray:
         self.put(level, source, np.full(self.shape, value), where)
 
     def resolve(self) -> tuple[bytes, bytes]:
-        """The ruling values (float64, NaN where nobody rules) and the index of who rules (uint8)."""
+        """The ruling values (float64, NaN where nobody rules) and the index of who rules (uint16)."""
         rows = self._rows
         if len(rows) == 1:
             (row,) = rows.values()
@@ -134,10 +148,10 @@ class PriorityArray:
         if not rows:
             return self._released
         values = np.full(self._size, np.nan)
-        sources = np.zeros(self._size, np.uint8)
+        sources = np.zeros(self._size, INDEX)
         for level in sorted(rows):
             free = np.isnan(values)
             values[free] = np.frombuffer(rows[level].values)[free]
-            sources[free] = np.frombuffer(rows[level].sources, np.uint8)[free]
+            sources[free] = np.frombuffer(rows[level].sources, INDEX)[free]
         sources[np.isnan(values)] = 0
         return values.tobytes(), sources.tobytes()

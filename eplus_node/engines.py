@@ -24,15 +24,16 @@ class Engines:
         self.links = [*links]
         self.baselines = [*baselines]
         self._width = 8 * len(links[0].run.points.actuators)
+        self._ruler_width = self._width // 4  # uint16 beside float64
         self._nobody = np.full(self._width // 8, np.nan).tobytes()
         self.applied = b""
         self.ruler = b""
 
     def begin(self, slots: Sequence[int]) -> None:
         """What holds at an episode's first sample: nobody rules."""
-        rows, who = self._rows(self.applied), self._parts(self.ruler, self._width // 8)
+        rows, who = self._rows(self.applied), self._parts(self.ruler, self._ruler_width)
         for slot in slots:
-            rows[slot], who[slot] = self.links[slot].applied_bytes(self._nobody), bytes(self._width // 8)
+            rows[slot], who[slot] = self.links[slot].applied_bytes(self._nobody), bytes(self._ruler_width)
         self.applied, self.ruler = b"".join(rows), b"".join(who)
 
     def step(self, values: bytes, ruler: bytes, moving: Sequence[int]) -> list[bool]:
@@ -40,7 +41,7 @@ class Engines:
 
         Args:
             values: for each actuator, NaN releasing it; shape (slots, actuators).
-            ruler: who set them, uint8 of that shape.
+            ruler: who set them, uint16 of that shape.
             moving: slots.
 
         Returns:
@@ -78,7 +79,7 @@ class Engines:
 
     def _of_those(self, wanted: Sequence[bytes], ruler: bytes, moving: Sequence[int]) -> tuple[list[bytes], bytes]:
         """What was applied and who rules, by slot, where only some have gone on."""
-        width = self._width // 8
+        width = self._ruler_width
         applied, who, whose = self._rows(self.applied), self._parts(self.ruler, width), self._parts(ruler, width)
         for slot in moving:
             applied[slot], who[slot] = self.links[slot].applied_bytes(wanted[slot]), whose[slot]
@@ -145,7 +146,7 @@ class Engines:
         """Engines forked from those of one slot: each stands where that one does."""
         copy = Engines(made)
         copy.applied = self._rows(self.applied)[slot] * len(made)
-        copy.ruler = self._parts(self.ruler, self._width // 8)[slot] * len(made)
+        copy.ruler = self._parts(self.ruler, self._ruler_width)[slot] * len(made)
         return copy
 
     def interrupt(self) -> None:

@@ -122,7 +122,7 @@ def advance(at: Exchange, *, last: bool = False) -> tuple[list[float], list[str]
     values, who = at.go()
     at.sampled([last] * len(at.moving))
     at.listen()
-    rulers = [at.ruler_names[i] for i in who]
+    rulers = [at.ruler_names[i] for i in np.frombuffer(who, "<u2")]
     return np.frombuffer(values, "<f8").tolist(), rulers
 
 
@@ -131,7 +131,7 @@ def ruling(at: Exchange) -> tuple[list[float], list[str]]:
     import copy
 
     values, who = copy.deepcopy(at).go()
-    return np.frombuffer(values, "<f8").tolist(), [at.ruler_names[i] for i in who]
+    return np.frombuffer(values, "<f8").tolist(), [at.ruler_names[i] for i in np.frombuffer(who, "<u2")]
 
 
 def wire(of: Command) -> bytes:

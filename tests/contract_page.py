@@ -33,7 +33,7 @@ SAMPLE = Sample(
     flags=[Flag.NONE],
     values=struct.pack("<3d", 17.3, 23.5, 1.8e6),
     applied=struct.pack("<2d", *SETPOINTS),
-    ruler=bytes([1, 0]),
+    ruler=struct.pack("<2H", 1, 0),
     rulers=["", "mine"],
 )
 """Two sensors and a meter, two actuators of which the first is set by `mine`."""
@@ -116,8 +116,8 @@ def _value(name: str, value: Any) -> list[str]:
     begin = 0
     if isinstance(value, bytes):
         begin = len(packed) - len(value)
-        floats = name not in ("mask", "ruler")
-        meaning = str(struct.unpack(f"<{len(value) // 8}d", value) if floats else tuple(value))
+        kind = {"mask": "B", "ruler": "H"}.get(name, "d")
+        meaning = str(struct.unpack(f"<{len(value) // struct.calcsize(kind)}{kind}", value))
     first = [_line(packed[:begin], f"bin of {len(packed) - begin} bytes")] if begin else []
     pieces = [packed[i : i + _A_LINE] for i in range(begin, len(packed), _A_LINE)]
     return first + [_line(piece, "" if number else meaning) for number, piece in enumerate(pieces)]

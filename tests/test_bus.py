@@ -56,7 +56,7 @@ with zenoh.open(config) as session:
         say(written=event["text"])
         sample = unpacked(samples.recv())
         applied = struct.unpack(f"<{len(manifest['actuators'])}d", sample["applied"])[which]
-        ruler = sample["rulers"][sample["ruler"][which]]
+        ruler = sample["rulers"][struct.unpack_from("<H", sample["ruler"], 2 * which)[0]]
         values = {str(m.key_expr): unpacked(m) for m in (point.recv() for point in points)}
         say(step=sample["step"], applied=applied, ruler=ruler, values=values)
 """

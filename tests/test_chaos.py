@@ -76,7 +76,7 @@ def sample(step: int, *, episode: int = 0, last: int = 3, ruled: str = "", rows:
         flags=[flags | (Flag.FIRST if step == 0 else Flag.TRUNCATED if step == last else 0)],
         values=b"",
         applied=np.array([float(value) for value in values]).tobytes(),
-        ruler=bytes(0 if name == "-" else names.index(name) for name in rulers),
+        ruler=np.array([0 if name == "-" else names.index(name) for name in rulers], "<u2").tobytes(),
         rulers=names,
     )
 

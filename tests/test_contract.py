@@ -278,7 +278,7 @@ def test_what_a_node_would_refuse_does_not_fit(kind: type[Message]) -> None:
 def test_raw_arrays_tell_their_elements() -> None:
     schemas = MADE["components"]["schemas"]
     assert schemas["Sample"]["properties"]["values"]["x-items"] == "float64"
-    assert schemas["Sample"]["properties"]["ruler"]["x-items"] == "uint8"
+    assert schemas["Sample"]["properties"]["ruler"]["x-items"] == "uint16"
     mask = next(form for form in schemas["Command"]["properties"]["mask"]["anyOf"] if form["type"] == "string")
     assert mask["x-items"] == "uint8"
     for schema in walk(schemas):
@@ -317,7 +317,9 @@ def test_the_page_is_what_the_code_gives() -> None:
 
 
 def test_the_page_names_every_array() -> None:
-    told = set(re.findall(r"^\| `(\w+)` \| `(\w+)` \| (?:float64|uint8) \|$", PAGE.read_text(encoding="utf-8"), re.M))
+    told = set(
+        re.findall(r"^\| `(\w+)` \| `(\w+)` \| (?:float64|uint16|uint8) \|$", PAGE.read_text(encoding="utf-8"), re.M)
+    )
     assert told == {
         (kind.__name__, name)
         for kind in CLASSES
@@ -344,7 +346,7 @@ def test_the_bytes_on_the_page_are_these_messages() -> None:
     assert (masked["mask"], masked["values"][8:]) == (b"\x00\x01", command["values"][8:])
     sample = msgpack.unpackb(_bytes_on_the_page("sample"))
     assert struct.unpack("<3d", sample["values"]) == (17.3, 23.5, 1.8e6)
-    assert [sample["rulers"][place] for place in sample["ruler"]] == ["mine", ""]
+    assert [sample["rulers"][place] for place in struct.unpack("<2H", sample["ruler"])] == ["mine", ""]
     for message, part in ((COMMAND, "command"), (MASKED, "masked"), (SAMPLE, "sample")):
         assert codec.decode(type(message), _bytes_on_the_page(part)) == message
 

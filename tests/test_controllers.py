@@ -59,7 +59,7 @@ def view(of: Manifest, at: datetime = WINTER, *, step: int = 0, episode: int = 0
         flags=[0],
         values=row.tobytes(),
         applied=np.full(len(of.actuators), np.nan).tobytes(),
-        ruler=bytes(len(of.actuators)),
+        ruler=bytes(2 * len(of.actuators)),
         rulers=[""],
     )
     return SampleView(wire, of, {name: i for i, name in enumerate(of.names)})

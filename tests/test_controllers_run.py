@@ -52,7 +52,7 @@ def made_up(of: Manifest, at: str, temperature: float, people: float) -> SampleV
         flags=[0],
         values=np.array(row, "<f8").tobytes(),
         applied=bytes(8 * len(of.actuators)),
-        ruler=bytes(len(of.actuators)),
+        ruler=bytes(2 * len(of.actuators)),
         rulers=[""],
     )
     return SampleView(wire, of, {name: i for i, name in enumerate(of.names)})

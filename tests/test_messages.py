@@ -148,7 +148,7 @@ WIRE = Sample(
     flags=[int(Flag.FIRST), int(Flag.TRUNCATED)],
     values=np.array([21.5, -5.0, 0.0, 25.25, 30.0, 9.0e5], "<f8").tobytes(),
     applied=np.array([20.0, NAN, 15.0, 26.0], "<f8").tobytes(),
-    ruler=bytes([1, 0, 0, 2]),
+    ruler=np.array([1, 0, 0, 2], "<u2").tobytes(),
     rulers=["", "agent", "wall"],
 )
 

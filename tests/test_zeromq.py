@@ -539,4 +539,4 @@ def test_c_example(gateway, scratch):
         sample = peer.hear(Sample)
         names = [a["name"] for a in peer.ask("manifest")[1]["actuators"]]
     assert np.frombuffer(sample.applied)[names.index(SETPOINT)] == 26.0
-    assert sample.rulers[sample.ruler[names.index(SETPOINT)]] == "from-c"
+    assert sample.rulers[np.frombuffer(sample.ruler, "<u2")[names.index(SETPOINT)]] == "from-c"

@@ -27,7 +27,7 @@ _NO_PAYLOAD = {
     QUESTION: "A Zenoh query (`get`) without a payload.",
     PRESENCE: "A Zenoh liveliness token: there as long as who declared it; it carries no payload.",
 }
-_BYTES = {"mask", "ruler", "payload"}
+_ITEMS = {"mask": "uint8", "payload": "uint8", "ruler": "uint16"}
 _TRAVEL = {
     Delivery.DROP: {"primitive": "put", "congestion_control": "drop"},
     Delivery.BLOCK: {"primitive": "put", "congestion_control": "block"},
@@ -37,7 +37,7 @@ _TRAVEL = {
 _ABOUT = (
     "The topics of a Zenostat node on a Zenoh bus. A payload is one msgpack map of its message's fields, and the Zenoh "
     "encoding that it travels with is its message's content type. Fields of the format `binary` are msgpack `bin`: raw "
-    "arrays in C order, of little-endian float64 or of uint8, as `x-items` says."
+    "arrays in C order, of little-endian float64, of little-endian uint16 or of uint8, as `x-items` says."
 )
 
 
@@ -148,7 +148,7 @@ def _schemas() -> dict[str, Any]:
         for name, field in schema.get("properties", {}).items():
             for form in (field, *field.get("anyOf", [])):
                 if form.get("format") == "binary":
-                    form["x-items"] = "uint8" if name in _BYTES else "float64"
+                    form["x-items"] = _ITEMS.get(name, "float64")
     return {name: _of_draft_7(schema) for name, schema in sorted(schemas.items())}
 
 

@@ -33,6 +33,7 @@ MOST_OF = {Batch: 100_000, Claim: 20_000, Manifest: 1_000_000, Sample: 100_000, 
 
 _MOST_FAULTS = 10
 FLOAT = np.dtype("<f8")
+INDEX = np.dtype("<u2")
 _MEDIA = "application/msgpack"
 _SCHEMA_MARK = ";zenostat/"
 _UNNAMED = frozenset(("", "zenoh/bytes", "application/octet-stream", _MEDIA, "application/x-msgpack"))
@@ -193,6 +194,11 @@ def row(raw: bytes, index: int, rows: int, width: int, what: str) -> NDArray[np.
 def octets(raw: bytes, shape: tuple[int, ...], what: str) -> NDArray[np.uint8]:
     """A read-only uint8 array over `raw`, or `BadMessage` if the size is not that of `shape`."""
     return _array(raw, np.dtype("u1"), shape, what)
+
+
+def indices(raw: bytes, shape: tuple[int, ...], what: str) -> NDArray[np.uint16]:
+    """A read-only uint16 array over `raw`, or `BadMessage` if the size is not that of `shape`."""
+    return _array(raw, INDEX, shape, what)
 
 
 def _array(raw: bytes, kind: np.dtype[Any], shape: tuple[int, ...], what: str) -> NDArray[Any]:

@@ -1,7 +1,7 @@
 """Every message class of the bus.
 
 Each is frozen, refuses unknown fields and refuses NaN and infinities: a message that exists is
-valid. Arrays travel as raw little-endian float64 (`values`, `applied`) or uint8 (`mask`, `ruler`)
+valid. Arrays travel as raw little-endian float64 (`values`, `applied`), uint16 (`ruler`) or uint8 (`mask`)
 bytes in C order with the shape `(slots, points)`, in the manifest's order.
 """
 

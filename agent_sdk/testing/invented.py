@@ -59,7 +59,7 @@ def samples(manifest: Manifest, count: int, seed: int) -> list[SampleView]:
             flags=[flag] * manifest.slots,
             values=row.astype("<f8").tobytes(),
             applied=applied.astype("<f8").tobytes(),
-            ruler=bytes(applied.size),
+            ruler=bytes(2 * applied.size),
             rulers=[""],
         )
         made.append(SampleView(wire, manifest, index))

@@ -146,7 +146,7 @@ class FakeLink:
             flags=[(Flag.NONE if building.step else Flag.FIRST) | (Flag.TRUNCATED if last else Flag.NONE)],
             values=values.astype("<f8").tobytes(),
             applied=applied.astype("<f8").tobytes(),
-            ruler=np.where(np.isnan(self._held), 0, 1).astype(np.uint8).tobytes(),
+            ruler=np.where(np.isnan(self._held), 0, 1).astype("<u2").tobytes(),
             rulers=["", self.name],
         )
         self._latest = SampleView(wire, self.manifest, self._names, self)

@@ -140,7 +140,10 @@ class Account:
         return [next((row[i] for row in ordered if row[i][0] is not None), _FREE) for i in range(len(self._none))]
 
     def _contradiction(self, sample: Sample, rows: Rows) -> str:
-        rulers, applied = [sample.rulers[i] for i in sample.ruler], np.frombuffer(sample.applied).tolist()
+        rulers, applied = (
+            [sample.rulers[i] for i in np.frombuffer(sample.ruler, "<u2")],
+            np.frombuffer(sample.applied).tolist(),
+        )
         wrong = []
         for name, index in self._index.items():
             value, who = self._resolved(rows)[index]

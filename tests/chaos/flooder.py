@@ -27,7 +27,7 @@ from topics import codec, keys
 from topics.messages import Claim, Command, Denied, Manifest, Reset, Sample, Write
 
 PERSONS = 12
-"""Names of those who write; a few, since each is one of the 254 rulers that an episode can name."""
+"""Names of those who write; a few, since each sample tells the names of those that hold something."""
 
 PERSON_LEVEL = 8
 
