@@ -107,7 +107,7 @@ class Actions:
         self, action: ArrayLike, slots: int | None = None, unread: Collection[int] = ()
     ) -> NDArray[np.float64]:
         """The action, or a row of each slot's."""
-        values = _array(action, np.float64)
+        values = as_array(action, np.float64)
         shape = self._low.shape if slots is None else (slots, *self._low.shape)
         if values.shape != shape:
             named = ", ".join(self.names) or "the building's own control"
@@ -144,7 +144,7 @@ class Actions:
         return "; ".join(faults)
 
     def _chosen(self, action: ArrayLike) -> NDArray[np.float64]:
-        picked: NDArray[Any] = np.atleast_1d(_array(action, None))
+        picked: NDArray[Any] = np.atleast_1d(as_array(action, None))
         if picked.shape != (len(self._choices),) or not np.issubdtype(picked.dtype, np.integer):
             raise InvalidAction(f"action {action!r}; {self.space} expected")
         values = np.empty(len(self._actions))
@@ -155,7 +155,7 @@ class Actions:
         return values
 
     def _chosen_rows(self, actions: ArrayLike, slots: int, unread: Collection[int]) -> NDArray[np.float64]:
-        picked = _array(actions, None)
+        picked = as_array(actions, None)
         shape = (slots, *(self.space.shape or ()))
         if picked.shape != shape or not np.issubdtype(picked.dtype, np.integer):
             raise InvalidAction(f"action {actions!r}; {self.space} expected of each of {slots} slots")
@@ -189,8 +189,19 @@ def _finite(bounds: NDArray[np.float64]) -> NDArray[np.float64]:
     return finite
 
 
-def _array(action: ArrayLike, kind: type[np.float64] | None) -> NDArray[Any]:
+def as_array(action: ArrayLike, kind: type[np.float64] | None) -> NDArray[Any]:
+    """An action as an array of float64, or of its own type.
+
+    Raises:
+        InvalidAction: not numbers, complex ones, or values that a mask hides.
+    """
     try:
+        if type(action) is not np.ndarray:
+            if isinstance(action, np.ndarray) and np.ma.is_masked(action):
+                raise InvalidAction(f"action {action!r} has masked values; a number for each expected")
+            action = np.asarray(action)
+        if action.dtype.kind == "c":  # NumPy would drop the imaginary part
+            raise InvalidAction(f"action {action!r} is complex; real numbers expected")
         return np.asarray(action, kind)
     except (TypeError, ValueError) as error:
         raise InvalidAction(f"action {action!r} is no array of numbers: {error}") from None

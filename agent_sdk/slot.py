@@ -9,6 +9,7 @@ import numpy as np
 
 from topics.errors import InvalidConfig
 from topics.messages import WeatherSeries
+from topics.seeds import check_seed
 
 if TYPE_CHECKING:
     from agent_sdk.vector import BuildingVectorEnv
@@ -78,14 +79,15 @@ def seeds_of(seed: Seeds, slots: Sequence[int], count: int) -> list[int | None] 
     """The seeds of some slots; None if none was given.
 
     Raises:
-        InvalidConfig: a number below 0, or not one for each of all slots.
+        InvalidConfig: no whole number from 0 to 2**64 - 1, or not one for each of all slots.
     """
     if seed is None:
         return None
-    if isinstance(seed, int | np.integer):
-        every: list[int | None] = [int(seed) + slot for slot in range(count)]
+    if isinstance(seed, Sequence | np.ndarray) and not isinstance(seed, str):
+        every = [one if one is None else check_seed(one) for one in seed]
     else:
-        every = [one if one is None else int(one) for one in seed]
-    if len(every) != count or any(one is not None and one < 0 for one in every):
-        raise InvalidConfig(f"seed = {seed!r}; a number from 0 on expected, or one or None for each of {count} slots")
+        first = check_seed(seed, count)
+        every = [first + slot for slot in range(count)]
+    if len(every) != count:
+        raise InvalidConfig(f"seed = {seed!r}; a number, or one or None for each of {count} slots expected")
     return [every[slot] for slot in slots]

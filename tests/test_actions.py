@@ -314,3 +314,27 @@ def test_an_action_rescaled_in_float32_means_the_bound() -> None:
     assert own.values(beside[1]).tolist() == [22.5, 30.0]
     with pytest.raises(InvalidAction, match=r"a = 14\.999"):
         own.values(np.array([14.999, 25.0]))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        (np.array([20.0 + 3j, 25.0 + 0j]), "is complex; real numbers expected"),
+        (np.array([20.0 + 3j, 25.0], np.complex64), "is complex; real numbers expected"),
+        ([np.complex128(20.0), 25.0], "is complex; real numbers expected"),
+        (np.ma.masked_all(2), "has masked values; a number for each expected"),
+        (np.ma.array([20.0, 25.0], mask=[False, True]), "has masked values; a number for each expected"),
+    ],
+    ids=repr,
+)
+def test_complex_and_masked_actions_are_refused(wrong: Any, message: str) -> None:
+    own = Actions(manifest(actuators=[actuator("a", 15.0, 22.5), actuator("b", 22.5, 30.0)]))
+    for call in (lambda: own.values(wrong), lambda: own.rows(np.ma.stack([wrong, wrong]), 2)):
+        with pytest.raises(InvalidAction, match=message):
+            call()
+    assert own.values(np.ma.array([20.0, 25.0])).tolist() == [20.0, 25.0]
+
+
+def test_a_masked_choice_is_refused() -> None:
+    with pytest.raises(InvalidAction, match="has masked values"):
+        BOTH.values(np.ma.array([0, 1], mask=[True, True]))

@@ -1,0 +1,63 @@
+"""Seeds that cannot be: one clear error that names the range, by each way to reset."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+import agent_sdk
+from agent_sdk.environment import BuildingEnv
+from agent_sdk.multi_agent import ZonesEnv
+from agent_sdk.testing import FakeBuilding, FakeLink
+from agent_sdk.testing.slots import FakeSlots
+from agent_sdk.vector import BuildingVectorEnv
+from topics.errors import InvalidConfig
+
+WRONG = pytest.mark.parametrize(
+    "seed", [2**70, 2**64, -1, 1.0, 1.5, True, "1", np.float64(2), np.bool_(True)], ids=repr
+)
+RANGE = r"seed = .*; a whole number from 0 to 2\*\*64 - 1 expected"
+
+
+def zones() -> ZonesEnv:
+    return ZonesEnv(link=FakeLink(FakeBuilding(2, control="zone")))
+
+
+@WRONG
+@pytest.mark.parametrize("made", [lambda: BuildingEnv(link=FakeLink()), zones])
+def test_one_building(made: Callable[[], Any], seed: Any) -> None:
+    env = made()
+    with pytest.raises(InvalidConfig, match=RANGE):
+        env.reset(seed=seed)
+    env.reset(seed=2**64 - 1)
+    env.close()
+
+
+@WRONG
+def test_slots(seed: Any) -> None:
+    env = BuildingVectorEnv(2, link=FakeSlots([FakeBuilding(), FakeBuilding()]))
+    with pytest.raises(InvalidConfig, match=r"seed = .*; a whole number from 0 to 2\*\*64 - 2 expected"):
+        env.reset(seed=seed)
+    with pytest.raises(InvalidConfig, match=RANGE):
+        env.reset(seed=[0, seed])
+    env.reset(seed=2**64 - 2)
+    env.reset(seed=[2**64 - 1, None])
+    env.close()
+
+
+def test_seeds_of_numpy_are_taken() -> None:
+    env = BuildingEnv(link=FakeLink())
+    assert np.array_equal(env.reset(seed=np.int64(5))[0], env.reset(seed=5)[0])
+    env.close()
+
+
+def test_a_controller_without_gymnasium(bus: agent_sdk.Bus) -> None:
+    with bus.controller("office") as link:
+        wrong: list[Any] = [2**70, -1, 1.5, [2**70]]
+        for seed in wrong:
+            with pytest.raises(InvalidConfig, match=RANGE):
+                link.reset(seed=seed)
+        link.reset(seed=2**64 - 1)
