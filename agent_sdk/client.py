@@ -14,22 +14,24 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import zenoh
 from pydantic import ValidationError
 from zenoh import CongestionControl, QueryTarget
 from zenoh.handlers import Callback, RingChannel
 
+from agent_sdk import forked
 from agent_sdk.link import ControlLink
 from agent_sdk.sample import SampleView
 from bridge import affinity
 from bridge.access import May, may
 from bridge.affinity import Affinity
-from bridge.session import DEFAULT_ENDPOINT, open_session
+from bridge.session import DEFAULT_ENDPOINT, FORKED, open_session
 from bridge.wake import Wake
 from topics import codec, keys
 from topics.errors import (
+    BusError,
     InvalidAction,
     InvalidConfig,
     NodeLost,
@@ -77,6 +79,7 @@ _REQUEST_TIMEOUT_S = 600.0  # a start of the largest bundled building takes 14 s
 _LISTEN = 16384
 _MEET_S = 10.0
 _ANSWER_S = 60.0  # a node that starts an engine hears a write when it has done so
+_LEFT = "this bus was left by close(); connect to it again"
 _numbers = itertools.count()
 
 
@@ -123,10 +126,11 @@ class Bus:
     def __init__(self, endpoint: str, session: zenoh.Session, affinity: Affinity, role: Role | None = None) -> None:
         self.endpoint = endpoint
         self.role = role
-        self._close = ExitStack()
+        self._close, self._left = ExitStack(), False
         self._affinity = affinity
         self._links: set[ControlLink] = set()
         self.session = self._close.enter_context(session)
+        forked.open_buses.add(self)
 
     def __enter__(self) -> Bus:
         return self
@@ -135,10 +139,20 @@ class Bus:
         self.close()
 
     def close(self) -> None:
-        """Leaves the bus; twice is fine."""
+        """Leaves the bus; twice is fine. A request of another thread ends with `BusError`."""
+        self._left = True
         for link in [*self._links]:
             link.close()
         self._close.close()
+        forked.open_buses.discard(self)
+
+    def forked(self) -> None:
+        """Disown the bus in a forked process: whatever is asked of it raises `BusError`, and closing does nothing."""
+        forked.keep(self.session, self._close, *(link.__dict__.copy() for link in self._links))
+        self.session, self._close = cast("zenoh.Session", forked.ForkedSession()), ExitStack()
+        for link in self._links:
+            link.forked(BusError(FORKED), self.session)
+        self._links = set()
 
     def nodes(self) -> list[str]:
         """Names of the nodes that are there."""
@@ -346,12 +360,17 @@ class Bus:
     def _ask(self, topic: keys.Topic, node: str, question: Message | None, answer: type[R]) -> R:
         if self.role is not None and May.ASK not in may(self.role, topic):
             raise InvalidConfig(f"a {self.role} may not ask {topic.key}; connect with the certificate of another role")
-        replies = self.session.get(
-            topic.at(node),
-            payload=codec.encode(question) if question else None,
-            encoding=zenoh.Encoding(codec.encoding(type(question))) if question else None,
-            timeout=_REQUEST_TIMEOUT_S,
-        )
+        try:
+            replies = self.session.get(
+                topic.at(node),
+                payload=codec.encode(question) if question else None,
+                encoding=zenoh.Encoding(codec.encoding(type(question))) if question else None,
+                timeout=_REQUEST_TIMEOUT_S,
+            )
+        except zenoh.ZError:
+            if not self._left:
+                raise
+            raise BusError(_LEFT) from None
         for reply in replies:
             if reply.ok is None:
                 why = reply.err.payload.to_string() if reply.err else "no reason given"
@@ -360,7 +379,19 @@ class Bus:
             if said == codec.encoding(Denied):
                 raise from_wire(codec.decode(Denied, payload, said).__dict__)
             return codec.decode(answer, payload, said)
+        if self._left:
+            raise BusError(_LEFT)
         raise NothingThere(f"no node {node!r} on {self.endpoint}; {near(node, self.nodes())}")
+
+    @contextmanager
+    def _unless_forked(self, stack: ExitStack) -> Iterator[zenoh.Session]:
+        """Leaves to the parent process what a forked one cannot undeclare."""
+        session = self.session
+        try:
+            yield session
+        finally:
+            if self.session is not session:
+                forked.keep(stack.pop_all())
 
     @contextmanager
     def listen(self, node: str) -> Iterator[Iterator[SampleView]]:
@@ -381,7 +412,7 @@ class Bus:
             if sample.kind == zenoh.SampleKind.DELETE:
                 wake()
 
-        with ExitStack() as stack:
+        with ExitStack() as stack, self._unless_forked(stack) as session:
             inbox = stack.enter_context(self.session.declare_subscriber(keys.stream(node), RingChannel(_LISTEN)))
             watch = self.session.liveliness().declare_subscriber(token, Callback(on_token, indirect=False))
             stack.callback(watch.undeclare)
@@ -390,6 +421,8 @@ class Bus:
 
             def samples() -> Iterator[SampleView]:
                 while True:
+                    if self.session is not session:
+                        raise BusError(FORKED)
                     message = inbox.recv()
                     key = str(message.key_expr)
                     if key == wake_key:

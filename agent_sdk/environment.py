@@ -18,10 +18,11 @@ from agent_sdk import settings, spaces
 from agent_sdk.actions import Actions
 from agent_sdk.client import Bus
 from agent_sdk.clock import clock
-from agent_sdk.hold import AGENT, RENDER_MODES, Hold
+from agent_sdk.frame import Link
+from agent_sdk.hold import AGENT, BUSY, RENDER_MODES, Hold
 from agent_sdk.launch import OwnNode
 from agent_sdk.limits import Limits
-from agent_sdk.link import ControlLink, Link
+from agent_sdk.link import ControlLink
 from agent_sdk.memory import EpisodeMemory
 from agent_sdk.named import Named
 from agent_sdk.render import History
@@ -29,8 +30,9 @@ from agent_sdk.rewards import AnyReward
 from agent_sdk.sample import SampleView
 from agent_sdk.snapshot import Snapshot, asked_for, forking, take
 from bridge.affinity import Affinity
-from topics.errors import BusError, EpisodeChanged, InvalidConfig
+from topics.errors import BusError, EpisodeChanged, InvalidConfig, UsageError
 from topics.messages import MakeBranch, Mask, WeatherSeries
+from topics.seeds import check_seed
 
 Observation = NDArray[np.float32]
 
@@ -172,7 +174,7 @@ class BuildingEnv(Named, gym.Env[Observation, Any]):
         self._time = manifest.task.time
         self._values = self._actions.values
         self._sample: SampleView | None = None
-        self._ended = False
+        self._ended = self._busy = False
         self._outputs = ""
         self._rulers: tuple[bytes, list[str]] = (b"", [])
         self._ruled_by: tuple[str, ...] = ()
@@ -203,21 +205,44 @@ class BuildingEnv(Named, gym.Env[Observation, Any]):
         `options={"snapshot": snap}` goes back to a snapshot instead: its sample, and what the reward and the limits
         remembered there.
 
+        Where the environment's own node has ended, another one is started. After a lost link the node is claimed
+        again.
+
         Raises:
-            InvalidConfig: an unknown option; a snapshot that is closed, of another node, or of a node that has ended.
+            InvalidConfig: an unknown option; a snapshot that is closed, of another node, or of a node that has ended;
+                a seed that is no whole number from 0 to 2**64 - 1.
             EngineDied, ForkFailed: the snapshot's engine; the running episode goes on.
+            NothingThere: a node that runs elsewhere is gone.
+            NodeLost: that node was restarted with other points.
+            UsageError: another thread is in `step` or `reset`.
+
+        Warns:
+            UserWarning: why another node was started.
         """
+        busy, self._busy = self._busy, True  # one statement without a call: CPython switches no threads within it
+        if busy:
+            raise UsageError(BUSY)
+        try:
+            return self._reset(None if seed is None else check_seed(seed), options or {})
+        except (EpisodeChanged, BusError):
+            self._hold.check_open()
+            raise
+        finally:
+            self._busy = False
+
+    def _reset(self, seed: int | None, options: dict[str, Any]) -> tuple[Observation, dict[str, Any]]:
         super().reset(seed=seed)
         self._hold.check_open()
-        snapshot = self._asked(options or {})
+        self._hold.renew()
+        snapshot = self._asked(options)
         if snapshot is None:
-            sample = self._sample = self.link.reset(seed=seed)
+            sample = self._sample = self._hold.reset(seed=seed)
             self._memory.forget()
             self._memory.context = {}
         else:
             sample = self._sample = self._forking().reset(seed=seed, snapshot=snapshot.name)
             self._memory.restore(snapshot.remembered)
-        self._ended = False
+        self.manifest, self._ended = self._hold.manifest, False
         values, now, info = sample.values, sample.time, self._info(sample)
         (begun,) = self.link.accepted.begun
         self._outputs = begun.outputs
@@ -228,6 +253,7 @@ class BuildingEnv(Named, gym.Env[Observation, Any]):
         return self._observed(values, now - self._timestep if sample.step else now, now), info
 
     def _asked(self, options: Mapping[str, Any]) -> Snapshot | None:
+        self.manifest = self._hold.manifest
         if self.manifest.branch_of:
             raise InvalidConfig("a branch has no sample 0 of its own; close it and make another one")
         return asked_for(options, self.manifest)
@@ -293,7 +319,20 @@ class BuildingEnv(Named, gym.Env[Observation, Any]):
         Raises:
             InvalidAction: wrong shape, out of bounds, not finite, or no such choice; nothing was simulated.
             NodeLost, SimulatorError, Refused, EpisodeChanged: see `ControlLink.receive`.
+            UsageError: another thread is in `step` or `reset`.
         """
+        busy, self._busy = self._busy, True  # one statement without a call: CPython switches no threads within it
+        if busy:
+            raise UsageError(BUSY)
+        try:
+            return self._step(action)
+        except (EpisodeChanged, BusError):
+            self._hold.check_open()
+            raise
+        finally:
+            self._busy = False
+
+    def _step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         previous = self._sample
         if previous is None or self._ended or self._hold.closed:
             self._hold.check_open()

@@ -18,6 +18,29 @@ Floats = NDArray[np.float64]
 _TRUNCATED = int(Flag.TRUNCATED)
 
 
+class Link(Protocol):
+    """What an environment steps: samples in, commands out."""
+
+    manifest: Manifest
+    accepted: Accepted
+    name: str
+
+    def reset(self, *, seed: int | None = None) -> SampleView:
+        """Starts a new episode; its sample 0."""
+
+    def receive(self) -> SampleView:
+        """Waits for the next sample."""
+
+    def send(self, values: NDArray[np.float64], mask: bytes | None = None) -> None:
+        """Answers the present sample: a value for each actuator, and what is done with it (None: all are set)."""
+
+    def weather(self, columns: Sequence[str]) -> WeatherSeries:
+        """Columns of the weather that the present episode reads."""
+
+    def close(self) -> None:
+        """Lets go; twice is fine."""
+
+
 class SlotsLink(Protocol):
     """What a vector environment steps: frames in, commands for all slots out."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 import warnings
 from collections.abc import Mapping
 from contextlib import AbstractContextManager, ExitStack
@@ -13,14 +14,18 @@ from agent_sdk.client import Bus
 from agent_sdk.client import connect as join
 from agent_sdk.launch import Monitor, OwnNode
 from agent_sdk.rewards import AnyReward, Reward, read_reward
+from agent_sdk.sample import SampleView
 from bridge.affinity import Affinity
-from topics.errors import EpisodeChanged, InvalidConfig
+from topics.errors import BusError, EpisodeChanged, InvalidConfig
 from topics.messages import Manifest
 
 NAME = "building"
 AGENT = "agent"
 """What an environment is called in its own `info["ruled_by"]`; its name on the bus differs from run to run."""
 RENDER_MODES = ("rgb_array", "rerun")
+BUSY = "another thread is in step() or reset() of this environment; one thread at a time, or an environment for each"
+_REAPED_S = 1.0
+"""How soon after its last message a killed process has ended."""
 
 
 class Hold:
@@ -54,11 +59,12 @@ class Hold:
         link: Any = None,
         slots: int = 1,
     ) -> None:
-        self._close, self.closed = ExitStack(), False
+        self._close, self.closed, self._watched = ExitStack(), False, False
         self.own_node: OwnNode | None = None
         self._link, self._slots = link, slots
         self._keys = None if keys is None else Path(keys)
         self._bus: Bus | None = None
+        self._way: tuple[str, str, int, Affinity, int | None]
         with ExitStack() as undo:
             undo.callback(self.close)
             _check_render(render_mode)
@@ -92,11 +98,7 @@ class Hold:
             if reward != settings.OF_THE_SCENARIO:
                 wanted["own_reward"] = True
             settings.check_reward(reward, wanted, placement)
-            own = self.own_node = OwnNode(wanted, placement)
-            self._close.callback(own.close)
-            assert own.manifest is not None
-            self.manifest = own.manifest
-            self._way = (own.endpoint, node or NAME, level, placement, own.core)
+            self._start(wanted, node or NAME, level, placement)
             return
         if given:
             raise InvalidConfig(f"{', '.join(given)}: the node at {endpoint} has its own; leave out what it decides")
@@ -106,6 +108,52 @@ class Hold:
         self.manifest = self._joined().manifest(node)
         self._check_slots()  # before anything is claimed
         self.manifest = self.link.manifest
+
+    def _start(self, wanted: dict[str, Any], node: str, level: int, placement: Affinity) -> None:
+        own = OwnNode(wanted, placement)
+        self._close.callback(own.close)
+        assert own.manifest is not None
+        self.own_node, self.manifest, self._wanted = own, own.manifest, wanted
+        self._way = (own.endpoint, node, level, placement, own.core)
+
+    def reset(self, *, seed: int | None) -> SampleView:
+        """Starts an episode, on another node if the environment's own ends just now; see `ControlLink.reset`."""
+        try:
+            sample: SampleView = self.link.reset(seed=seed)
+        except BusError:
+            if self.own_node is None or not self._has_ended(self.own_node) or not self.renew():
+                raise
+            sample = self.link.reset(seed=seed)
+        self.manifest = self.link.manifest
+        return sample
+
+    def _has_ended(self, own: OwnNode) -> bool:
+        deadline = time.monotonic() + _REAPED_S
+        while not own.end and time.monotonic() < deadline:
+            time.sleep(0.01)
+        return bool(own.end)
+
+    def renew(self) -> bool:
+        """Starts another node where the environment's own has ended, and warns; whether it did.
+
+        Raises:
+            UsageError, BusError, SimulatorError: as when the environment was made; it can be tried again.
+        """
+        how = self.own_node.end if self.own_node is not None else ""
+        if not how or self.closed:
+            return False
+        _, node, level, placement, _ = self._way
+        self._close.close()
+        self._link = self._bus = None
+        self._start(self._wanted, node, level, placement)
+        if self._watched:
+            self.watch()
+        warnings.warn(
+            f"the environment's own node had ended ({how}), and another one was started; its snapshots are gone, and "
+            "without a seed its weather is drawn anew",
+            stacklevel=4,
+        )
+        return True
 
     def _check_slots(self) -> None:
         node, there = self.manifest.node, self.manifest.slots
@@ -137,6 +185,7 @@ class Hold:
 
     def watch(self) -> None:
         """Opens a live view of the bus, which ends with the hold."""
+        self._watched = True
         self._close.callback(Monitor(self._way[0], self._keys).close)
 
     def warn(self, stacklevel: int) -> None:
@@ -151,7 +200,7 @@ class Hold:
     def check_open(self) -> None:
         """Refuses to go on with an environment that was closed."""
         if self.closed:
-            raise EpisodeChanged("the environment is closed; make another one")
+            raise EpisodeChanged("the environment is closed; make another one") from None
 
     def close(self) -> None:
         """Lets go of the node, and ends it if it was started here; twice is fine."""

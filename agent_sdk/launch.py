@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -49,6 +50,7 @@ class OwnNode:
         self.folder = scratch.folder
         # Also at the interpreter's exit, and if the start is interrupted before there is a process.
         self._held: list[subprocess.Popen[bytes]] = []
+        self._owner = os.getpid()
         self._let_go = weakref.finalize(
             self, _let_go, self._held, scratch, os.getpid(), _END_S if settings.get("keep") is None else _FINISH_S
         )
@@ -91,6 +93,15 @@ class OwnNode:
     def pid(self) -> int:
         """The node's process id."""
         return self._held[0].pid
+
+    @property
+    def end(self) -> str:
+        """How the node's process ended; empty while it runs, and in a forked process, which cannot know."""
+        if os.getpid() != self._owner or (code := self._held[0].poll()) is None:
+            return ""
+        if code != -signal.SIGKILL:
+            return f"killed by {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
+        return "killed by SIGKILL, which the system also sends when memory runs out"
 
     def close(self) -> None:
         """Ends the node and clears its folder; twice is fine."""
@@ -157,9 +168,12 @@ class Monitor:
         program = [sys.executable, "-P", "-m", "cli.main", "monitor", "--connect", endpoint]
         program += ["--keys", str(keys)] if keys is not None else []
         self._process = subprocess.Popen([*program, *([] if display else ["--web"])], stdin=subprocess.DEVNULL)
+        self._owner = os.getpid()
 
     def close(self) -> None:
         """Ends it."""
+        if os.getpid() != self._owner:
+            return  # a forked child's end is not its parent's
         self._process.terminate()
         try:
             self._process.wait(timeout=_END_S)

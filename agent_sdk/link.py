@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from types import TracebackType
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import zenoh
 from numpy.typing import NDArray
 from zenoh import CongestionControl
-from zenoh.handlers import Callback, FifoChannel
+from zenoh.handlers import FifoChannel
 
+from agent_sdk.presence import NodeWatch, undeclare
 from agent_sdk.sample import SampleView
 from bridge import affinity
 from bridge.affinity import Affinity
@@ -27,6 +27,7 @@ from topics.errors import (
     NothingThere,
     PeerError,
     Refused,
+    UsageError,
     ZenostatError,
     from_wire,
     near,
@@ -45,6 +46,7 @@ from topics.messages import (
     State,
     WeatherSeries,
 )
+from topics.seeds import check_seed
 
 if TYPE_CHECKING:
     from agent_sdk.client import Bus
@@ -53,30 +55,14 @@ if TYPE_CHECKING:
 _KEEP, _SET, _RELEASE = int(Mask.KEEP), int(Mask.SET), int(Mask.RELEASE)
 _TRUNCATED = int(Flag.TRUNCATED)
 _INBOX = 1024
-_MEET_S = 10.0
 
 
-class Link(Protocol):
-    """What an environment steps: samples in, commands out."""
+_BUSY = "another thread is in receive() or reset() of this controller; one thread at a time, or a controller for each"
 
-    manifest: Manifest
-    accepted: Accepted
-    name: str
 
-    def reset(self, *, seed: int | None = None) -> SampleView:
-        """Starts a new episode; its sample 0."""
-
-    def receive(self) -> SampleView:
-        """Waits for the next sample."""
-
-    def send(self, values: NDArray[np.float64], mask: bytes | None = None) -> None:
-        """Answers the present sample: a value for each actuator, and what is done with it (None: all are set)."""
-
-    def weather(self, columns: Sequence[str]) -> WeatherSeries:
-        """Columns of the weather that the present episode reads."""
-
-    def close(self) -> None:
-        """Lets go; twice is fine."""
+def _points(manifest: Manifest) -> tuple[Any, ...]:
+    """What a controller relies on; a node may be restarted with other weather or another period."""
+    return manifest.slots, manifest.sensors, manifest.meters, manifest.actuators, manifest.task, manifest.steps_per_hour
 
 
 def _is_after(new: Sample, old: Sample) -> bool:
@@ -86,6 +72,8 @@ def _is_after(new: Sample, old: Sample) -> bool:
 
 class ControlLink:
     """One controller's hold on one node. Iterate over it, or call `receive` and `send` in turn.
+
+    One thread at a time may wait for samples; another thread may send, or close.
 
     A node of several slots has them all in one sample and one command: see `SampleView.wire`.
 
@@ -100,59 +88,82 @@ class ControlLink:
     def __init__(self, bus: Bus, node: str, claim: Claim, placement: Affinity) -> None:
         self.bus = bus
         self.name = claim.controller
+        self._claim, self._claimed = claim, False
         self._close = ExitStack()
         self._wake = Wake(bus.session, keys.wake(node))
-        self._met = threading.Event()
-        self._lost = False
+        self._busy = False
         self._ended: ZenostatError | None = None
+        self._closed: ZenostatError | None = None
         self._latest: SampleView | None = None
         self._answered, self._over = True, False
         with ExitStack() as undo:
             undo.callback(self.close)
             self.manifest = bus.manifest(node)
-            self._open(bus.session, claim)
+            self._open(bus.session)
             undo.pop_all()
         near_node = self.manifest.host == affinity.host()
         self._polling = Polling(enabled=near_node and placement is Affinity.NODE)
 
-    def _open(self, session: zenoh.Session, claim: Claim) -> None:
+    def _open(self, session: zenoh.Session) -> None:
         """Listens first, claims last: nothing that the node says afterwards is missed."""
-        manifest = self.manifest
+        manifest, claim = self.manifest, self._claim
         self._names = {name: i for i, name in enumerate(manifest.names)}
         self._actuators = {a.name: i for i, a in enumerate(manifest.actuators)}
         self._shape = (manifest.slots, len(manifest.actuators)) if manifest.slots > 1 else (len(manifest.actuators),)
         self._sample_key = keys.SAMPLE.at(manifest.node)
         self._wake_key = keys.wake(manifest.node)
         declare = self._close.enter_context
-        self._inbox = declare(session.declare_subscriber(keys.stream(manifest.node), FifoChannel(_INBOX)))
+        self._inbox = session.declare_subscriber(keys.stream(manifest.node), FifoChannel(_INBOX))
+        self._close.callback(undeclare, self._inbox)
         self._close.callback(self._drain)
         self._recv, self._try_recv = self._inbox.recv, self._inbox.try_recv
-        token = keys.NODE_TOKEN.at(manifest.node, name=manifest.instance)
-        watch = session.liveliness().declare_subscriber(token, Callback(self._on_node, indirect=False), history=True)
-        self._close.callback(watch.undeclare)
+        self._node = NodeWatch(session, manifest.node, self._on_loss)
+        self._close.callback(self._node.close)
+        self._node.watch(manifest.instance)
         declare(session.liveliness().declare_token(keys.CONTROLLER_TOKEN.at(manifest.node, name=claim.controller)))
         commands = session.declare_publisher(
             keys.COMMAND.at(manifest.node, name=claim.controller),
             encoding=zenoh.Encoding(codec.encoding(Command)),
             congestion_control=CongestionControl.BLOCK,
         )
-        self._put_command = declare(commands).put
-        # The node's death is only told to who has heard of its life; and Zenoh 1.10 answers liveliness queries
-        # emptily while a history is on its way.
-        if not self._met.wait(_MEET_S) or self._lost:
-            raise NothingThere(f"node {manifest.node!r} has gone")
-        self.bus.claim(manifest.node, claim)
+        self._close.callback(undeclare, commands)
+        self._put_command = commands.put
+        self._take_claim()
 
-    def _on_node(self, token: zenoh.Sample) -> None:
-        if token.kind == zenoh.SampleKind.DELETE:
-            self._lost = True
-            self._wake()
-        self._met.set()
+    def _on_loss(self) -> None:
+        self._claimed = False
+        self._wake()
+
+    def _take_claim(self) -> None:
+        if not self._node.wait():
+            raise NothingThere(f"node {self.manifest.node!r} has gone")
+        self.bus.claim(self.manifest.node, self._claim)
+        self._claimed = True
+
+    def _claim_again(self) -> None:
+        """Joins the node after a lost link, in which it may have forgotten this controller, or was restarted.
+
+        Raises:
+            NothingThere: it is not on the bus.
+            NodeLost: a node of its name is there that has other points.
+        """
+        manifest = self.bus.manifest(self.manifest.node)
+        self._node.lost = False  # before anything that a second loss could come between
+        if manifest.instance != self.manifest.instance:
+            if _points(manifest) != _points(self.manifest):
+                raise NodeLost(
+                    f"node {manifest.node!r} was restarted with other points, slots or actions; "
+                    "take control of it again, or make another environment"
+                )
+            self.manifest = manifest
+            self._node.watch(manifest.instance)
+        self._take_claim()
 
     def _drain(self) -> None:
         # A full inbox would hold up the session's close.
-        while self._inbox.try_recv() is not None:
-            pass
+        with suppress(zenoh.ZError, RuntimeError):  # another thread is within it, and takes what is there
+            while self._inbox.try_recv() is not None:
+                pass
 
     def __enter__(self) -> ControlLink:
         return self
@@ -163,11 +174,21 @@ class ControlLink:
         self.close()
 
     def close(self) -> None:
-        """Lets go of the node; twice is fine."""
-        self._ended = self._ended or EpisodeChanged(f"{self.name} has let go of its node; take control of it again")
+        """Lets go of the node; twice is fine. Another thread's `receive` or `reset` ends with `EpisodeChanged`."""
+        self._closed = EpisodeChanged(f"{self.name} has let go of its node; take control of it again")
+        self._ended = self._ended or self._closed
+        if self._busy:
+            self._wake()
         self._wake.close()
         self._close.close()
         self.bus.forget(self)
+
+    def forked(self, error: ZenostatError, session: Any) -> None:
+        """Disowns the link in a forked process: all that is asked of it raises `error`, and closing it does nothing."""
+        self._closed = self._ended = error
+        self._close, self._busy = ExitStack(), False
+        self._wake = Wake(session, self._wake.key)  # another thread may have held the lock of the former
+        self._wake.close()
 
     # Samples
 
@@ -185,15 +206,27 @@ class ControlLink:
             slots: those that begin anew; None is all.
             snapshot: go back to it in place of sample 0.
         """
+        seed = [one if one is None else check_seed(one) for one in seed] if isinstance(seed, list) else seed
+        seed = check_seed(seed) if seed is not None and not isinstance(seed, list) else seed
         request = Reset(controller=self.name, seed=seed, slots=slots, snapshot=snapshot)
-        accepted = self.accepted = self.bus.reset(self.manifest.node, request)
-        self._ended = None
-        self._answered = True
-        self._latest = None
-        while True:
-            sample = self._next(changes=True)
-            if sample.wire.episode == accepted.episode:
-                return self._keep(sample)
+        busy, self._busy = self._busy, True
+        if busy:
+            raise UsageError(_BUSY)
+        try:
+            if self._closed is not None:
+                raise self._closed
+            if not self._claimed:
+                self._claim_again()
+            accepted = self.accepted = self.bus.reset(self.manifest.node, request)
+            self._ended = self._closed
+            self._answered = True
+            self._latest = None
+            while True:
+                sample = self._next(changes=True)
+                if sample.wire.episode == accepted.episode:
+                    return self._keep(sample)
+        finally:
+            self._busy = False
 
     def weather(self, columns: Sequence[str], slot: int = 0) -> WeatherSeries:
         """Columns of the weather file that a slot's present episode reads; `UnknownName` lists them."""
@@ -225,18 +258,25 @@ class ControlLink:
             NodeLost: the node is gone.
             SimulatorError: EnergyPlus failed, with its words.
             Refused: the node did not take this controller's last command.
-            EpisodeChanged: somebody else reset the episode.
+            EpisodeChanged: somebody else reset the episode, or another thread closed the link.
+            UsageError: another thread is in `receive` or `reset`.
         """
-        previous = self._latest
-        while True:
-            sample = self._next(changes=False)
-            if previous is None:
-                return self._keep(sample)
-            episode, known = sample.wire.episode, previous.wire.episode
-            if episode == known and _is_after(sample.wire, previous.wire):
-                return self._keep(sample)
-            if any(one > other for one, other in zip(episode, known, strict=True)):
-                raise EpisodeChanged(f"node {self.manifest.node!r} was reset by somebody else{self._where()}")
+        busy, self._busy = self._busy, True  # one statement without a call: CPython switches no threads within it
+        if busy:
+            raise UsageError(_BUSY)
+        try:
+            previous = self._latest
+            while True:
+                sample = self._next(changes=False)
+                if previous is None:
+                    return self._keep(sample)
+                episode, known = sample.wire.episode, previous.wire.episode
+                if episode == known and _is_after(sample.wire, previous.wire):
+                    return self._keep(sample)
+                if any(one > other for one, other in zip(episode, known, strict=True)):
+                    raise EpisodeChanged(f"node {self.manifest.node!r} was reset by somebody else{self._where()}")
+        finally:
+            self._busy = False
 
     def _keep(self, sample: SampleView) -> SampleView:
         self._latest, flags = sample, sample.wire.flags
@@ -249,7 +289,12 @@ class ControlLink:
         if self._ended is not None:
             raise self._ended
         while True:
-            message = self._polling.wait(self._try_recv, self._recv)
+            try:
+                message = self._polling.wait(self._try_recv, self._recv)
+            except (zenoh.ZError, RuntimeError):
+                if self._ended is None:
+                    raise
+                raise self._ended from None
             key = str(message.key_expr)
             if key == self._sample_key:
                 return self._view(codec.decode(Sample, message.payload.to_bytes(), str(message.encoding)))
@@ -261,7 +306,9 @@ class ControlLink:
     def _hear(self, key: str, message: zenoh.Sample, *, changes: bool) -> None:
         """What is not a sample: raises what ends the wait."""
         node = self.manifest.node
-        if key == self._wake_key and self._lost:
+        if self._closed is not None:
+            raise self._closed
+        if key == self._wake_key and self._node.lost:
             self._ended = NodeLost(f"node {node!r} is gone{self._where()}; nothing more can be known of it")
             raise self._ended
         if key != keys.EVENT.at(node):
@@ -271,9 +318,11 @@ class ControlLink:
             self._ended = from_wire({"error": event.error, "message": event.text})
             raise self._ended
         if event.kind is EventKind.STOPPED:
+            self._claimed = False
             self._ended = NodeLost(f"node {node!r} was stopped{self._where()}")
             raise self._ended
         if event.kind is EventKind.REJECTED and event.source == self.name and not changes:
+            self._claimed = False  # it may be that; the next reset claims again
             raise Refused(f"node {node!r} did not take the command{self._where()}: {event.text}")
         if event.kind is EventKind.STARTED and not changes and self._latest and event.episode != self._latest.episode:
             who = event.source or "somebody else"
@@ -313,7 +362,12 @@ class ControlLink:
         raw, mask = self._coded(values, mask)
         steps = [None if slot in still else step for slot, step in enumerate(wire.step)] if still else wire.step
         self._answered = True
-        self._put_command(codec.pack(episode=wire.episode, step=steps, mask=mask, values=raw))
+        try:
+            self._put_command(codec.pack(episode=wire.episode, step=steps, mask=mask, values=raw))
+        except (zenoh.ZError, RuntimeError):
+            if self._ended is None:
+                raise
+            raise self._ended from None
 
     def _coded(
         self, values: Mapping[str, float | None] | NDArray[np.float64] | None, given: bytes | None

@@ -12,12 +12,13 @@ from gymnasium.spaces import Box, Discrete, MultiDiscrete, Space
 from numpy.typing import ArrayLike, NDArray
 
 from agent_sdk import settings
+from agent_sdk.actions import as_array
 from agent_sdk.environment import BuildingEnv, Observation
-from agent_sdk.hold import AGENT
+from agent_sdk.hold import AGENT, BUSY
 from agent_sdk.rewards import AnyReward, BoundReward, read_reward
 from agent_sdk.rewards.linear import Weighted
 from agent_sdk.rewards.points import temperatures
-from topics.errors import EpisodeChanged, InvalidAction, InvalidConfig, near
+from topics.errors import EpisodeChanged, InvalidAction, InvalidConfig, UsageError, near
 from topics.extras import install_command
 from topics.keys import safe
 from topics.messages import Action, Manifest
@@ -104,6 +105,7 @@ class ZonesEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo has no types
         self.observation_spaces = {name: self._observed(agent) for name, agent in self._agents.items()}
         self.action_spaces = {name: self._decided(agent) for name, agent in self._agents.items()}
         self._timestep = timedelta(hours=1 / self.env.manifest.steps_per_hour)
+        self._busy = False
         self._state: Observation = np.zeros(0, np.float32)
 
     def _observed(self, agent: _Agent) -> Box[np.float32]:
@@ -161,6 +163,15 @@ class ZonesEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo has no types
         options: dict[str, Any] | None = None,  # noqa: ARG002
     ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
         """Starts an episode; see `BuildingEnv.reset`. There are no options; PettingZoo's own checks hand in some."""
+        busy, self._busy = self._busy, True  # one statement without a call: CPython switches no threads within it
+        if busy:
+            raise UsageError(BUSY)
+        try:
+            return self._reset(seed)
+        finally:
+            self._busy = False
+
+    def _reset(self, seed: int | None) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
         whole, info = self.env.reset(seed=seed)
         self.agents = self.possible_agents[:]
         if self._shares is not None:
@@ -180,6 +191,17 @@ class ZonesEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo has no types
                 nothing was simulated.
             EpisodeChanged: the episode is over; and what `BuildingEnv.step` raises.
         """
+        busy, self._busy = self._busy, True  # one statement without a call: CPython switches no threads within it
+        if busy:
+            raise UsageError(BUSY)
+        try:
+            return self._step(actions)
+        finally:
+            self._busy = False
+
+    def _step(
+        self, actions: Mapping[str, ArrayLike]
+    ) -> tuple[dict[str, Observation], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
         if not self.agents:
             raise EpisodeChanged("no agent is there; call reset() first")
         whole, reward, terminated, truncated, info = self.env.step(self._joined(actions))
@@ -210,9 +232,9 @@ class ZonesEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo has no types
 
     def _own(self, name: str, agent: _Agent, action: ArrayLike, *, continuous: bool) -> NDArray[Any]:
         try:
-            own: NDArray[Any] = np.asarray(action, np.float64 if continuous else None)
-        except (TypeError, ValueError) as error:
-            raise InvalidAction(f"agent {name!r}: action {action!r} is no array of numbers: {error}") from None
+            own = as_array(action, np.float64 if continuous else None)
+        except InvalidAction as error:
+            raise InvalidAction(f"agent {name!r}: {error}") from None
         own = own if continuous else np.atleast_1d(own)
         if own.shape != (len(agent.decided),) or not (continuous or np.issubdtype(own.dtype, np.integer)):
             expected = f"{self.action_spaces[name]} expected: {', '.join(agent.actions)}"

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 
+from agent_sdk.hold import BUSY
 from agent_sdk.infos import of_slot
 from agent_sdk.wrappers.names import inside, layers
-from topics.errors import EpisodeChanged, InvalidConfig
+from topics.errors import EpisodeChanged, InvalidConfig, UsageError
 from topics.extras import install_command
 
 try:
@@ -65,6 +66,7 @@ class SlotsVecEnv(VecEnv):  # type: ignore[misc,unused-ignore]  # without types 
         if any(one != options for one in self._options):
             raise InvalidConfig("options differ between slots; give one for all")
         seeds = None if all(seed is None for seed in self._seeds) else list(self._seeds)
+        self._actions = None
         observations, infos = self.env.reset(seed=seeds, options=options or None)  # type: ignore[arg-type]
         self.reset_infos = self._each(infos)
         self._reset_seeds()
@@ -72,7 +74,13 @@ class SlotsVecEnv(VecEnv):  # type: ignore[misc,unused-ignore]  # without types 
         return observations
 
     def step_async(self, actions: Any) -> None:
-        """Takes the actions, shape (slots, …); `step_wait` simulates."""
+        """Takes the actions, shape (slots, …); `step_wait` simulates.
+
+        Raises:
+            UsageError: another thread's actions wait for `step_wait`.
+        """
+        if self._actions is not None:
+            raise UsageError(f"step_async() was called already, and step_wait() comes next; or {BUSY}")
         self._actions = actions
 
     def step_wait(self) -> VecEnvStepReturn:

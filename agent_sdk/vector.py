@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from agent_sdk import settings, spaces
 from agent_sdk.actions import Actions
 from agent_sdk.frame import Frame, SlotsLink, step_of
-from agent_sdk.hold import AGENT, RENDER_MODES, Hold
+from agent_sdk.hold import AGENT, BUSY, RENDER_MODES, Hold
 from agent_sdk.infos import Infos, joined, masked, only
 from agent_sdk.launch import OwnNode
 from agent_sdk.limits import Limits
@@ -27,7 +27,7 @@ from agent_sdk.slot import Seeds, Slot, seeds_of, slots_of
 from agent_sdk.snapshot import Snapshot, asked_for, forking, take
 from agent_sdk.wrappers import apply_wrappers
 from bridge.affinity import Affinity
-from topics.errors import EpisodeChanged, InvalidConfig, near
+from topics.errors import BusError, EpisodeChanged, InvalidConfig, UsageError, near
 from topics.messages import Mask, WeatherSeries
 
 Observations = NDArray[np.float32]
@@ -106,6 +106,7 @@ class BuildingVectorEnv(Named, VectorEnv[Observations, Any, NDArray[Any]]):
         self._timestep = step_of(manifest)
         self._mask = None if self._actions.mask is None else self._actions.mask * num_envs
         self._frame: Frame | None = None
+        self._busy = False
         self._seen = np.zeros(self.observation_space.shape or (), np.float32)
         self._over, self._every = np.zeros(num_envs, np.bool_), np.ones(num_envs, np.bool_)
         self._outputs = [""] * num_envs
@@ -126,9 +127,26 @@ class BuildingVectorEnv(Named, VectorEnv[Observations, Any, NDArray[Any]]):
             InvalidConfig: other options, no such mask, no such seeds; a snapshot that is closed, of another node, or of
                 a node that has ended.
             EngineDied, ForkFailed: an engine of the snapshot; the running episodes go on.
+            NothingThere, NodeLost, UsageError: as of `BuildingEnv.reset`.
+
+        Warns:
+            UserWarning: the environment's own node had ended, and another one was started; why it had.
         """
+        busy, self._busy = self._busy, True  # one statement without a call: CPython switches no threads within it
+        if busy:
+            raise UsageError(BUSY)
+        try:
+            return self._reset(seed, options or {})
+        except (EpisodeChanged, BusError):
+            self._hold.check_open()
+            raise
+        finally:
+            self._busy = False
+
+    def _reset(self, seed: Seeds, options: dict[str, Any]) -> tuple[Observations, Infos]:
         self._hold.check_open()
-        options = options or {}
+        if self._hold.renew():
+            self.manifest, self._frame = self._hold.manifest, None
         snapshot = asked_for(options, self.manifest, ["reset_mask"])
         if snapshot is not None and "reset_mask" in options:
             raise InvalidConfig("a snapshot is of all slots; leave out reset_mask")
@@ -152,6 +170,7 @@ class BuildingVectorEnv(Named, VectorEnv[Observations, Any, NDArray[Any]]):
         link = self.link
         to = snapshot.name if snapshot is not None else ""
         frame = Frame(link.reset(seed=first, slots=None if whole else slots, snapshot=to))
+        self.manifest = link.manifest
         self._memory.forget(None if whole else slots)
         times = frame.times
         begins = [time - self._timestep if step else time for time, step in zip(times, frame.wire.step, strict=True)]
@@ -197,7 +216,20 @@ class BuildingVectorEnv(Named, VectorEnv[Observations, Any, NDArray[Any]]):
         Raises:
             InvalidAction: wrong shape, out of bounds, not finite, or no such choice; nothing was simulated.
             NodeLost, SimulatorError, Refused, EpisodeChanged: see `ControlLink.receive`.
+            UsageError: another thread is in `step` or `reset`.
         """
+        busy, self._busy = self._busy, True  # one statement without a call: CPython switches no threads within it
+        if busy:
+            raise UsageError(BUSY)
+        try:
+            return self._step(actions)
+        except (EpisodeChanged, BusError):
+            self._hold.check_open()
+            raise
+        finally:
+            self._busy = False
+
+    def _step(self, actions: ArrayLike) -> Stepped:
         again = self._ready()
         commanded, mask = self._command(actions, again)
         begun = self._begin(again) if again else {}

@@ -37,6 +37,11 @@ _LOOPBACK = re.compile(r"(tcp|tls)/(127\.\d+\.\d+\.\d+|localhost|\[::1\]):\d+")
 zenoh.init_log_from_env_or("off")
 
 
+FORKED = (
+    "this process was forked from one that was on a bus already, which Zenoh does not survive; start it anew "
+    "(multiprocessing: context 'spawn'; gym.make_vec: vector_kwargs={'context': 'spawn'})"
+)
+
 _used = False
 _forked = False
 
@@ -105,10 +110,7 @@ def open_session(
     """
     global _used
     if _forked:
-        raise BusError(
-            "this process was forked from one that was on a bus already, which Zenoh does not survive; start it anew "
-            "(multiprocessing: context 'spawn'; gym.make_vec: vector_kwargs={'context': 'spawn'})"
-        )
+        raise BusError(FORKED)
     _used = True
     mode = mode or (Mode.PEER if listen else Mode.CLIENT)
     faults = Faults()

@@ -16,7 +16,7 @@ class Wake:
 
     def __init__(self, session: zenoh.Session, key: str) -> None:
         self._session = session
-        self._key = key
+        self.key = key
         # A session must not be closed while another thread puts. Reentrant: a signal's handler wakes as well.
         self._lock = threading.RLock()
         self._closed = False
@@ -25,7 +25,7 @@ class Wake:
         """Wakes the receiver; nothing once closed."""
         with self._lock:
             if not self._closed:
-                self._session.put(self._key, b"", allowed_destination=Locality.SESSION_LOCAL)
+                self._session.put(self.key, b"", allowed_destination=Locality.SESSION_LOCAL)
 
     def close(self) -> None:
         """No more; returns once nobody puts. Twice is fine."""
