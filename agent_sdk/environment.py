@@ -153,7 +153,7 @@ class BuildingEnv(Named, gym.Env[Observation, Any]):
             link=link,
         )
         with ExitStack() as undo:
-            undo.callback(self.close)
+            undo.callback(self._hold.abandon)
             manifest = self.manifest = self._hold.manifest
             self.observation_space = spaces.observation_space(manifest)
             self._actions = Actions(manifest)

@@ -12,7 +12,7 @@ from typing import Any
 from agent_sdk import settings
 from agent_sdk.client import Bus
 from agent_sdk.client import connect as join
-from agent_sdk.launch import Monitor, OwnNode
+from agent_sdk.launch import Monitor, OwnNode, undisturbed
 from agent_sdk.rewards import AnyReward, Reward, read_reward
 from agent_sdk.sample import SampleView
 from bridge.affinity import Affinity
@@ -66,7 +66,7 @@ class Hold:
         self._bus: Bus | None = None
         self._way: tuple[str, str, int, Affinity, int | None]
         with ExitStack() as undo:
-            undo.callback(self.close)
+            undo.callback(self.abandon)
             _check_render(render_mode)
             if keys is not None and connect is None:
                 raise InvalidConfig("keys= go with connect='tls/HOST:PORT': a node of one's own is on no network")
@@ -201,6 +201,11 @@ class Hold:
         """Refuses to go on with an environment that was closed."""
         if self.closed:
             raise EpisodeChanged("the environment is closed; make another one") from None
+
+    def abandon(self) -> None:
+        """Closes what an error or Ctrl-C left half made; a second Ctrl-C does not disturb it."""
+        with undisturbed():
+            self.close()
 
     def close(self) -> None:
         """Lets go of the node, and ends it if it was started here; twice is fine."""

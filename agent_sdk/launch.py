@@ -8,8 +8,10 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 import weakref
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,7 @@ import psutil
 
 from bridge import affinity
 from bridge.affinity import Affinity
+from bridge.handlers import handled
 from bridge.scratch import Scratch
 from topics.errors import NodeLost, from_wire
 from topics.messages import Manifest
@@ -72,7 +75,8 @@ class OwnNode:
             _nodes.add(process)
             self._wait_ready(process, config)
         except BaseException:
-            self.close()
+            with undisturbed():
+                self.close()
             raise
 
     def _wait_ready(self, process: subprocess.Popen[bytes], config: dict[str, Any]) -> None:
@@ -106,6 +110,16 @@ class OwnNode:
     def close(self) -> None:
         """Ends the node and clears its folder; twice is fine."""
         self._let_go()
+
+
+@contextlib.contextmanager
+def undisturbed() -> Iterator[None]:
+    """Ignore Ctrl-C while that which was interrupted already is cleared up, which takes some seconds at most."""
+    if threading.current_thread() is not threading.main_thread():  # it interrupts no other
+        yield
+        return
+    with handled(signal.SIG_IGN, signal.SIGINT):
+        yield
 
 
 _nodes: weakref.WeakSet[subprocess.Popen[bytes]] = weakref.WeakSet()

@@ -82,7 +82,7 @@ class BuildingVectorEnv(Named, VectorEnv[Observations, Any, NDArray[Any]]):
             keys=keys, link=link, slots=self.num_envs,
         )  # fmt: skip
         with ExitStack() as undo:
-            undo.callback(self._hold.close)
+            undo.callback(self._hold.abandon)
             manifest = self.manifest = self._hold.manifest
             self._actions = Actions(manifest)
             self.single_action_space = self._actions.space
