@@ -60,6 +60,8 @@ class BuildingVectorEnv(Named, VectorEnv[Observations, Any, NDArray[Any]]):
         UserWarning: something in the model works against the scenario's actuators.
     """
 
+    closed = True  # until it is built: Gymnasium before 1.4 closes whatever it deletes
+
     def __init__(
         self,
         num_envs: int = 1,
@@ -112,6 +114,7 @@ class BuildingVectorEnv(Named, VectorEnv[Observations, Any, NDArray[Any]]):
         self._outputs = [""] * num_envs
         self._rulers: tuple[bytes, list[str]] = (b"", [])
         self._ruled_by: NDArray[np.object_] = np.empty(num_envs, object)
+        self.closed = False
         self._hold.warn(stacklevel=3)
 
     # Episodes

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import inspect
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 from weakref import WeakSet
 
 import gymnasium as gym
@@ -21,6 +21,11 @@ from agent_sdk.snapshot import Snapshot
 from agent_sdk.wrappers.core import Core, Infos, Start, Step, Values, View
 from agent_sdk.wrappers.names import action_names_of, names_of
 from topics.errors import InvalidConfig
+
+if TYPE_CHECKING:
+    _VectorWrapper = VectorWrapper[Any, Any, Any, Any, Any]
+else:
+    _VectorWrapper = VectorWrapper  # generic only since Gymnasium 1.4
 
 
 class _Around(RecordConstructorArgs):
@@ -146,7 +151,7 @@ class Single(gym.Wrapper[Any, Any, Any, Any], _Around):
         self.env.close()
 
 
-class Vector(VectorWrapper[Any, Any, Any, Any, Any], _Around):
+class Vector(_VectorWrapper, _Around):
     """A core around a vector environment, whatever its autoreset mode."""
 
     def __init__(self, env: VectorEnv[Any, Any, Any], *given: Any, **named: Any) -> None:
