@@ -64,6 +64,12 @@ class Actions:
             return chosen
         return chosen[self._fan] if len(self._actions) else np.zeros(len(self._fan))
 
+    def commanded(self, values: NDArray[np.float64], mask: bytes | None) -> NDArray[np.float64]:
+        """The values of a command as an info has them: NaN for actuators that it does not set; shape as `values`."""
+        if mask is None:
+            return values
+        return np.where(np.frombuffer(mask, np.uint8).reshape(values.shape) == Mask.SET, values, np.nan)
+
     def rows(self, actions: ArrayLike, slots: int, unread: Collection[int] = ()) -> NDArray[np.float64]:
         """The same of several slots at once: shape (slots, actuators).
 

@@ -175,6 +175,7 @@ class BuildingEnv(Named, gym.Env[Observation, Any]):
         self._values = self._actions.values
         self._sample: SampleView | None = None
         self._ended = self._busy = False
+        self._begun: dict[str, Any] = {"weather": "", "weather_noise": {}, "start": ""}
         self._outputs = ""
         self._rulers: tuple[bytes, list[str]] = (b"", [])
         self._ruled_by: tuple[str, ...] = ()
@@ -243,10 +244,12 @@ class BuildingEnv(Named, gym.Env[Observation, Any]):
             sample = self._sample = self._forking().reset(seed=seed, snapshot=snapshot.name)
             self._memory.restore(snapshot.remembered)
         self.manifest, self._ended = self._hold.manifest, False
-        values, now, info = sample.values, sample.time, self._info(sample)
         (begun,) = self.link.accepted.begun
         self._outputs = begun.outputs
-        info |= {"weather": begun.weather, "weather_noise": begun.drawn, "start": begun.start}
+        self._begun = {"weather": begun.weather, "weather_noise": begun.drawn, "start": begun.start}
+        values, now, info = sample.values, sample.time, self._info(sample)
+        info["action"] = np.full(len(self.manifest.actuators), np.nan)
+        info |= self._memory.unrewarded(sample.truth, now)
         if self._history is not None:
             self._history.clear()
             self._history.add(now, values)
@@ -294,6 +297,7 @@ class BuildingEnv(Named, gym.Env[Observation, Any]):
             hold = undo.enter_context(link.bus.controller(name, name="env", level=self._level))
             branch = BuildingEnv(link=hold, reward=copy.deepcopy(self.reward))  # it may be an object with a memory
             branch._sample = hold.stand_at(sample.wire)
+            branch._begun = self._begun
             branch._memory.restore(self._memory.state() if snapshot is None else snapshot.remembered)
             branch._hold.also(undo.pop_all())
         return branch
@@ -344,13 +348,14 @@ class BuildingEnv(Named, gym.Env[Observation, Any]):
         values, end, info = sample.values, sample.time, self._info(sample)
         begin = end - self._timestep
         truth = sample.truth if sample.wire.undisturbed else values
-        info["action"] = commanded
+        info["action"] = self._actions.commanded(commanded, mask)
         memory, reward = self._memory, 0.0
         if memory.reward is not None:
             total, info["reward_terms"], info["reward_measures"] = memory.reward(truth, begin)
             reward = float(total)
-        broken = memory.limits.broken(truth) if memory.limits is not None else ""
-        if broken:
+        broken = ""
+        if memory.limits is not None:
+            broken = memory.limits.broken(truth)
             info["terminated_by"] = broken
         truncated = sample.truncated
         self._ended = truncated or bool(broken)
@@ -420,7 +425,13 @@ class BuildingEnv(Named, gym.Env[Observation, Any]):
             "ruled_by": self._ruled_by,
             "late": wire.late,
             "rejected": wire.rejected,
+            **self._begun,
+            "weather_noise": dict(self._begun["weather_noise"]),
         }
+        if self._memory.limits is not None:
+            info["terminated_by"] = ""
+        if self._outputs:
+            info["outputs"] = ""
         if wire.undisturbed:
             info["undisturbed"] = sample.truth
         if wire.baseline:

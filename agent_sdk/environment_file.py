@@ -12,9 +12,10 @@ from agent_sdk.environment import BuildingEnv
 from agent_sdk.link import ControlLink
 from agent_sdk.rewards import Reward
 from agent_sdk.rewards.kind import Kind
+from agent_sdk.settings import check_arguments
 from agent_sdk.wrappers import apply_wrappers, wrappers_of
 from topics import readable
-from topics.errors import InvalidConfig, near
+from topics.errors import InvalidConfig
 
 
 def make(**given: Any) -> gym.Env[Any, Any]:
@@ -23,9 +24,7 @@ def make(**given: Any) -> gym.Env[Any, Any]:
     Raises:
         UsageError, BusError, SimulatorError: see `BuildingEnv`; nothing is left behind.
     """
-    known = list(inspect.signature(BuildingEnv).parameters)
-    if unknown := [name for name in given if name not in known]:
-        raise InvalidConfig("\n".join(f"no argument {name!r}; {near(name, known)}" for name in unknown))
+    check_arguments(given, list(inspect.signature(BuildingEnv).parameters))
     env = BuildingEnv(**given)
     try:
         wrapped: gym.Env[Any, Any] = apply_wrappers(env, env.manifest.task.wrappers)

@@ -15,6 +15,7 @@ from agent_sdk import settings
 from agent_sdk.actions import as_array
 from agent_sdk.environment import BuildingEnv, Observation
 from agent_sdk.hold import AGENT, BUSY
+from agent_sdk.named import by_name
 from agent_sdk.rewards import AnyReward, BoundReward, read_reward
 from agent_sdk.rewards.linear import Weighted
 from agent_sdk.rewards.points import temperatures
@@ -150,7 +151,7 @@ class ZonesEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo has no types
 
     def observation_dict(self, agent: str, observation: ArrayLike) -> dict[str, float]:
         """An agent's observation by name, in the units that the manifest says."""
-        return dict(zip(self.observation_names(agent), np.asarray(observation).tolist(), strict=True))
+        return by_name(self.observation_names(agent), observation, f"observation_dict of {agent}")
 
     def _known(self, agent: str) -> str:
         if agent not in self._agents:

@@ -12,7 +12,7 @@ from agent_sdk.launch import OwnNode
 from agent_sdk.rewards import AnyReward, read_reward
 from bridge.affinity import Affinity
 from topics import readable
-from topics.errors import InvalidConfig, UsageError
+from topics.errors import InvalidConfig, UnknownArgument, UsageError, near
 
 OF_THE_SCENARIO = "scenario"
 """The reward that the node's scenario names."""
@@ -24,6 +24,17 @@ OF_A_NODE = (
     "unresponsive_s",
 )  # fmt: skip
 """The arguments that a node decides by."""
+
+
+def check_arguments(given: Mapping[str, Any], known: Sequence[str]) -> None:
+    """Refuses keyword arguments that are not known, in Python's own words.
+
+    Raises:
+        UnknownArgument: names all of them, with near ones.
+    """
+    if unknown := [name for name in given if name not in known]:
+        faults = [f"got an unexpected keyword argument {name!r}; {near(name, known)}" for name in unknown]
+        raise UnknownArgument("\n".join(faults))
 
 
 def of_scenario(scenario: str | Path | Mapping[str, Any]) -> dict[str, Any]:

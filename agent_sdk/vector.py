@@ -77,7 +77,7 @@ class BuildingVectorEnv(Named, VectorEnv[Observations, Any, NDArray[Any]]):
         link: SlotsLink | None = None,
         **given: Any,
     ) -> None:
-        self.num_envs, self._mode = _count(num_envs), _mode(autoreset_mode)
+        self.num_envs, self.autoreset_mode = _count(num_envs), _mode(autoreset_mode)
         self._hold = Hold(
             {name: value for name, value in _known(given).items() if value is not None},
             reward=reward, connect=connect, node=node, level=level, affinity=affinity, render_mode=render_mode,
@@ -103,7 +103,7 @@ class BuildingVectorEnv(Named, VectorEnv[Observations, Any, NDArray[Any]]):
                 self._hold.watch()
             undo.pop_all()
         self.render_mode = render_mode
-        self.metadata = {"render_modes": [*RENDER_MODES], "render_fps": 4, "autoreset_mode": self._mode}
+        self.metadata = {"render_modes": [*RENDER_MODES], "render_fps": 4, "autoreset_mode": self.autoreset_mode}
         self.envs = tuple(Slot(self, number) for number in range(num_envs))
         self._timestep = step_of(manifest)
         self._mask = None if self._actions.mask is None else self._actions.mask * num_envs
@@ -111,6 +111,7 @@ class BuildingVectorEnv(Named, VectorEnv[Observations, Any, NDArray[Any]]):
         self._busy = False
         self._seen = np.zeros(self.observation_space.shape or (), np.float32)
         self._over, self._every = np.zeros(num_envs, np.bool_), np.ones(num_envs, np.bool_)
+        self._begun: Infos = {}
         self._outputs = [""] * num_envs
         self._rulers: tuple[bytes, list[str]] = (b"", [])
         self._ruled_by: NDArray[np.object_] = np.empty(num_envs, object)
@@ -193,7 +194,10 @@ class BuildingVectorEnv(Named, VectorEnv[Observations, Any, NDArray[Any]]):
             begun = self._add_info(begun, told, slot)
         these = np.zeros(self.num_envs, np.bool_)
         these[slots] = True
-        return only(masked(self._of_sample(frame), self._every), these) | begun
+        self._begun = joined(only(self._begun, ~these), begun)
+        blank = {"action": np.full((self.num_envs, len(self.manifest.actuators)), np.nan)}
+        told = self._of_sample(frame) | blank | self._memory.unrewarded(frame.truth, times)
+        return only(masked(told, self._every) | self._begun, these)
 
     def snapshot(self) -> Snapshot:
         """Keeps where all slots stand, to go back there by `reset(options={"snapshot": snap})` any number of times.
@@ -242,9 +246,9 @@ class BuildingVectorEnv(Named, VectorEnv[Observations, Any, NDArray[Any]]):
         link = self.link
         link.send(commanded if self.num_envs > 1 else commanded[0], mask, still=again)
         frame = self._frame = Frame(link.receive())
-        rewards, terminated, truncated, infos = self._outcome(frame, commanded, again)
+        rewards, terminated, truncated, infos = self._outcome(frame, commanded, mask, again)
         ended = terminated | truncated
-        if self._mode is AutoresetMode.SAME_STEP:
+        if self.autoreset_mode is AutoresetMode.SAME_STEP:
             if ended.any():
                 infos = self._end(ended, infos)
         else:
@@ -258,14 +262,14 @@ class BuildingVectorEnv(Named, VectorEnv[Observations, Any, NDArray[Any]]):
             self._hold.check_open()
             raise EpisodeChanged("call reset() before step()")
         again: list[int] = np.flatnonzero(self._over).tolist() if self._over.any() else []
-        if again and self._mode is AutoresetMode.DISABLED:
+        if again and self.autoreset_mode is AutoresetMode.DISABLED:
             raise EpisodeChanged(
                 f"the episode is over in slots {', '.join(map(str, again))}; call reset(options={{'reset_mask': …}})"
             )
         return again
 
     def _outcome(
-        self, frame: Frame, commanded: NDArray[np.float64], again: list[int]
+        self, frame: Frame, commanded: NDArray[np.float64], mask: bytes | None, again: list[int]
     ) -> tuple[NDArray[np.float64], Flags, Flags, Infos]:
         """Rewards, terminated, truncated and infos of the slots that have gone on; observations go to `_seen`."""
         count, ends = self.num_envs, frame.times
@@ -274,15 +278,16 @@ class BuildingVectorEnv(Named, VectorEnv[Observations, Any, NDArray[Any]]):
         else:
             begins = [end - self._timestep for end in ends]
         told = self._of_sample(frame)
-        told["action"] = commanded
+        told["action"] = self._actions.commanded(commanded, mask)
         rewards = np.zeros(count)
         memory = self._memory
         if memory.reward is not None:
             rewards[:], told["reward_terms"], told["reward_measures"] = memory.reward(frame.truth, begins)
         broken = memory.limits.broken_slots(frame.truth) if memory.limits is not None else {}
         observed, live = frame.observed(begins, ends), self._every.copy()
-        infos = masked(told, live)
         terminated, truncated = np.zeros(count, np.bool_), frame.truncated
+        self._tell_ends(told, broken, truncated)
+        infos = masked(told, live) | only(self._begun, self._every)
         if again:
             self._memory.forget(again)  # they are at sample 0 in this frame, and have gone nowhere
             live[again], observed[again] = False, self._seen[again]
@@ -294,8 +299,6 @@ class BuildingVectorEnv(Named, VectorEnv[Observations, Any, NDArray[Any]]):
                 history.add(ends[slot], frame.values[slot])
         if broken:
             terminated[[slot for slot in broken if live[slot]]] = True
-        if broken or truncated.any():
-            infos |= self._of_end(broken, terminated, terminated | truncated)
         return rewards, terminated, truncated, infos
 
     def _end(self, ended: Flags, infos: Infos) -> Infos:
@@ -328,18 +331,18 @@ class BuildingVectorEnv(Named, VectorEnv[Observations, Any, NDArray[Any]]):
         }
         if wire.undisturbed:
             told["undisturbed"] = frame.truth
+        if self._memory.limits is not None:
+            told["terminated_by"] = np.full(self.num_envs, "", object)
+        if any(self._outputs):
+            told["outputs"] = np.full(self.num_envs, "", object)
         return told
 
-    def _of_end(self, broken: Mapping[int, str], terminated: Flags, ended: Flags) -> Infos:
-        told: Infos = {}
-        kept = ended & np.array([bool(folder) for folder in self._outputs])
-        for key, has, words in (("terminated_by", terminated, broken), ("outputs", kept, self._outputs)):
-            if has.any():
-                texts = np.full(self.num_envs, None, object)
-                for slot in np.flatnonzero(has).tolist():
-                    texts[slot] = words[slot]
-                told |= {key: texts, f"_{key}": has.copy()}
-        return told
+    def _tell_ends(self, told: Infos, broken: Mapping[int, str], truncated: Flags) -> None:
+        for slot, words in broken.items():
+            told["terminated_by"][slot] = words
+        if any(self._outputs):
+            for slot in {*broken, *np.flatnonzero(truncated).tolist()}:
+                told["outputs"][slot] = self._outputs[slot]
 
     # Commands
 
@@ -424,9 +427,7 @@ def make(num_envs: int = 1, **given: Any) -> VectorEnv[Any, Any, Any]:
 
 
 def _known(given: Mapping[str, Any]) -> Mapping[str, Any]:
-    known = [*settings.OF_A_NODE, *list(BuildingVectorEnv.__init__.__kwdefaults__ or {})]
-    if unknown := [name for name in given if name not in known]:
-        raise InvalidConfig("\n".join(f"no argument {name!r}; {near(name, known)}" for name in unknown))
+    settings.check_arguments(given, [*settings.OF_A_NODE, *list(BuildingVectorEnv.__init__.__kwdefaults__ or {})])
     return given
 
 

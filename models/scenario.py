@@ -15,10 +15,13 @@ from pydantic import (
     ConfigDict,
     Discriminator,
     Field,
+    GetJsonSchemaHandler,
     Tag,
     ValidationError,
     model_validator,
 )
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema
 
 from models.catalog import MODEL_SUFFIXES, WEATHER_SUFFIXES
 from models.changes import Changes
@@ -60,11 +63,27 @@ class ActuatorSpec(_Part):
 
 
 class ActionSpec(_Part):
-    """One dimension of the action: it sets all of `actuators`. Bounds left out are the actuators' own."""
+    """One dimension of the action: it sets all of `actuators`. Bounds left out are the actuators' own.
+
+    The list of actuators alone is short for an action with their own bounds.
+    """
 
     actuators: Annotated[tuple[SafeName, ...], Field(min_length=1)]
     low: Number | None = None
     high: Number | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _actuators_alone(cls, given: Any) -> Any:
+        return {"actuators": given} if isinstance(given, list | tuple) else given
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, core: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        whole = handler.resolve_ref_schema(handler(core))
+        alone, form = whole["properties"]["actuators"], dict(whole)
+        whole.clear()
+        whole["anyOf"] = [form, {key: value for key, value in alone.items() if key != "title"}]
+        return whole
 
 
 class ChoiceSpec(_Part):

@@ -251,6 +251,8 @@ def test_an_own_reward_gets_arrays_and_a_time_for_each_slot() -> None:
 
     ours = fakes(2, reward=reward)
     observations, _ = ours.reset(seed=1)
+    assert [shape for shape, _ in seen] == [(2,)]  # for the names of its terms, once
+    seen.clear()
     ours.step(ours.action_space.sample())
     ours.reset(options={"reset_mask": np.array([False, True])})
     observations, rewards, _, _, infos = ours.step(ours.action_space.sample())
@@ -483,7 +485,7 @@ def test_each_slot_of_a_node_is_what_a_single_environment_is(
 ) -> None:
     """Through the ends of episodes, with the weather that comes next; only how an engine began may differ."""
     ours, theirs = real
-    ours._mode = theirs.autoreset_mode = mode
+    ours.autoreset_mode = theirs.autoreset_mode = mode
     ends = run_both(real, mode, 106, seed=11, but=("start",))
     assert np.sum(ends, axis=0).min() >= 1
     if ours.manifest.task.terminate:

@@ -4,6 +4,7 @@
     ├── UsageError              a mistake of this side; nothing was started
     │   ├── UnknownName         a building, weather, point or controller that is not there
     │   ├── InvalidConfig       a setting or a combination of settings that cannot be
+    │   │   └── UnknownArgument an argument that is not there; a TypeError as well
     │   └── InvalidAction       an action of the wrong shape, out of bounds or not finite
     ├── PeerError               a mistake of the other side of the bus
     │   ├── BadMessage          malformed, oversized, of another schema version
@@ -49,6 +50,10 @@ class UnknownName(UsageError):
 
 class InvalidConfig(UsageError):
     """A setting, or a combination of settings, that cannot be."""
+
+
+class UnknownArgument(InvalidConfig, TypeError):
+    """A keyword argument that is not there; a `TypeError` too, which other libraries probe for."""
 
 
 class InvalidAction(UsageError):

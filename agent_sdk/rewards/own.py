@@ -22,7 +22,8 @@ def of_function(function: RewardFunction | type) -> Reward:
     """A function as a reward.
 
     Args:
-        function: called once a timestep with the values by name (floats; arrays of the leading shape where there are
+        function: called once a timestep, and once at the first sample to learn the names of its terms,
+            with the values by name (floats; arrays of the leading shape where there are
             several slots) and the time at which it began. It gives the reward, or terms by name of which the reward is
             the sum. An object that can be called may have `reset(slots)`, `state()` and `restore(state)` as well; see
             `BoundReward`. A class is made anew, without arguments, for each environment.

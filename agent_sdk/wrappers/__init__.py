@@ -1,7 +1,7 @@
 """Wrappers for buildings, where Gymnasium has none; `agent_sdk.wrappers.vector` has the same for vectors."""
 
 from agent_sdk.wrappers.data import GYMNASIUMS, apply_wrappers, wrappers_of
-from agent_sdk.wrappers.names import action_names_of, names_of
+from agent_sdk.wrappers.names import action_names_of, names_of, observation_dict
 from agent_sdk.wrappers.single import (
     ChangingContext,
     CyclicTime,
@@ -37,6 +37,7 @@ __all__ = [
     "action_names_of",
     "apply_wrappers",
     "names_of",
+    "observation_dict",
     "restore_normalization",
     "restore_wrappers",
     "save_wrappers",

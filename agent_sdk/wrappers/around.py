@@ -17,9 +17,10 @@ from gymnasium.vector.utils import batch_space
 from gymnasium.wrappers.utils import create_zero_array
 from numpy.typing import ArrayLike, NDArray
 
+from agent_sdk.named import Named, by_name
 from agent_sdk.snapshot import Snapshot
 from agent_sdk.wrappers.core import Core, Infos, Start, Step, Values, View
-from agent_sdk.wrappers.names import action_names_of, names_of
+from agent_sdk.wrappers.names import action_names_of, inside, names_of
 from topics.errors import InvalidConfig
 
 if TYPE_CHECKING:
@@ -52,6 +53,10 @@ class _Around(RecordConstructorArgs):
         if self._core.reward_space is not None:
             self.reward_space = self._core.reward_space
             self.reward_dim = self._core.reward_space.shape[0]
+        if self._core.observation_names is not None:
+            for base in (env.unwrapped, *(one.unwrapped for one in inside(env.unwrapped))):
+                if isinstance(base, Named):
+                    base.add_layer(self)
         wrappers = getattr(env.unwrapped, "wrappers", None)
         if self._core.goes_back and isinstance(wrappers, WeakSet):
             wrappers.add(self)
@@ -67,8 +72,12 @@ class _Around(RecordConstructorArgs):
         return self._core.action_names or action_names_of(self.env)
 
     def observation_dict(self, observation: ArrayLike) -> dict[str, float]:
-        """The values of one observation of this wrapper by name."""
-        return dict(zip(self.observation_names, np.asarray(observation).tolist(), strict=True))
+        """The values of one observation of this wrapper by name.
+
+        Raises:
+            InvalidConfig: an observation of another shape, as another layer gives it.
+        """
+        return by_name(self.observation_names, observation, f"{type(self).__name__}.observation_dict")
 
     def let_go(self) -> None:
         """Closes the wrapper alone; twice is fine."""

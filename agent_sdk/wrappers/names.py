@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
+import numpy as np
 from gymnasium import Wrapper
 from gymnasium.spaces import Box
 from gymnasium.vector import VectorEnv, VectorWrapper
+from numpy.typing import ArrayLike
 
 from topics.errors import InvalidConfig, near
 
@@ -20,6 +22,7 @@ _KEEP_PLACES = {
 }  # fmt: skip
 """Gymnasium's wrappers after which value i is still value i."""
 
+_STACK = "FrameStackObservation"
 _CHANGE_UNITS = {"NormalizeObservation", "RescaleObservation", "DiscretizeObservation"}
 _TIME_AWARE = "TimeAwareObservation"
 
@@ -69,6 +72,43 @@ def names_of(env: Any) -> tuple[str, ...]:
     if space.shape != (len(names),):
         raise InvalidConfig(f"{len(names)} names for observations of shape {space.shape}; a wrapper changed the shape")
     return names
+
+
+def observation_dict(env: Any, observation: ArrayLike) -> dict[str, Any]:
+    """The values of an observation of `env` by name, however `env` is wrapped.
+
+    Args:
+        env: single, or a vector.
+        observation: as `env` gives it; of a vector also that of one slot.
+
+    Returns:
+        Floats; after `FrameStackObservation` arrays of shape (stacked,), the latest last; of a whole vector arrays
+        with an entry a slot.
+
+    Raises:
+        InvalidConfig: an observation of another layer, or a wrapper after which the values have no names.
+    """
+    values, space = np.asarray(observation), _space(env)
+    shapes = [space.shape, (env.num_envs, *space.shape)] if isinstance(env, VectorEnv) else [space.shape]
+    if values.shape not in shapes:
+        expected = " or ".join(map(str, shapes))
+        raise InvalidConfig(f"observation_dict: {env} gives observations of shape {expected}, not {values.shape}")
+    names = names_of(_below_stacks(env))
+    return {
+        name: one.item() if not one.ndim else one for name, one in zip(names, np.moveaxis(values, -1, 0), strict=True)
+    }
+
+
+def _below_stacks(env: Any) -> Any:
+    """The layer that names the values: stacking adds an axis and leaves the last one as it is."""
+    layer = env
+    while isinstance(layer, Wrapper) and type(layer).__module__.startswith("gymnasium."):
+        if type(layer).__name__ == _STACK:
+            return _below_stacks(layer.env)
+        if type(layer).__name__ not in _KEEP_PLACES:
+            break
+        layer = layer.env
+    return env
 
 
 def _names(env: Any) -> Sequence[str]:
