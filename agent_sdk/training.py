@@ -21,6 +21,7 @@ from agent_sdk.clock import clock
 from agent_sdk.controllers import Controller, Values
 from agent_sdk.evaluation import Maker, run_episode
 from agent_sdk.metrics import Result
+from agent_sdk.normalization import beside_model, load_normalization, mark_normalized, normalization_of
 from agent_sdk.sample import SampleView
 from agent_sdk.wrappers import restore_wrappers, save_wrappers
 from topics import readable
@@ -33,6 +34,7 @@ try:
     import torch
     from stable_baselines3.common.base_class import BaseAlgorithm
     from stable_baselines3.common.callbacks import BaseCallback
+    from stable_baselines3.common.vec_env import VecNormalize
 except ImportError as error:
     raise InvalidConfig(f"training needs stable-baselines3 ({error}): {install_command('train')}") from None
 
@@ -109,6 +111,7 @@ class EvaluationCallback(BaseCallback):
             env.close()
 
     def _on_training_start(self) -> None:
+        mark_normalized(self.model)
         self._due = self.num_timesteps + self._every
 
     def _on_step(self) -> bool:
@@ -162,10 +165,15 @@ class EvaluationCallback(BaseCallback):
         finally:
             hidden.unlink(missing_ok=True)
         normalising = self.model.get_vec_normalize_env()
+        beside, wrappers = beside_model(self._path), self._path.with_suffix(".wrappers.yaml")
         if normalising is not None:
-            normalising.save(str(self._path.with_suffix(".vecnormalize.pkl")))
+            normalising.save(str(beside))
+        else:
+            beside.unlink(missing_ok=True)  # a former training's
         if learnt:
-            self._path.with_suffix(".wrappers.yaml").write_text(learnt, encoding="utf-8")
+            wrappers.write_text(learnt, encoding="utf-8")
+        else:
+            wrappers.unlink(missing_ok=True)
 
 
 def evaluate_model(
@@ -175,8 +183,11 @@ def evaluate_model(
 
     The observations go through the model's `VecNormalize` if it has one, which learns nothing of them. Episode k is
     reset with `seed + k`.
+
+    Raises:
+        InvalidConfig: the model was trained behind a `VecNormalize` that it was loaded without.
     """
-    normalising = model.get_vec_normalize_env()
+    normalising = normalization_of(model)
     results = []
     for number in range(episodes):
         memory = _Memory(model)
@@ -241,12 +252,14 @@ class PolicyControl(Controller):
     Args:
         manifest: of the node.
         model: of stable-baselines3, or anything else with its `predict`, `observation_space` and `action_space`.
+        normalization: of its observations; left out, that of the environment that the model is on, if it has one.
 
     Raises:
-        InvalidConfig: it was trained on other observations or actions than the node's.
+        InvalidConfig: it was trained on other observations or actions than the node's, or behind a `VecNormalize` that
+            is not there.
     """
 
-    def __init__(self, manifest: Manifest, model: BaseAlgorithm) -> None:
+    def __init__(self, manifest: Manifest, model: BaseAlgorithm, normalization: VecNormalize | None = None) -> None:
         super().__init__(manifest)
         self._actions = Actions(manifest)
         for what, trained, here in (
@@ -260,6 +273,7 @@ class PolicyControl(Controller):
                     f"{_difference(trained, here, names)}; use the scenario of its training; a model trained behind "
                     "wrappers is evaluated by agent_sdk.training.evaluate_model"
                 )
+        self._normalization = normalization if normalization is not None else normalization_of(model)
         self._model, self._memory = model, _Memory(model)
         self._step = timedelta(hours=1 / manifest.steps_per_hour)
 
@@ -273,7 +287,10 @@ class PolicyControl(Controller):
         if fields:
             begin = sample.time - self._step if sample.step else sample.time
             values = np.concatenate([clock(fields, begin, sample.time), values])
-        chosen = self._actions.values(self._memory.action(values.astype(np.float32)))
+        observation: Any = values.astype(np.float32)
+        if self._normalization is not None:
+            observation = self._normalization.normalize_obs(observation)
+        chosen = self._actions.values(self._memory.action(observation))
         kinds = self._actions.mask or bytes([Mask.SET] * len(chosen))
         named = zip(self.manifest.actuators, chosen.tolist(), kinds, strict=True)
         return {actuator.name: value for actuator, value, kind in named if kind == Mask.SET}
@@ -299,7 +316,10 @@ def _difference(trained: gym.Space[Any], here: gym.Space[Any], names: Sequence[s
 def load_policy(path: str | Path, algorithm: str | type[BaseAlgorithm] | None = None) -> Maker:
     """A trained model as a controller: called with a node's manifest, as a class of a controller is.
 
-    A model's file holds pickled Python objects, which may run anything when they are read: load what you trust.
+    The normalization of a model that was trained behind `VecNormalize` is loaded with it: `model.vecnormalize.pkl`
+    beside `model.zip`, where `EvaluationCallback` puts it and `VecNormalize.save` can.
+
+    Both files hold pickled Python objects, which may run anything when they are read: load what you trust.
 
     Args:
         path: what `model.save` wrote; or, with the algorithm before it, `ppo:model.zip`.
@@ -307,7 +327,7 @@ def load_policy(path: str | Path, algorithm: str | type[BaseAlgorithm] | None = 
 
     Raises:
         UnknownName: no such file or algorithm.
-        InvalidConfig: the file is no model of that algorithm.
+        InvalidConfig: the file is no model of that algorithm; its normalization is missing or does not fit.
     """
     name, colon, rest = str(path).partition(":")
     if algorithm is None:
@@ -329,7 +349,9 @@ def load_policy(path: str | Path, algorithm: str | type[BaseAlgorithm] | None = 
             f"{path} is no model of {algorithm.__name__}, or of another version: {type(fault).__name__}: {fault}"
         ) from fault
 
+    normalization = load_normalization(model, path)
+
     def policy(manifest: Manifest) -> PolicyControl:
-        return PolicyControl(manifest, model)
+        return PolicyControl(manifest, model, normalization)
 
     return policy
