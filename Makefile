@@ -7,7 +7,7 @@ INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c c
 WORKERS ?= 2
 SECONDS ?= 120
 
-.PHONY: demo test check bench chaos docs clean
+.PHONY: demo test test-lowest check bench chaos docs clean
 
 $(VENV):
 	$(PYTHON) -c 'import sys; sys.exit(None if sys.version_info >= (3, 11) else "Zenostat needs Python 3.11 or newer")'
@@ -28,6 +28,19 @@ demo: $(READY)  ## A building, its controller and its monitor in separate proces
 test: $(READY)-dev  ## All tests
 	$(BIN)/python -m pytest -n $(WORKERS)
 
+LOWEST := .venv-lowest
+LOWEST_TESTS := tests/test_lowest_versions.py tests/test_actions.py tests/test_wrappers__named_values.py \
+	tests/test_environment__other_libraries.py
+
+$(LOWEST)/.ready: pyproject.toml constraints-lowest.txt
+	$(PYTHON) -m venv $(LOWEST)
+	$(LOWEST)/bin/python -m pip install --quiet --disable-pip-version-check -c constraints-lowest.txt \
+		-e . pytest pytest-timeout hypothesis
+	touch $@
+
+test-lowest: $(LOWEST)/.ready  ## A core of the tests with the lowest versions of all direct dependencies
+	$(LOWEST)/bin/python -m pytest -q -W "ignore:'click.utils:DeprecationWarning" $(LOWEST_TESTS)
+
 check: $(READY)-dev  ## Format, lint, types
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
@@ -43,4 +56,4 @@ docs: $(READY)-dev  ## The documentation as a web site, in site/; any warning is
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 clean:  ## Removes what the others made
-	rm -rf $(VENV) demo bench/results site .mypy_cache .ruff_cache .pytest_cache .hypothesis *.egg-info
+	rm -rf $(VENV) $(LOWEST) demo bench/results site .mypy_cache .ruff_cache .pytest_cache .hypothesis *.egg-info
