@@ -7,7 +7,7 @@ import inspect
 import statistics
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,10 +15,12 @@ from typing import Any
 import gymnasium as gym
 
 from agent_sdk.controllers import Acts, Agent, BuildingControl, create, load_controller
+from agent_sdk.controllers.parameters import ControllerMismatch
 from agent_sdk.environment import BuildingEnv
 from agent_sdk.metrics import Result, Tally
 from agent_sdk.settings import of_scenario
-from topics.errors import InvalidConfig, near
+from topics.errors import InvalidAction, InvalidConfig, UsageError, near
+from topics.messages import Manifest
 
 Maker = Callable[..., Acts]
 """Makes a controller from a node's manifest and parameters by name: a class, or what `load_policy` gives."""
@@ -94,10 +96,12 @@ class Evaluation:
     Attributes:
         rows: by controller, then by episode.
         sources: by metric, what it is measured by.
+        unfit: by controller that was left out, since it does not fit the scenario, why.
     """
 
     rows: tuple[Row, ...]
     sources: dict[str, str]
+    unfit: dict[str, str] = field(default_factory=dict)
 
     def table(self) -> list[dict[str, Any]]:
         """A dictionary of the same keys for each row; None where a metric is not known."""
@@ -153,7 +157,8 @@ def evaluate(
 
     Episode k is reset with `seed + k`, whoever controls, so that all have the same weather; a controller that takes a
     `seed` is made with `seed`. Each controller has an environment of its own, so that nothing of another one's
-    episodes is left in it. The same call gives the same numbers.
+    episodes is left in it. The same call gives the same numbers. A controller that does not fit the scenario, or whose
+    answers no action can say, is left out, and `Evaluation.unfit` says why; the others go on.
 
     Args:
         scenario: an id, a scenario file (.yaml), or arguments of `BuildingEnv` by name.
@@ -166,7 +171,7 @@ def evaluate(
         given: arguments of `BuildingEnv` that go before those of the scenario.
 
     Raises:
-        UsageError: a controller, a parameter or a scenario that cannot be; no timestep was simulated.
+        UsageError: a controller, a parameter or a scenario that cannot be, or none of the controllers fits it.
     """
     if episodes < 1 or seed < 0:
         raise InvalidConfig(f"episodes={episodes}, seed={seed}: at least one episode and a seed of at least 0 expected")
@@ -176,15 +181,39 @@ def evaluate(
     rows: dict[str, list[Row]] = {}
     sources: dict[str, str] = {}
     ready: dict[str, Acts] = {}
+    unfit: dict[str, UsageError] = {}
     for name in sorted(makers, key=lambda one: _is_the_buildings(makers[one])):
         own = _is_the_buildings(makers[name])
         with closing(BuildingEnv(**(_without_actuators(settings) if own else settings))) as env:
-            if name not in ready:  # all at once, so that a mistake in the last is said before the first runs
+            if name not in ready and name not in unfit:
                 same = [one for one in makers if _is_the_buildings(makers[one]) == own]
-                ready |= {one: create(makers[one], env.manifest, shares[one]) for one in same}
-            rows[name] = _episodes(name, ready[name], env, range(seed, seed + episodes), progress)
+                ready |= _fitting({one: makers[one] for one in same}, env.manifest, shares, unfit)
+            if name not in unfit:
+                try:
+                    rows[name] = _episodes(name, ready[name], env, range(seed, seed + episodes), progress)
+                except InvalidAction as error:
+                    unfit[name] = error
             sources = Tally(env.manifest, env.reward).sources | sources
-    return Evaluation(tuple(row for name in makers for row in rows[name]), sources)
+    if not rows:
+        raise next(iter(unfit.values()))
+    told = {name: str(unfit[name]) for name in makers if name in unfit}
+    return Evaluation(tuple(row for name in makers for row in rows.get(name, ())), sources, told)
+
+
+def _fitting(
+    makers: Mapping[str, Maker],
+    manifest: Manifest,
+    shares: Mapping[str, dict[str, Any]],
+    unfit: dict[str, UsageError],
+) -> dict[str, Acts]:
+    """The controllers that the node has all for; the others are put into `unfit`."""
+    ready = {}
+    for name, maker in makers.items():
+        try:
+            ready[name] = create(maker, manifest, shares[name])
+        except ControllerMismatch as error:
+            unfit[name] = error
+    return ready
 
 
 def _episodes(

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cli.console import out, progress
+from cli.console import err, out, progress
 from cli.run import read_parameters
 from cli.tables import show, show_json
 from topics.errors import InvalidConfig
@@ -53,6 +53,8 @@ def evaluate(
 
     Example: `zenostat evaluate 5zone-hot-continuous-v1 --controller building --controller rbc --begin 07-01 --end
     07-07 --episodes 3 --out results.parquet`
+
+    A controller that does not fit the scenario is left out; a line says why, and the others go on.
     """
     if file is not None:
         check_file(file)
@@ -67,6 +69,8 @@ def evaluate(
         )  # fmt: skip
     if file is not None:
         write(found.table(), file)
+    for name, why in found.unfit.items():
+        err.print(f"{name} is left out: {why}", soft_wrap=True, markup=False)
     if as_json:
         show_json(found.table())
         return

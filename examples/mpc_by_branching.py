@@ -139,9 +139,9 @@ def draw(path: Path, results: dict[str, Any]) -> None:
 
 results = {
     "MPC by branching": episode("MPC by branching", Mpc),
-    "rbc, setback=0": episode("rbc, setback=0", partial(rules, setback=0.0)),
+    "rbc, setback=0": episode("rbc, setback=0", partial(rules, setback=0.0, margin=0.3)),
     "rbc, setback=0, margin=0": episode("rbc, setback=0, margin=0", partial(rules, setback=0.0, margin=0.0)),
-    "rbc": episode("rbc", rules),
+    "rbc": episode("rbc", partial(rules, setback=6.0, margin=0.3)),
     "the building's own control": episode("the building's own control", nothing, actuators={}),
 }
 mpc = results["MPC by branching"][3]

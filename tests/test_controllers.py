@@ -127,9 +127,18 @@ def test_thermostats_have_their_own_zone_and_switches_the_room_of_their_name() -
 def test_rules_keep_the_seasons_band_while_people_are_in_and_set_back_else() -> None:
     of = node(sensors=(ROOM, PEOPLE))
     rules = ComfortBandRules(of)
-    assert rules.act(view(of, WINTER, people=2.0)) == pytest.approx({HEAT.name: 20.3, COOL.name: 23.2})
-    assert rules.act(view(of, WINTER, people=0.0)) == pytest.approx({HEAT.name: 15.0, COOL.name: 29.5})
-    assert rules.act(view(of, SUMMER, people=2.0)) == pytest.approx({HEAT.name: 22.5, COOL.name: 25.7})
+    assert rules.act(view(of, WINTER, people=2.0)) == pytest.approx({HEAT.name: 21.0, COOL.name: 22.5})
+    assert rules.act(view(of, WINTER, people=0.0)) == pytest.approx({HEAT.name: 19.0, COOL.name: 24.5})
+    assert rules.act(view(of, SUMMER, people=2.0)) == pytest.approx({HEAT.name: 22.5, COOL.name: 25.0})
+
+
+def test_rules_set_back_far_where_the_reward_counts_occupied_hours_only() -> None:
+    of = node(HEAT, COOL, sensors=(ROOM, PEOPLE))
+    of = of.model_copy(update={"task": of.task.model_copy(update={"reward": {"kind": "occupied"}})})
+    night = WINTER.replace(hour=3)
+    assert ComfortBandRules(of).act(view(of, night, people=0.0)) == pytest.approx({HEAT.name: 15.0, COOL.name: 29.5})
+    closed = ScheduledSetback(of).act(view(of, night))
+    assert closed == pytest.approx({HEAT.name: 15.0, COOL.name: 29.5})
 
 
 def test_rules_bring_a_zone_back_an_hour_before_people_came_the_day_before() -> None:
@@ -140,7 +149,7 @@ def test_rules_bring_a_zone_back_an_hour_before_people_came_the_day_before() -> 
     back = {}
     for minutes in range(0, 24 * 60, 15):
         at = datetime(2017, 1, 17) + timedelta(minutes=minutes)
-        back[at.time().isoformat("minutes")] = rules.act(view(of, at, people=0.0))[HEAT.name] == pytest.approx(20.3)
+        back[at.time().isoformat("minutes")] = rules.act(view(of, at, people=0.0))[HEAT.name] == pytest.approx(21.0)
     assert [at for at, comfortable in back.items() if comfortable] == ["06:45", "07:00", "07:15", "07:30", "07:45"]
 
 
@@ -149,14 +158,14 @@ def test_rules_forget_at_an_episodes_begin() -> None:
     rules = ComfortBandRules(of)
     rules.act(view(of, datetime(2017, 1, 16, 8), people=1.0))
     noon = view(of, datetime(2017, 1, 17, 12), people=0.0)
-    assert rules.act(noon)[HEAT.name] == 15.0
+    assert rules.act(noon)[HEAT.name] == 19.0
     rules.begin(noon)
-    assert rules.act(noon)[HEAT.name] == pytest.approx(20.3)  # nobody has been seen yet
+    assert rules.act(noon)[HEAT.name] == pytest.approx(21.0)  # nobody has been seen yet
 
 
 def test_where_nobody_is_counted_zones_are_in_use_at_night_too() -> None:
     of = node()
-    assert ComfortBandRules(of).act(view(of, datetime(2017, 1, 16, 3)))[HEAT.name] == pytest.approx(20.3)
+    assert ComfortBandRules(of).act(view(of, datetime(2017, 1, 16, 3)))[HEAT.name] == pytest.approx(21.0)
 
 
 def test_the_band_is_the_rewards_or_the_users() -> None:
@@ -164,15 +173,15 @@ def test_the_band_is_the_rewards_or_the_users() -> None:
     cooling = actuator("cooling_setpoint", 20.0, 30.0)
     action = Action(name="cooling_setpoint", unit="degC", low=20.0, high=30.0, actuators=("cooling_setpoint",))
     of = node(cooling, task=Task(actions=(action,), reward=reward))
-    assert ComfortBandRules(of).act(view(of)) == pytest.approx({"cooling_setpoint": 26.7})
+    assert ComfortBandRules(of).act(view(of)) == pytest.approx({"cooling_setpoint": 26.0})
     assert ComfortBandRules(of, high=25.0, margin=0.0).act(view(of)) == {"cooling_setpoint": 25.0}
     strange = node(cooling, task=Task(actions=(action,), reward={"kind": "somebody's"}))
-    assert ComfortBandRules(strange).act(view(strange, SUMMER)) == pytest.approx({"cooling_setpoint": 25.7})
+    assert ComfortBandRules(strange).act(view(strange, SUMMER)) == pytest.approx({"cooling_setpoint": 25.0})
 
 
 def test_july_is_winter_in_the_south() -> None:
     of = node().model_copy(update={"latitude_deg": -33.9})
-    assert ComfortBandRules(of).act(view(of, SUMMER)) == pytest.approx({HEAT.name: 20.3, COOL.name: 23.2})
+    assert ComfortBandRules(of).act(view(of, SUMMER)) == pytest.approx({HEAT.name: 21.0, COOL.name: 22.5})
 
 
 def test_a_margin_wider_than_the_band_meets_in_its_middle() -> None:
@@ -187,11 +196,11 @@ def test_one_action_that_sets_several_thermostats_is_ruled_by_any_of_their_zones
     together = Action(name="heating", unit="degC", low=15.0, high=22.5, actuators=("heat_A", "heat_B"))
     of = node(*pair, sensors=tuple(sensors), task=Task(actions=(together,)))
     said = ComfortBandRules(of).act(view(of, people_A=0.0, people_B=1.0))
-    assert said == pytest.approx({"heat_A": 20.3, "heat_B": 20.3})
-    assert action_of(of, said).tolist() == pytest.approx([20.3], rel=1e-6)
+    assert said == pytest.approx({"heat_A": 21.0, "heat_B": 21.0})
+    assert action_of(of, said).tolist() == pytest.approx([21.0], rel=1e-6)
     each = node(*pair, sensors=tuple(sensors))
     apart = ComfortBandRules(each).act(view(each, WINTER.replace(hour=3), people_A=0.0, people_B=1.0))
-    assert apart == pytest.approx({"heat_A": 15.0, "heat_B": 20.3})
+    assert apart == pytest.approx({"heat_A": 19.0, "heat_B": 21.0})
 
 
 @pytest.mark.parametrize(("air", "hot"), [(18.0, 45.0), (20.0, 45.0), (20.5, 35.0), (21.0, 25.0), (30.0, 25.0)])
@@ -208,7 +217,7 @@ def test_chilled_water_is_coldest_at_the_bands_upper_end(air: float, cold: float
 
 def test_a_switch_goes_on_below_the_band_and_off_above_its_middle() -> None:
     of = single("radiant_availability", 0.0, 1.0)
-    rules = ComfortBandRules(of)
+    rules = ComfortBandRules(of, margin=0.3)
     airs = [21.8, 21.0, 20.4, 20.2, 21.0, 21.7, 21.8, 21.0]
     assert [rules.act(view(of, air=air))["radiant_availability"] for air in airs] == [0, 0, 0, 1, 1, 1, 0, 0]
     rules.begin(view(of))
@@ -309,8 +318,8 @@ def test_random_needs_bounds_and_a_seed_that_is_one() -> None:
 
 def test_fixed_values_by_name_and_the_bands_ends_for_the_rest() -> None:
     of = node()
-    assert FixedSetpoints(of, heating_setpoint=21.5).act(view(of)) == {HEAT.name: 21.5, COOL.name: 23.5}
-    assert FixedSetpoints(of).act(view(of, SUMMER)) == {HEAT.name: 22.5, COOL.name: 26.0}  # 23 is out of bounds
+    assert FixedSetpoints(of, heating_setpoint=21.5).act(view(of)) == {HEAT.name: 21.5, COOL.name: 22.5}
+    assert FixedSetpoints(of).act(view(of, SUMMER)) == {HEAT.name: 22.5, COOL.name: 25.0}  # 24 is out of bounds
 
 
 @pytest.mark.parametrize(
@@ -365,7 +374,9 @@ def test_fixed_heating_above_cooling_is_refused() -> None:
 )
 def test_setback_at_the_boundaries_of_hours_and_days(at: datetime, is_open: bool) -> None:
     of = node()
-    control = ScheduledSetback(of, opens=7, closes=19, heating=21, cooling=24, heating_setback=16, cooling_setback=29)
+    control = ScheduledSetback(
+        of, opens=7, closes=19, days="mon-fri", heating=21, cooling=24, heating_setback=16, cooling_setback=29
+    )
     expected = {HEAT.name: 21.0, COOL.name: 24.0} if is_open else {HEAT.name: 16.0, COOL.name: 29.0}
     assert control.act(view(of, at)) == expected
 
@@ -382,14 +393,17 @@ def test_setback_at_the_boundaries_of_hours_and_days(at: datetime, is_open: bool
 )
 def test_setback_over_midnight_belongs_to_the_day_on_which_it_opened(at: datetime, is_open: bool) -> None:
     of = node()
-    control = ScheduledSetback(of, opens=22, closes=6, days="fri", heating=21)
+    control = ScheduledSetback(of, opens=22, closes=6, days="fri", heating=21, heating_setback=15)
     assert control.act(view(of, at))[HEAT.name] == (21.0 if is_open else 15.0)
 
 
-def test_setback_by_default_is_the_band_and_6_k_outside() -> None:
-    of = node()
-    assert ScheduledSetback(of).act(view(of)) == {HEAT.name: 20.0, COOL.name: 23.5}
-    assert ScheduledSetback(of).act(view(of, WINTER.replace(hour=3))) == {HEAT.name: 15.0, COOL.name: 29.5}
+def test_setback_by_default_is_inside_the_band_and_at_night_outside_where_people_are_counted() -> None:
+    of, night = node(sensors=(ROOM, PEOPLE)), WINTER.replace(hour=3)
+    assert ScheduledSetback(of).act(view(of)) == {HEAT.name: 21.0, COOL.name: 22.5}
+    assert ScheduledSetback(of).act(view(of, night)) == {HEAT.name: 19.0, COOL.name: 24.5}
+    assert ScheduledSetback(of, heating=22).act(view(of, night)) == {HEAT.name: 21.0, COOL.name: 24.5}
+    uncounted = node()
+    assert ScheduledSetback(uncounted).act(view(uncounted, night)) == {HEAT.name: 21.0, COOL.name: 22.5}
 
 
 def test_weekdays() -> None:
@@ -525,7 +539,7 @@ def test_pid_holds_a_room_without_offset() -> None:
 def test_pid_drives_a_named_actuator_and_holds_others() -> None:
     of = node(sensors=(sensor("a"), sensor("b")))
     control = PidControl(of, setpoint=21.0, sensor="b", actuator=HEAT.name, kp=1.0, ki=0.0, cooling_setpoint=28.0)
-    assert control.act(view(of, a=0.0, b=20.0)) == {HEAT.name: 19.75, COOL.name: 28.0}  # 18.75, the middle, and 1
+    assert control.act(view(of, a=0.0, b=20.0)) == {HEAT.name: 22.0, COOL.name: 28.0}  # the setpoint, and 1
 
 
 @pytest.mark.parametrize(

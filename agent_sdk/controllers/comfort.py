@@ -7,13 +7,19 @@ from datetime import datetime
 from typing import Any
 
 from agent_sdk.controllers.parameters import number
-from agent_sdk.rewards import REWARDS, LinearReward, read_reward
+from agent_sdk.rewards import REWARDS, LinearReward, OccupiedReward, read_reward
 from topics.errors import InvalidConfig
 from topics.messages import Manifest
 
 Band = tuple[float, float]
 Bands = Callable[[datetime], Band]
 """A day to the ends of its comfort band, in degC."""
+
+MARGIN_K = 1.0
+"""Default distance of setpoints from the ends of the band: zones overshoot their setpoints by some tenths of a K."""
+
+SETBACK_K, SHALLOW_SETBACK_K = 6.0, 1.0
+"""Default setbacks: where comfort counts only while people are there, and where it counts around the clock."""
 
 
 def comfort_bands(manifest: Manifest, low: object = None, high: object = None) -> Bands:
@@ -43,6 +49,21 @@ def comfort_bands(manifest: Manifest, low: object = None, high: object = None) -
                 f"the comfort band {least:g} to {most:g} degC is upside down; low= has to be below high="
             )
     return band
+
+
+def inside(band: Band, margin_k: float | None = None) -> Band:
+    """Setpoints within a comfort band, `margin_k` from its ends and no further than its middle.
+
+    Without a margin it is `MARGIN_K`, and a third of a band that is narrower than three of these.
+    """
+    low, high = band
+    margin = min(MARGIN_K, (high - low) / 3) if margin_k is None else min(margin_k, (high - low) / 2)
+    return low + margin, high - margin
+
+
+def default_setback(manifest: Manifest) -> float:
+    """How far setpoints lie outside the band while nobody is there, in K: by what the task's reward counts."""
+    return SETBACK_K if isinstance(_reward(manifest), OccupiedReward) else SHALLOW_SETBACK_K
 
 
 def rewarded_temperatures(manifest: Manifest) -> tuple[str, ...]:

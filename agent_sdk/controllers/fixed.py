@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from datetime import datetime
 
 from agent_sdk.controllers.base import Controller, Values
-from agent_sdk.controllers.comfort import Band, comfort_bands
+from agent_sdk.controllers.comfort import Band, comfort_bands, inside
 from agent_sdk.controllers.parameters import named
 from agent_sdk.controllers.parts import Part, Role, parts_of
 from agent_sdk.sample import SampleView
@@ -19,10 +19,10 @@ class FixedSetpoints(Controller):
 
     Args:
         manifest: of the node.
-        values: by the name of an action or an actuator, in its unit. What is not named: setpoints are the ends of
-            the day's comfort band (that of the task's reward, or of `LinearReward`) within the action's bounds,
-            availabilities are on, water temperatures stand in the middle of their bounds, storage is idle, and
-            other actions stay as they are.
+        values: by the name of an action or an actuator, in its unit. What is not named: setpoints lie 1 K inside the
+            day's comfort band (that of the task's reward, or of `LinearReward`; a third of it where it is narrower
+            than 3 K) within the action's bounds, availabilities are on, water temperatures stand in the middle of
+            their bounds, storage is idle, and other actions stay as they are.
 
     Raises:
         InvalidConfig: no such action or actuator, a value out of bounds, or a heating setpoint above the cooling
@@ -48,7 +48,7 @@ class FixedSetpoints(Controller):
     def _on(self, band: Band) -> Values:
         values: Values = {}
         for part in self._parts:
-            values |= default(part, band)
+            values |= default(part, inside(band))
         return values | self._named
 
 

@@ -6,12 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent_sdk.controllers.base import Controller, Values
-from agent_sdk.controllers.comfort import Band, comfort_bands
-from agent_sdk.controllers.parameters import number
+from agent_sdk.controllers.comfort import Band, comfort_bands, inside
+from agent_sdk.controllers.parameters import ControllerMismatch, number
 from agent_sdk.controllers.parts import SETPOINTS, Part, Role, parts_of
 from agent_sdk.controllers.plant import PlantRules
 from agent_sdk.sample import SampleView
-from topics.errors import InvalidConfig
 from topics.messages import Manifest
 
 
@@ -26,7 +25,7 @@ class IncrementalRules(Controller):
     Args:
         manifest: of the node.
         step: K, how far a setpoint moves in a timestep.
-        margin: K.
+        margin: K; None: 1, and a third of a band that is narrower than 3 K.
         low: lower end of the comfort band, degC; None: that of the task's reward, or of `LinearReward`.
         high: its upper end.
 
@@ -39,16 +38,17 @@ class IncrementalRules(Controller):
         manifest: Manifest,
         *,
         step: float = 0.5,
-        margin: float = 0.3,
+        margin: float | None = None,
         low: float | None = None,
         high: float | None = None,
     ) -> None:
         super().__init__(manifest)
         self._band = comfort_bands(manifest, low, high)
-        self._step_k, self._margin_k = number("step", step, least=0.01), number("margin", margin, least=0.0)
+        self._step_k = number("step", step, least=0.01)
+        self._margin_k = None if margin is None else number("margin", margin, least=0.0)
         self._parts = parts_of(manifest)
         if not any(part.role in SETPOINTS and part.temperatures for part in self._parts):
-            raise InvalidConfig(
+            raise ControllerMismatch(
                 f"the incremental rules need an action that sets a heating or cooling setpoint and a sensor of 'Zone "
                 f"Air Temperature'; node {manifest.node!r} lacks one of them: name both in the scenario"
             )
@@ -74,13 +74,14 @@ class IncrementalRules(Controller):
     def _moved(self, part: Part, measured: NDArray[np.float64], band: Band) -> float:
         low, high = band
         mean, middle = float(measured[list(part.temperatures)].mean()), (low + high) / 2
+        coolest, warmest = inside(band, self._margin_k)
         if part.role is Role.HEATING:
             at = self._at.get(part.action.name, low)
-            outwards = mean >= low + self._margin_k
+            outwards = mean >= coolest
             at = min(max(at + (-self._step_k if outwards else self._step_k), low), middle)
         else:
             at = self._at.get(part.action.name, high)
-            outwards = mean <= high - self._margin_k
+            outwards = mean <= warmest
             at = min(max(at + (self._step_k if outwards else -self._step_k), middle), high)
         self._at[part.action.name] = at = part.clipped(at)
         return at

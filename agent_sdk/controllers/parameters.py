@@ -14,6 +14,10 @@ from topics.units import with_unit
 T = TypeVar("T")
 
 
+class ControllerMismatch(InvalidConfig):
+    """A node that lacks what a controller needs, however its parameters are; `evaluate` goes on without it."""
+
+
 def number(what: str, value: object, *, least: float = -math.inf, most: float = math.inf) -> float:
     """`value` as a finite number from `least` to `most`.
 

@@ -72,7 +72,7 @@ def parts_of(manifest: Manifest) -> tuple[Part, ...]:
     )
 
 
-def role_of(action: Action, actuator: Actuator) -> Role:
+def role_of(action: Action | Actuator, actuator: Actuator) -> Role:
     """What an action is: by what EnergyPlus says, where it does; else by words in the names and by the range."""
     if actuator.component_type.casefold() == THERMOSTAT:
         found = actuator.control_type.casefold()

@@ -6,8 +6,8 @@ import math
 from collections.abc import Sequence
 
 from agent_sdk.controllers.base import Controller, Values
-from agent_sdk.controllers.parameters import bounds, named, number
-from agent_sdk.controllers.parts import temperature_sensors
+from agent_sdk.controllers.parameters import ControllerMismatch, bounds, named, number
+from agent_sdk.controllers.parts import SETPOINTS, role_of, temperature_sensors
 from agent_sdk.sample import SampleView
 from topics.errors import InvalidConfig, near
 from topics.messages import Action, Actuator, Manifest, Sensor
@@ -29,12 +29,14 @@ class PidControl(Controller):
         setpoint: degC.
         sensor: name of a sensor in degC; None: the only zone air temperature.
         actuator: name of an action or an actuator; None: the only action.
-        kp: output unit a K.
+        kp: output unit a K. The default is safe where the output is a room's setpoint: the temperature then follows
+            it by no more than its own change, at once or with a lag, so that the gain of the loop stays below 1.
         ki: output unit a K h.
         kd: output unit h a K.
         low: lowest output; None: the lower bound of the action or actuator.
         high: highest output; None: the upper bound.
-        bias: output without error; None: the middle of the limits.
+        bias: output without error; None: `setpoint` where the output is a room's setpoint, else the middle of the
+            limits.
         reverse: whether the output falls as the temperature rises (reverse acting), as for heating and for all
             setpoints; False for cooling power, valves and flows.
         others: fixed values of other actions or actuators, by name.
@@ -50,7 +52,7 @@ class PidControl(Controller):
         setpoint: float,
         sensor: str | None = None,
         actuator: str | None = None,
-        kp: float = 1.0,
+        kp: float = 0.3,
         ki: float = 0.5,
         kd: float = 0.0,
         low: float | None = None,
@@ -68,14 +70,20 @@ class PidControl(Controller):
         self._sensor = _sensor(manifest, sensor)
         output = _output(manifest, actuator)
         self._low, self._high = _limits(output, low, high)
-        self._bias = (self._low + self._high) / 2 if bias is None else number("bias", bias)
         self._driven = output.actuators if isinstance(output, Action) else (output.name,)
+        self._bias = self._default_bias(output) if bias is None else number("bias", bias)
         self._others: Values = dict(named(manifest, others))
         twice = set(self._driven) & set(self._others)
         if twice:
             raise InvalidConfig(f"{', '.join(sorted(twice))}: driven by the controller, so it takes no fixed value")
         self._dt_h = 1 / manifest.steps_per_hour
         self._integral, self._before = 0.0, math.nan
+
+    def _default_bias(self, output: Action | Actuator) -> float:
+        actuator = next((a for a in self.manifest.actuators if a.name in self._driven), None)
+        if actuator is not None and role_of(output, actuator) in SETPOINTS:
+            return min(max(self._setpoint, self._low), self._high)
+        return (self._low + self._high) / 2
 
     def begin(self, sample: SampleView) -> None:  # noqa: ARG002
         """Forgets the integral and the temperature before."""
@@ -101,7 +109,7 @@ class PidControl(Controller):
 def _sensor(manifest: Manifest, name: str | None) -> str:
     fit = [s.name for s in manifest.sensors if s.unit == "degC"]
     if not fit:
-        raise InvalidConfig(
+        raise ControllerMismatch(
             f"pid needs a sensor in degC, and node {manifest.node!r} has none: name one in the scenario's sensors, as "
             f"[Zone Air Temperature, ZONE]"
         )
@@ -116,7 +124,7 @@ def _output(manifest: Manifest, name: str | None) -> Action | Actuator:
     points: dict[str, Action | Actuator] = {a.name: a for a in manifest.actuators}
     points |= {a.name: a for a in manifest.task.actions}
     if not points:
-        raise InvalidConfig(
+        raise ControllerMismatch(
             f"pid needs an actuator to drive, and node {manifest.node!r} has none: name one in actuators"
         )
     found = _only(manifest.task.actions, "actuator", points) if name is None else name
@@ -127,7 +135,7 @@ def _output(manifest: Manifest, name: str | None) -> Action | Actuator:
 
 def _only(found: Sequence[Sensor | Action], what: str, fit: Sequence[str] | dict[str, Action | Actuator]) -> str:
     if len(found) != 1:
-        raise InvalidConfig(f"pid takes one {what}: name it by {what}=...; {near('', fit)}")
+        raise ControllerMismatch(f"pid takes one {what}: name it by {what}=...; {near('', fit)}")
     return found[0].name
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent_sdk.controllers.base import Values
-from agent_sdk.controllers.comfort import Band
+from agent_sdk.controllers.comfort import Band, inside
 from agent_sdk.controllers.parts import Part, Role
 
 RESET_K = 1.0
@@ -18,11 +18,11 @@ class PlantRules:
 
     Water: heating water is at its coolest while the coldest room is 1 K or more above the band's lower end, at its
     hottest at that end, linear between; chilled water the same for the warmest room and the upper end. Availability:
-    on below the band's lower end (and `margin`), off above the band's middle, between them as it was. Storage stands
+    on below the band's lower end and the margin, off above the band's middle, between them as it was. Storage stands
     idle, at the value nearest to 0.
     """
 
-    def __init__(self, margin_k: float) -> None:
+    def __init__(self, margin_k: float | None) -> None:
         self._margin_k = margin_k
         self._on: dict[str, bool] = {}
 
@@ -49,7 +49,7 @@ class PlantRules:
     def _switched(self, part: Part, coldest: float, band: Band) -> bool:
         middle = (band[0] + band[1]) / 2
         was = self._on.get(part.action.name, coldest < middle)
-        on = coldest < min(band[0] + self._margin_k, middle) or (was and coldest <= middle)
+        on = coldest < inside(band, self._margin_k)[0] or (was and coldest <= middle)
         self._on[part.action.name] = on
         return on
 

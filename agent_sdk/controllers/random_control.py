@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from agent_sdk.controllers.base import Controller, Values
+from agent_sdk.controllers.parameters import ControllerMismatch
 from agent_sdk.sample import SampleView
 from topics.errors import InvalidConfig
 from topics.messages import Manifest
@@ -33,7 +34,9 @@ class RandomControl(Controller):
         drawn = [action for action in manifest.task.actions if action.name not in chosen]
         for action in drawn:
             if action.low is None or action.high is None:
-                raise InvalidConfig(f"nothing can be drawn for {action.name!r}: give the action bounds in the scenario")
+                raise ControllerMismatch(
+                    f"nothing can be drawn for {action.name!r}: give the action bounds in the scenario"
+                )
         self._actuators = {action.name: action.actuators for action in manifest.task.actions}
         self._ranges = [(action.name, action.low, action.high) for action in drawn]
 

@@ -8,12 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent_sdk.controllers.base import Controller, Values
-from agent_sdk.controllers.comfort import comfort_bands
-from agent_sdk.controllers.parameters import number
+from agent_sdk.controllers.comfort import comfort_bands, default_setback, inside
+from agent_sdk.controllers.parameters import ControllerMismatch, number
 from agent_sdk.controllers.parts import SETPOINTS, Part, Role, parts_of
 from agent_sdk.controllers.plant import PlantRules
 from agent_sdk.sample import SampleView
-from topics.errors import InvalidConfig
 from topics.messages import Manifest
 
 OPEN_HOURS = range(6, 22)
@@ -34,8 +33,10 @@ class ComfortBandRules(Controller):
         manifest: of the node.
         low: lower end of the comfort band, degC; None: that of the task's reward, or of `LinearReward`.
         high: its upper end.
-        margin: K.
-        setback: K.
+        margin: K; None: 1, and a third of a band that is narrower than 3 K, so that zones which overshoot their
+            setpoints stay within the band.
+        setback: K; None: 6 where the task's reward counts comfort only while people are there (`OccupiedReward`),
+            else 1.
         lead: h, 0 to 23.
 
     Raises:
@@ -48,18 +49,18 @@ class ComfortBandRules(Controller):
         *,
         low: float | None = None,
         high: float | None = None,
-        margin: float = 0.3,
-        setback: float = 6.0,
+        margin: float | None = None,
+        setback: float | None = None,
         lead: float = 1.0,
     ) -> None:
         super().__init__(manifest)
         self._band = comfort_bands(manifest, low, high)
-        self._margin_k = number("margin", margin, least=0.0)
-        self._setback_k = number("setback", setback, least=0.0)
+        self._margin_k = None if margin is None else number("margin", margin, least=0.0)
+        self._setback_k = default_setback(manifest) if setback is None else number("setback", setback, least=0.0)
         self._lead = timedelta(hours=number("lead", lead, least=0.0, most=23.0))
         self._parts = tuple(p for p in parts_of(manifest) if p.role is not Role.OTHER)
         if not self._parts:
-            raise InvalidConfig(
+            raise ControllerMismatch(
                 f"the rule-based controller needs an action that sets a heating or cooling setpoint, a water "
                 f"temperature, an availability or a storage; node {manifest.node!r} has none"
             )
@@ -76,13 +77,12 @@ class ComfortBandRules(Controller):
         """Values for the timestep that begins at `sample.time`."""
         now, measured = sample.time, sample.values
         band = self._band(now)
-        low, high = band
-        margin = min(self._margin_k, (high - low) / 2)
+        in_use, empty = inside(band, self._margin_k), (band[0] - self._setback_k, band[1] + self._setback_k)
         values: Values = {}
         for part in self._parts:
             if part.role in SETPOINTS:
-                shift = margin if self._in_use(part, measured, now) else -self._setback_k
-                values |= part.at(low + shift if part.role is Role.HEATING else high - shift)
+                low, high = in_use if self._in_use(part, measured, now) else empty
+                values |= part.at(low if part.role is Role.HEATING else high)
             else:
                 values |= self._plant.act(part, measured, band)
         return values

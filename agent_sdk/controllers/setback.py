@@ -5,9 +5,9 @@ from __future__ import annotations
 from datetime import datetime, timedelta
 
 from agent_sdk.controllers.base import Controller, Values
-from agent_sdk.controllers.comfort import Band, comfort_bands
+from agent_sdk.controllers.comfort import Band, comfort_bands, default_setback, inside
 from agent_sdk.controllers.fixed import DAYS, default, refuse_crossed
-from agent_sdk.controllers.parameters import bounds, number
+from agent_sdk.controllers.parameters import ControllerMismatch, bounds, number
 from agent_sdk.controllers.parts import SETPOINTS, Role, parts_of
 from agent_sdk.sample import SampleView
 from topics.errors import InvalidConfig
@@ -27,10 +27,13 @@ class ScheduledSetback(Controller):
         opens: h, 0 to 24, local standard time.
         closes: h, 0 to 24.
         days: `mon-fri`, or `mon,wed,sat-sun`.
-        heating: heating setpoint while open, degC; None: the lower end of the day's comfort band.
-        cooling: cooling setpoint while open; None: the upper end.
-        heating_setback: heating setpoint while closed; None: 6 K below that while open.
-        cooling_setback: cooling setpoint while closed; None: 6 K above that while open.
+        heating: heating setpoint while open, degC; None: 1 K above the lower end of the day's comfort
+            band, and a third of a band that is narrower than 3 K.
+        cooling: cooling setpoint while open; None: as far below the upper end.
+        heating_setback: heating setpoint while closed; None: below the band's lower end or `heating`, by 6 K where
+            the task's reward counts comfort only while people are there (`OccupiedReward`), else by 1 K; where people
+            are not measured, as in a data center, the same as while open.
+        cooling_setback: cooling setpoint while closed; None: likewise above.
 
     Raises:
         InvalidConfig: no setpoints in the task, a parameter that cannot be or that leaves the bounds of all actions
@@ -41,9 +44,9 @@ class ScheduledSetback(Controller):
         self,
         manifest: Manifest,
         *,
-        opens: float = 7.0,
-        closes: float = 19.0,
-        days: str = "mon-fri",
+        opens: float = 6.0,
+        closes: float = 22.0,
+        days: str = "mon-sun",
         heating: float | None = None,
         cooling: float | None = None,
         heating_setback: float | None = None,
@@ -52,12 +55,16 @@ class ScheduledSetback(Controller):
         super().__init__(manifest)
         self._parts = parts_of(manifest)
         if not any(part.role in SETPOINTS for part in self._parts):
-            raise InvalidConfig(f"setback needs an action that sets a heating or cooling setpoint; {_no(manifest)}")
+            raise ControllerMismatch(
+                f"setback needs an action that sets a heating or cooling setpoint; {_no(manifest)}"
+            )
         self._opens, self._closes = (number(*x, least=0.0, most=24.0) for x in (("opens", opens), ("closes", closes)))
         if self._opens == self._closes:
             raise InvalidConfig(f"opens = closes = {self._opens:g}; two different hours expected (0 and 24 for always)")
         self._days = weekdays(days)
         self._band = comfort_bands(manifest)
+        counted = any(part.people for part in self._parts)  # else nobody says that a zone is ever empty
+        self._setback_k = default_setback(manifest) if counted else 0.0
         self._open = (self._checked("heating", heating), self._checked("cooling", cooling))
         self._closed = (
             self._checked("heating_setback", heating_setback),
@@ -90,10 +97,12 @@ class ScheduledSetback(Controller):
         return self._on(self._band(now), is_open=self._is_open(now))
 
     def _on(self, band: Band, *, is_open: bool) -> Values:
-        low, high = (end if own is None else own for own, end in zip(self._open, band, strict=True))
+        low, high = _given(self._open, inside(band))
         if not is_open:
-            pairs = zip(self._closed, (low - 6.0, high + 6.0), strict=True)
-            low, high = (end if own is None else own for own, end in pairs)
+            if self._setback_k > 0.0:
+                ends = _given(self._open, band)
+                low, high = ends[0] - self._setback_k, ends[1] + self._setback_k
+            low, high = _given(self._closed, (low, high))
         values: Values = {}
         for part in self._parts:
             values |= default(part, (low, high))
@@ -106,6 +115,11 @@ class ScheduledSetback(Controller):
         if hour >= self._opens:
             return now.weekday() in self._days
         return hour < self._closes and (now - timedelta(days=1)).weekday() in self._days
+
+
+def _given(own: tuple[float | None, float | None], default: Band) -> Band:
+    low, high = own
+    return (default[0] if low is None else low, default[1] if high is None else high)
 
 
 def _no(manifest: Manifest) -> str:
