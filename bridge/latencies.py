@@ -12,18 +12,24 @@ _KEPT = 4096
 
 
 class Latencies:
-    """Durations in seconds: how many there were, the longest, and the latest 4,096."""
+    """Durations in seconds: how many there were, the longest, and the latest 4,096.
+
+    The ring grows as it fills, so that a controller that came and went has not left a hole of 32 kB in the heap.
+    """
 
     __slots__ = ("_count", "_most_s", "_ring")
 
     def __init__(self) -> None:
-        self._ring = array("d", bytes(8 * _KEPT))
+        self._ring = array("d")
         self._count = 0
         self._most_s = 0.0
 
     def add(self, duration_s: float) -> None:
         """One more."""
-        self._ring[self._count % _KEPT] = duration_s
+        if self._count < _KEPT:
+            self._ring.append(duration_s)
+        else:
+            self._ring[self._count % _KEPT] = duration_s
         self._count += 1
         if duration_s > self._most_s:
             self._most_s = duration_s

@@ -14,9 +14,10 @@ import pytest
 from chaos.account import Account, Episode
 from chaos.acts import Act, script
 from chaos.crew import environment
-from chaos.invariants import _contiguous
+from chaos.invariants import _contiguous, _flat
 from chaos.journal import Sent
 from chaos.report import BEGIN, END
+from chaos.run import Held, Outcome
 
 from topics.messages import Actuator, Event, EventKind, Flag, Manifest, Mode, Policy, Sample, Versions
 
@@ -39,6 +40,21 @@ def test_a_run_with_this_seed_holds(seconds: int, seed: int, scratch: Path) -> N
     assert done.returncode == 0, done.stdout + done.stderr
     assert f"seed {seed}" in done.stdout
     assert "broken" not in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("seconds", "grown_mb", "flat"),
+    [(900.0, 64.0, False), (900.0, 6.0, True), (180.0, 64.0, False), (180.0, 10.0, True)],
+)
+def test_memory_that_grows_all_the_time_is_seen(seconds: float, grown_mb: float, flat: bool, tmp_path: Path) -> None:
+    """A node that reads messages of 8 MB now and then, and grows steadily."""
+    held = []
+    for second in range(int(seconds)):
+        read = 24e6 if second > 0.9 * seconds and second % 10 == 0 else 0.0
+        node_bytes = int(100e6 + grown_mb * 1e6 * second / seconds + read)
+        held.append(Held(second, node_bytes, 200_000_000, descriptors=40, threads=17))
+    faults = _flat(Outcome(tmp_path, 1, seconds=seconds, held=held))
+    assert [fault.partition(" grew")[0] for fault in faults] == ([] if flat else ["the node's resident bytes"])
 
 
 def test_one_seed_is_one_script_that_has_every_act() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
+from statistics import median
 
 from nodes import programs_of, remains, until
 
@@ -15,11 +16,9 @@ from chaos.replay import differences
 from chaos.run import LEVELS, Outcome
 from topics.messages import Event, EventKind, Flag, Sample
 
-MAY_GROW_BYTES = 16e6
-"""Beyond the most that was held in the first minute, of a run of two minutes or more."""
-
-SHORT_MAY_GROW_BYTES = 48e6
-"""Of a shorter run, beyond its first half: the first command of 8 MB, held in copies, may come after that."""
+MAY_GROW_BYTES = ((600.0, 8e6), (120.0, 16e6), (0.0, 48e6))
+"""By the least seconds of a run: how much more the end of a run may hold than the most of its first half. In a short
+run the first command of 8 MB, held in copies, may come after that."""
 
 MAY_GROW = 8
 """Descriptors and threads, likewise; a status that is being asked for has some."""
@@ -146,9 +145,9 @@ def _written(outcome: Outcome, events: Iterable[Event]) -> list[str]:
 
 def _flat(outcome: Outcome) -> list[str]:
     held, faults = outcome.held, []
-    bound_bytes = MAY_GROW_BYTES if outcome.seconds >= 120 else SHORT_MAY_GROW_BYTES
-    first_s = min(60.0, outcome.seconds / 2)
-    early, late = [h for h in held if h.at_s <= first_s], [h for h in held if h.at_s > first_s]
+    bound_bytes = next(grown for least_s, grown in MAY_GROW_BYTES if outcome.seconds >= least_s)
+    half_s, end_s = outcome.seconds / 2, outcome.seconds * 3 / 4
+    early, late = [h for h in held if h.at_s <= half_s], [h for h in held if h.at_s > end_s]
     if not early or not late:
         return ["too short a run to tell"]
     for what, name, bound in (
@@ -157,9 +156,10 @@ def _flat(outcome: Outcome) -> list[str]:
         ("the node's descriptors", "descriptors", MAY_GROW),
         ("the node's threads", "threads", MAY_GROW),
     ):
-        before, after = max(getattr(h, name) for h in early), getattr(late[-1], name)
+        # The median: a message of 8 MB that is being read is no growth.
+        before, after = max(getattr(h, name) for h in early), median(getattr(h, name) for h in late)
         if after > before + bound:
-            faults.append(f"{what} grew from {before:,} at most in the first {first_s:.0f} s to {after:,}")
+            faults.append(f"{what} grew from {before:,} at most in the first half to {after:,.0f} in the last quarter")
     return faults
 
 
