@@ -42,7 +42,7 @@ from topics.errors import (
     from_wire,
     near,
 )
-from topics.faults import FaultPlan
+from topics.fault_plan import FaultPlan
 from topics.keys import Role
 from topics.messages import (
     Accepted,

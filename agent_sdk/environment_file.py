@@ -14,7 +14,7 @@ from agent_sdk.rewards import Reward
 from agent_sdk.rewards.kind import Kind
 from agent_sdk.settings import check_arguments
 from agent_sdk.wrappers import apply_wrappers, wrappers_of
-from topics import readable
+from topics import yaml12
 from topics.errors import InvalidConfig
 
 
@@ -48,10 +48,10 @@ def save_env(env: gym.Env[Any, Any], path: str | Path) -> None:
     building = env.unwrapped
     if not isinstance(building, BuildingEnv) or not isinstance(building.link, ControlLink):
         raise InvalidConfig(f"{type(building).__name__} has no scenario to be written; save a zenostat/ environment")
-    fields = readable.parse(building.link.scenario(), "the node's scenario")
+    fields = yaml12.parse(building.link.scenario(), "the node's scenario")
     fields["reward"] = _written(building.reward)
     fields["wrappers"] = wrappers_of(env)
-    Path(path).write_text(readable.dump(fields), encoding="utf-8")
+    Path(path).write_text(yaml12.dump(fields), encoding="utf-8")
 
 
 def _written(reward: Reward | None) -> dict[str, Any] | None:

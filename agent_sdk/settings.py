@@ -11,7 +11,7 @@ import numpy as np
 from agent_sdk.launch import OwnNode
 from agent_sdk.rewards import AnyReward, read_reward
 from bridge.affinity import Affinity
-from topics import readable
+from topics import yaml12
 from topics.errors import InvalidConfig, UnknownArgument, UsageError, near
 
 OF_THE_SCENARIO = "scenario"
@@ -124,7 +124,7 @@ def _of_file(scenario: str) -> Any:
     if Path(scenario).suffix not in (".yaml", ".yml"):
         return None
     try:
-        found = readable.parse(readable.read_text(Path(scenario)), scenario)
+        found = yaml12.parse(yaml12.read_text(Path(scenario)), scenario)
     except (OSError, ValueError, InvalidConfig):
         return None
     return found.get("reward")

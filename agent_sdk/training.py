@@ -24,7 +24,7 @@ from agent_sdk.metrics import Result
 from agent_sdk.normalization import beside_model, load_normalization, mark_normalized, normalization_of
 from agent_sdk.sample import SampleView
 from agent_sdk.wrappers import restore_wrappers, save_wrappers
-from topics import readable
+from topics import yaml12
 from topics.errors import InvalidConfig, UnknownName, near
 from topics.extras import install_command
 from topics.messages import Manifest, Mask
@@ -228,7 +228,7 @@ def _copy_learnt(training: Any, env: gym.Env[Any, Any]) -> str:
         path = Path(folder) / "learnt.yaml"
         save_wrappers(envs[0], path)
         text = path.read_text(encoding="utf-8")
-        if not readable.parse(text, str(path))["wrappers"]:
+        if not yaml12.parse(text, str(path))["wrappers"]:
             return ""
         restore_wrappers(env, path)
     return text

@@ -19,7 +19,7 @@ def contract(
     Example: `zenostat contract --output asyncapi.yaml`
     """
     from topics.asyncapi import document
-    from topics.readable import dump
+    from topics.yaml12 import dump
 
     text = dump(document())
     if output is None:

@@ -25,7 +25,7 @@ from models.survey import Survey
 from models.tasks import task_of
 from topics.codec import explain
 from topics.errors import Faults, InvalidConfig, UnknownName, near
-from topics.faults import FaultPlan, Loss
+from topics.fault_plan import FaultPlan, Loss
 from topics.keys import check_name
 from topics.messages import Mode, Policy, Reading, Task
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from bridge.faults import LinkFaults, PointFaults, Turn
 from topics.errors import Faults
-from topics.faults import FaultPlan
+from topics.fault_plan import FaultPlan
 
 if TYPE_CHECKING:
     from eplus_node.config import Plan

@@ -32,7 +32,7 @@ from models.scenario import dump
 from models.weather import find_column
 from topics import codec, errors, keys
 from topics.errors import EpisodeAborted, Refused, SimulatorError, ZenostatError
-from topics.faults import FaultPlan
+from topics.fault_plan import FaultPlan
 from topics.messages import (
     ANONYMOUS,
     Accepted,

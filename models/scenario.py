@@ -26,7 +26,7 @@ from pydantic_core import CoreSchema
 from models.catalog import MODEL_SUFFIXES, WEATHER_SUFFIXES
 from models.changes import Changes
 from models.variability import Noise
-from topics import readable
+from topics import yaml12
 from topics.codec import explain
 from topics.errors import Faults, InvalidConfig, UnknownName
 from topics.messages import Reading, SafeName, TimeField
@@ -229,12 +229,12 @@ def load_yaml(path: Path) -> dict[str, Any]:
         InvalidConfig: it is no YAML, or something else than a mapping.
     """
     try:
-        text = readable.read_text(path)
+        text = yaml12.read_text(path)
     except FileNotFoundError:
         raise UnknownName(f"there is no file {path.absolute()}") from None
     except (OSError, UnicodeDecodeError) as error:
         raise UnknownName(f"cannot read {path.absolute()}: {error}") from None
-    return readable.parse(text, str(path))
+    return yaml12.parse(text, str(path))
 
 
 def load_scenario(path: Path, errors: Faults | None = None) -> Scenario:
@@ -274,4 +274,4 @@ def dump(scenario: Scenario, *, defaults: bool = False) -> str:
     plain = scenario.model_dump(mode="json", exclude_defaults=not defaults, exclude_none=defaults)
     if scenario.reward is None:
         plain["reward"] = None
-    return readable.dump(plain)
+    return yaml12.dump(plain)

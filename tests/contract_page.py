@@ -13,7 +13,7 @@ from typing import Any
 
 import msgpack
 
-from topics import asyncapi, codec, errors, readable
+from topics import asyncapi, codec, errors, yaml12
 from topics.errors import ZenostatError
 from topics.keys import PREFIX, TOPICS, Delivery, Topic
 from topics.messages import Command, Flag, Mask, Sample
@@ -131,4 +131,4 @@ def _errors(kind: type[ZenostatError], depth: int) -> str:
 
 if __name__ == "__main__":
     PAGE.write_text(page(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
-    DOCUMENT.write_text(readable.dump(asyncapi.document()), encoding="utf-8")
+    DOCUMENT.write_text(yaml12.dump(asyncapi.document()), encoding="utf-8")

@@ -21,10 +21,10 @@ from contract_page import COMMAND, DOCUMENT, MASKED, PAGE, SAMPLE
 from pydantic_core import PydanticUndefined
 
 from bridge.faults import read_plan
-from topics import codec, keys, messages, readable
+from topics import codec, keys, messages, yaml12
 from topics.asyncapi import channel_name, document, travelling
 from topics.errors import ZenostatError
-from topics.faults import FaultPlan
+from topics.fault_plan import FaultPlan
 from topics.keys import TOPICS, Delivery, Role, Topic
 from topics.messages import Denied, Message
 
@@ -297,7 +297,7 @@ def test_the_file_is_what_the_command_gives(tmp_path: Path) -> None:
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     text = (tmp_path / "asyncapi.yaml").read_text(encoding="utf-8")
     assert yaml.safe_load(text) == MADE
-    assert readable.parse(text, "the document") == MADE
+    assert yaml12.parse(text, "the document") == MADE
     assert DOCUMENT.read_text(encoding="utf-8") == text, "python tests/contract_page.py writes it again"
 
 

@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from bridge.faults import PointFaults, Told, Turn, read_plan
-from topics import codec, readable
+from topics import codec, yaml12
 from topics.errors import InvalidConfig
-from topics.faults import KINDS, WEEKDAYS, FaultPlan
+from topics.fault_plan import KINDS, WEEKDAYS, FaultPlan
 from topics.messages import Actuator
 
 ROOT = Path(__file__).parent.parent
@@ -522,7 +522,7 @@ def test_the_example_is_a_plan_and_the_page_shows_it() -> None:
     assert len(plan.faults) == 9
     page = (ROOT / "docs/faults.md").read_text(encoding="utf-8")
     shown = page.split("```yaml\n")[1].split("```")[0]
-    assert FaultPlan.model_validate(readable.parse(shown, "the page")) == plan
+    assert FaultPlan.model_validate(yaml12.parse(shown, "the page")) == plan
     assert all(f"`{kind}`" in page for kind in KINDS)
 
 

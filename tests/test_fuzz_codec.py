@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from topics import codec, faults
+from topics import codec, fault_plan
 from topics.errors import BadMessage
 from topics.messages import Claim, Command, Manifest, Message, Reset, Sample, Write
 
@@ -25,7 +25,7 @@ def _tree(kind: type[Message]) -> Iterator[type[Message]]:
 
 
 KINDS = sorted({kind for kind in _tree(Message) if kind.__module__.startswith("topics.")}, key=lambda k: k.__name__)
-HEARD = (Claim, Command, Reset, Write, faults.FaultPlan)
+HEARD = (Claim, Command, Reset, Write, fault_plan.FaultPlan)
 """What anybody may send to a node, of each form."""
 
 SEEDS: dict[type[Message], dict[str, Any]] = {
@@ -33,7 +33,7 @@ SEEDS: dict[type[Message], dict[str, Any]] = {
     Command: {"episode": [1], "step": [3], "mask": b"\x01\x00", "values": struct.pack("<2d", 20.0, -0.0)},
     Reset: {"controller": "c", "seed": [1, None], "slots": [0, 1], "snapshot": "s1"},
     Write: {"value": -0.0, "priority": 8, "for_s": 60.0, "source": "Käthe"},
-    faults.FaultPlan: {
+    fault_plan.FaultPlan: {
         "seed": 1,
         "faults": [
             {"kind": "bias", "points": ["t*"], "offset": 1.5, "when": {"hours": [8.0, 17.0]}},
@@ -209,7 +209,7 @@ def test_of_a_field_that_comes_twice_the_last_one_counts() -> None:
 
 
 def test_all_messages_are_fuzzed() -> None:
-    assert {Manifest, Sample, faults.FaultPlan, faults.Bias} <= set(KINDS)
+    assert {Manifest, Sample, fault_plan.FaultPlan, fault_plan.Bias} <= set(KINDS)
     assert len(KINDS) > 50
 
 

@@ -22,7 +22,7 @@ from eplus_node.config import plan, read_config
 from eplus_node.injection import Injection
 from topics import codec, keys
 from topics.errors import InvalidConfig
-from topics.faults import FaultPlan
+from topics.fault_plan import FaultPlan
 from topics.messages import Event, EventKind, Flag, PointValue, Sample
 
 CORE, NORTH, EAST, SOUTH = (

@@ -15,7 +15,7 @@ from zenoh import KeyExpr
 
 from topics import codec, keys, messages
 from topics.errors import InvalidConfig
-from topics.faults import FaultPlan
+from topics.fault_plan import FaultPlan
 from topics.keys import TOPICS, Delivery, Role, Topic
 from topics.messages import Denied, Message
 

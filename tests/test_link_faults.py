@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from bridge.faults import LinkFaults, Turn
 from topics.errors import InvalidConfig
-from topics.faults import FaultPlan
+from topics.fault_plan import FaultPlan
 
 BEGIN = datetime(2017, 7, 3)
 MANY = 20_000

@@ -15,7 +15,7 @@ from bridge.affinity import Affinity
 from bridge.faults import read_plan
 from models.scenario import load_scenario, read_scenario
 from models.sinergym import scenarios_of
-from topics import readable
+from topics import yaml12
 from topics.errors import InvalidConfig, UsageError
 
 
@@ -45,14 +45,14 @@ HOSTILE = {
 @pytest.mark.parametrize(("text", "words"), HOSTILE.values(), ids=HOSTILE)
 def test_a_hostile_text_is_one_short_error(text: str, words: str) -> None:
     with pytest.raises(InvalidConfig, match=words) as caught:
-        readable.parse(text, "the file")
+        yaml12.parse(text, "the file")
     assert len(str(caught.value)) < 500
 
 
 def test_anchors_merges_and_tags_within_the_limits_are_read() -> None:
     text = "a: &a {x: 1}\nb: {<<: *a, y: !!bool TRUE}\nc: [*a, *a]\nd: !!str 12"
     expected = {"a": {"x": 1}, "b": {"x": 1, "y": True}, "c": [{"x": 1}, {"x": 1}], "d": "12"}
-    assert readable.parse(text, "the file") == expected
+    assert yaml12.parse(text, "the file") == expected
 
 
 def test_an_error_does_not_write_out_a_large_value() -> None:
@@ -78,7 +78,7 @@ READERS: dict[str, Callable[[Path], object]] = {
 
 
 def _too_large(path: Path) -> None:
-    path.write_bytes(b"#" * (readable.MAX_BYTES + 1))
+    path.write_bytes(b"#" * (yaml12.MAX_BYTES + 1))
 
 
 PLACES: dict[str, Callable[[Path], object]] = {

@@ -41,7 +41,7 @@ from agent_sdk.rewards import (
     read_reward,
 )
 from agent_sdk.rewards.thermal_sensation import dissatisfied
-from topics import readable
+from topics import yaml12
 from topics.errors import InvalidConfig, UnknownName
 from topics.messages import Manifest, Meter, Reading, Sensor
 
@@ -233,7 +233,7 @@ def test_a_reward_that_was_written_is_read_back(said: dict[str, Any]) -> None:
     plain = reward.model_dump(mode="json", exclude_defaults=True)
     assert plain["kind"] == said["kind"]
     assert read_reward(plain) == reward
-    assert read_reward(readable.parse(readable.dump(plain), "it")) == reward
+    assert read_reward(yaml12.parse(yaml12.dump(plain), "it")) == reward
     assert read_reward(json.loads(reward.model_dump_json())) == reward
 
 

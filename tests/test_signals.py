@@ -29,7 +29,7 @@ from agent_sdk.signals import (
     per_kwh,
     within,
 )
-from topics import readable
+from topics import yaml12
 from topics.errors import InvalidConfig
 
 SIGNAL: TypeAdapter[Any] = TypeAdapter(Signal)
@@ -302,7 +302,7 @@ signals = st.one_of(
 def test_a_signal_that_was_written_is_read_back(given: dict[str, Any]) -> None:
     signal = SIGNAL.validate_python(given)
     plain = {"signal": signal.model_dump(mode="json", exclude_defaults=True)}
-    again = SIGNAL.validate_python(readable.parse(readable.dump(plain), "it")["signal"])
+    again = SIGNAL.validate_python(yaml12.parse(yaml12.dump(plain), "it")["signal"])
     assert again == signal
     assert type(again) is type(signal)
 

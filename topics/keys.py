@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from topics.errors import InvalidConfig
-from topics.faults import FaultPlan
+from topics.fault_plan import FaultPlan
 from topics.messages import (
     SCHEMA,
     Accepted,

@@ -13,7 +13,7 @@ from gymnasium.vector import VectorWrapper
 
 from agent_sdk.wrappers.around import Single, Vector
 from agent_sdk.wrappers.names import inside
-from topics import readable
+from topics import yaml12
 from topics.errors import InvalidConfig
 
 _KINDS = ("float32", "float64")
@@ -38,7 +38,7 @@ def save_wrappers(env: Any, path: str | Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     hidden = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        hidden.write_text(readable.dump(kept), encoding="utf-8")
+        hidden.write_text(yaml12.dump(kept), encoding="utf-8")
         hidden.replace(path)
     finally:
         hidden.unlink(missing_ok=True)
@@ -53,7 +53,7 @@ def restore_wrappers(env: Any, path: str | Path) -> None:
         InvalidConfig: no such file, no such form, or another chain of wrappers; nothing was changed then.
     """
     try:
-        found = readable.parse(readable.read_text(Path(path)), str(path)).get("wrappers")
+        found = yaml12.parse(yaml12.read_text(Path(path)), str(path)).get("wrappers")
     except (OSError, UnicodeDecodeError) as error:
         raise InvalidConfig(f"{path} cannot be read: {error}") from None
     keepers = list(_keepers(env))

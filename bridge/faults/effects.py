@@ -11,20 +11,7 @@ from numpy.typing import NDArray
 
 from bridge.faults.draws import Draws, Law
 from bridge.faults.windows import Windows
-from topics.faults import (
-    Bias,
-    Clip,
-    Delay,
-    Drift,
-    Drop,
-    Freeze,
-    Gain,
-    Noise,
-    PointFault,
-    Quantise,
-    Spike,
-    Stuck,
-)
+from topics.fault_plan import Bias, Clip, Delay, Drift, Drop, Freeze, Gain, Noise, PointFault, Quantise, Spike, Stuck
 
 Floats = NDArray[np.float64]
 

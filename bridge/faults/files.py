@@ -6,10 +6,10 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from topics import readable
+from topics import yaml12
 from topics.codec import explain
 from topics.errors import InvalidConfig
-from topics.faults import FaultPlan
+from topics.fault_plan import FaultPlan
 
 
 def read_plan(path: Path) -> FaultPlan:
@@ -19,10 +19,10 @@ def read_plan(path: Path) -> FaultPlan:
         InvalidConfig: no such file, no YAML, or no plan; names all that is wrong.
     """
     try:
-        text = readable.read_text(path.expanduser())
+        text = yaml12.read_text(path.expanduser())
     except (OSError, RuntimeError, UnicodeDecodeError) as error:
         raise InvalidConfig(f"{path} cannot be read: {error}") from None
     try:
-        return FaultPlan.model_validate(readable.parse(text, str(path)))
+        return FaultPlan.model_validate(yaml12.parse(text, str(path)))
     except ValidationError as error:
         raise InvalidConfig(f"{path}: {explain(error, FaultPlan.model_fields)}") from None

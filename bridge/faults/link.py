@@ -17,7 +17,7 @@ import numpy as np
 
 from bridge.faults.draws import Draws, Episodes, Law, flow_key
 from bridge.faults.windows import Grid, Told, Windows
-from topics.faults import Duplicate, FaultPlan, Jitter, Latency, LinkFault, Loss, Reorder
+from topics.fault_plan import Duplicate, FaultPlan, Jitter, Latency, LinkFault, Loss, Reorder
 
 _SAMPLES = ""  # no controller has this name
 

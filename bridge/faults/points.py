@@ -17,7 +17,7 @@ from bridge.faults.draws import Draws, Episodes
 from bridge.faults.effects import COMMANDED, SENSED, Effect, Floats, limited
 from bridge.faults.windows import Grid, Told, Windows
 from topics.errors import Faults, InvalidConfig, near
-from topics.faults import FaultPlan, PointFault, Stuck
+from topics.fault_plan import FaultPlan, PointFault, Stuck
 from topics.messages import Actuator
 from topics.units import with_unit
 

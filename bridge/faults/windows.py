@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from bridge.faults.draws import Draws, Episodes, Key, Law, fault_key
 from topics.errors import Faults, InvalidConfig
-from topics.faults import WEEKDAYS, AnyFault, FaultPlan, When, moment
+from topics.fault_plan import WEEKDAYS, AnyFault, FaultPlan, When, moment
 
 FOREVER = 2**62
 _DAY_S, _WEEK_S = 86_400, 7 * 86_400
