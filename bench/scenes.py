@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eplus_node.config import Plan, plan, read_config
-from models.episode import Draw, Episodes, Files
-from models.survey import survey
+from models.points.discovery import survey
+from models.scenario.episode import Draw, Episodes, Files
 from topics.messages import Actuator
 
 PERIOD = {"begin": "2096-07-01", "end": "2104-02-28"}  # a weather file has no 29 February; nor has 2100

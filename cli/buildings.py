@@ -16,8 +16,8 @@ from cli.tables import show, show_json
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from models.building.summary import BuildingFacts
     from models.catalog import Entry
-    from models.facts import BuildingFacts
 
 COLUMNS = (
     "building",
@@ -57,7 +57,7 @@ def buildings(
 
 def _facts(entries: Sequence[Entry]) -> list[BuildingFacts]:
     """The facts of each, converted side by side where they must be: the work is in child processes."""
-    from models.facts import listed_facts
+    from models.building.summary import listed_facts
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         found = pool.map(listed_facts, entries)

@@ -8,7 +8,7 @@ import typer
 
 from cli.console import err, out
 from cli.tables import show
-from models import packs as store
+from models import data_packs as store
 
 app = typer.Typer(add_completion=False, rich_markup_mode="markdown")
 

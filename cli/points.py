@@ -14,8 +14,8 @@ from cli.tables import show, show_json
 from topics.errors import near
 
 if TYPE_CHECKING:
-    from models.points import Listed
-    from models.survey import Survey
+    from models.points.discovery import Survey
+    from models.points.selection import Listed
 
 
 class Kind(StrEnum):
@@ -39,9 +39,9 @@ def points(
     Example: `zenostat points office-medium --kind actuator --match setpoint`
     """
     from models import catalog
-    from models.building import read_building
-    from models.points import listing
-    from models.survey import survey
+    from models.building.model import read_building
+    from models.points.discovery import survey
+    from models.points.selection import listing
 
     with err.status(f"asking EnergyPlus about {building}"):
         model = read_building(catalog.find_building(building))
@@ -69,7 +69,7 @@ def points(
 
 def _default(found: Survey) -> set[tuple[str, str, str]]:
     """(kind, name, key), folded, of the points that a node has if none are named."""
-    from models.points import default_actuators, default_meters, default_sensors
+    from models.points.selection import default_actuators, default_meters, default_sensors
 
     wanted = {("sensor", *spec) for spec in default_sensors(found).values()}
     wanted |= {("meter", name, "") for name in default_meters(found).values()}

@@ -16,7 +16,7 @@ from topics.errors import Faults, InvalidConfig, UnknownName
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
-    from models.scenario import Scenario
+    from models.scenario.schema import Scenario
 
 scenarios = typer.Typer(help="Lists scenarios; shows, checks and describes scenario files.", no_args_is_help=False)
 
@@ -79,8 +79,8 @@ def show(
     Example: `zenostat scenarios show office-medium-USA_CO_Denver-discrete-v1 > mine.yaml`
     """
     from eplus_node.config import plan, read_base, read_config
-    from models.scenario import dump
-    from models.scenarios import expanded
+    from models.scenario.registry import expanded
+    from models.scenario.schema import dump
 
     config = read_config({"scenario": scenario})
     if brief:
@@ -114,7 +114,7 @@ def check(file: Annotated[Path, typer.Argument(help="A scenario file.")]) -> Non
     """
     from agent_sdk.rewards import read_reward
     from eplus_node.config import plan, read_config
-    from models.scenario import load_scenario
+    from models.scenario.schema import load_scenario
 
     faults = Faults()
     if not file.is_file():
@@ -150,7 +150,7 @@ def schema() -> None:
 def scenario_schema() -> dict[str, Any]:
     """The schema with the rewards' parameters in it, which are another room's."""
     from agent_sdk.rewards import REWARDS
-    from models.scenario import Scenario
+    from models.scenario.schema import Scenario
 
     found = Scenario.model_json_schema()
     kinds = []

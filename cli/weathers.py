@@ -10,7 +10,7 @@ import typer
 from cli.tables import show, show_json
 
 if TYPE_CHECKING:
-    from models.facts import WeatherFacts
+    from models.building.summary import WeatherFacts
 
 COLUMNS = (
     "weather",
@@ -37,7 +37,7 @@ def weathers(
     Example: `zenostat weathers USA_CO_Denver USA_FL_Miami`
     """
     from models import catalog
-    from models.facts import weather_facts
+    from models.building.summary import weather_facts
 
     entries = [catalog.find_weather(name) for name in weather] if weather else list(catalog.weathers())
     facts = [weather_facts(entry.path) for entry in entries]

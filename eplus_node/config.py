@@ -14,15 +14,19 @@ from bridge.faults import read_plan
 from bridge.session import DEFAULT_ENDPOINT
 from eplus_node.injection import Injection
 from eplus_node.registry import UNRESPONSIVE_S
-from models import building, catalog, design_days, points, rivals, survey, variability, weather
-from models.building import Building
-from models.episode import Source
-from models.period import Period, check_steps_per_hour, parse_day
-from models.points import Points
-from models.scenario import ActuatorSpec, Scenario, load_scenario, read_scenario
-from models.scenarios import find_scenario
-from models.survey import Survey
-from models.tasks import task_of
+from models import catalog
+from models.building import conflicts
+from models.building import model as building
+from models.building.model import Building
+from models.points import discovery, selection
+from models.points.discovery import Survey
+from models.points.selection import Points
+from models.scenario.episode import Source
+from models.scenario.registry import find_scenario
+from models.scenario.run_period import Period, check_steps_per_hour, parse_day
+from models.scenario.schema import ActuatorSpec, Scenario, load_scenario, read_scenario
+from models.scenario.task import task_of
+from models.weather import design_days, epw, noise
 from topics.codec import explain
 from topics.errors import Faults, InvalidConfig, UnknownName, near
 from topics.fault_plan import FaultPlan, Loss
@@ -124,7 +128,7 @@ def kept_episodes(config: NodeConfig) -> int | None:
     """How many finished episodes' files are kept; None is all of them."""
     if config.keep_last is not None or config.config is None or config.keep is None:
         return config.keep_last
-    from models.sinergym import kept_episodes as of_sinergym
+    from models.sinergym.scenarios import kept_episodes as of_sinergym
 
     return of_sinergym(config.config)
 
@@ -132,7 +136,7 @@ def kept_episodes(config: NodeConfig) -> int | None:
 def read_base(config: NodeConfig, errors: Faults | None = None) -> Scenario | None:
     """The scenario that the settings name, if they do. `errors`: as in `read_scenario`."""
     if config.config is not None:
-        from models.sinergym import scenario_of as of_sinergym  # few need it, and it takes a while
+        from models.sinergym.scenarios import scenario_of as of_sinergym  # few need it, and it takes a while
 
         overridden = {name for name, value in config.what.items() if value is not None}
         overridden |= {"reward"} if config.own_reward else set()
@@ -182,7 +186,7 @@ def plan(config: NodeConfig) -> Plan:
     # What cannot be changed in the model is no reason not to look at the rest.
     model = faults.catch(lambda: building.varied(plain, scenario.changes)) or plain if plain is not None else None
     sources = tuple(faults.catch(lambda name=name: _source(name, scenario)) for name in scenario.weather if name)  # type: ignore[misc]
-    faults.catch(lambda: variability.checked(scenario.variability))
+    faults.catch(lambda: noise.checked(scenario.variability))
     if config.keep is not None and config.keep.exists() and not config.keep.is_dir():
         faults.found.append(InvalidConfig(f"keep={config.keep} is a file; name a folder"))
     period = chosen = task = None
@@ -191,7 +195,7 @@ def plan(config: NodeConfig) -> Plan:
     found = [source for source in sources if source is not None]
     if period is not None:
         for source in found:
-            faults.catch(lambda source=source: weather.check_covers(source.header, period, source.name))  # type: ignore[misc]
+            faults.catch(lambda source=source: epw.check_covers(source.header, period, source.name))  # type: ignore[misc]
     if model is not None and found:
         chosen = faults.catch(lambda: _points(model, scenario, found[0].path))
     if chosen is not None:
@@ -203,7 +207,7 @@ def plan(config: NodeConfig) -> Plan:
     assert period is not None
     assert chosen is not None
     assert task is not None
-    warnings = tuple(rivals.rivals(model.objects, chosen.actuators)) + _waits_for_what_is_lost(config, injected)
+    warnings = tuple(conflicts.rivals(model.objects, chosen.actuators)) + _waits_for_what_is_lost(config, injected)
     planned = Plan(config, scenario, model, tuple(found), period, chosen, task, warnings, injected)
     if injected is not None:
         Injection(injected, planned, config.slots)  # so that its mistakes are known before anything starts
@@ -238,19 +242,19 @@ def _waits_for_what_is_lost(config: NodeConfig, faults: FaultPlan | None) -> tup
 
 def _source(name: str, scenario: Scenario) -> Source:
     entry = catalog.find_weather(name)
-    header = weather.read_header(entry.path)
+    header = epw.read_header(entry.path)
     if scenario.variability:
-        weather.read(entry.path)
+        epw.read(entry.path)
     site = design_days.site(entry.path, header) if scenario.sizing == "weather" else None
     return Source(entry.name, entry.path, header, site)
 
 
 def _points(model: Building, scenario: Scenario, any_weather: Path) -> Points:
-    offered = survey.survey(model, any_weather)
+    offered = discovery.survey(model, any_weather)
     actuators = None
     if scenario.actuators is not None:
         actuators = {name: _actuator(model, offered, name, spec) for name, spec in scenario.actuators.items()}
-    sensors = points.default_sensors(offered) if scenario.sensors is None else {}
+    sensors = selection.default_sensors(offered) if scenario.sensors is None else {}
     specs: dict[str, list[str]] = {name: list(spec) for name, spec in sensors.items()}
     for name, sensor in (scenario.sensors or {}).items():
         specs[name] = [sensor.variable, sensor.key, *([sensor.reading] if sensor.reading else [])]
@@ -260,10 +264,10 @@ def _points(model: Building, scenario: Scenario, any_weather: Path) -> Points:
             if len(spec) == 2:
                 reported = Reading.SUM if summed.get(spec[0].casefold()) else Reading.MEAN
                 spec.append(Reading.INSTANT if scenario.reading is Reading.INSTANT else reported)
-    chosen = points.choose(model, offered, specs, scenario.meters, actuators)
+    chosen = selection.choose(model, offered, specs, scenario.meters, actuators)
     if actuators is not None:
         return chosen
-    idle = rivals.fought(model.objects, chosen.actuators)  # nobody named them: what has no effect is left out
+    idle = conflicts.fought(model.objects, chosen.actuators)  # nobody named them: what has no effect is left out
     return replace(chosen, actuators=tuple(a for a in chosen.actuators if a.name not in idle))
 
 
@@ -273,7 +277,7 @@ def _actuator(model: Building, offered: Survey, name: str, spec: ActuatorSpec) -
     if spec.low is None and spec.high is None:
         return [*names]
     try:
-        low, high = points.actuator_bounds(model, points.find_actuator(offered, name, *names))
+        low, high = selection.actuator_bounds(model, selection.find_actuator(offered, name, *names))
     except UnknownName:
         return [*names]  # said, with all else that is unknown, by the choice of the points
     return [*names, low if spec.low is None else spec.low, high if spec.high is None else spec.high]

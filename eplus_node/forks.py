@@ -23,7 +23,7 @@ from eplus_node.injection import State as Faulty
 from eplus_node.link import EngineLink, one_for_each
 from eplus_node.runner import Runner
 from eplus_node.supply import Position, Supply, made, told_of
-from models.episode import Source
+from models.scenario.episode import Source
 from topics import keys
 from topics.errors import ForkFailed, Refused, near
 from topics.messages import (

@@ -27,8 +27,8 @@ from bridge.polling import Polling
 from eplus_node.engine import Order, Said
 from eplus_node.registry import EngineRegistry
 from models.energyplus import ISOLATED
-from models.errfile import explain
-from models.points import Points
+from models.err_file import explain
+from models.points.selection import Points
 from topics.errors import EngineDied, EngineUnresponsive, ForkFailed, ModelRefused
 
 LOG = "engine.log"

@@ -27,9 +27,9 @@ from eplus_node.injection import Injection
 from eplus_node.inlets import INBOX, MOST_SHELVED, Inlets
 from eplus_node.outlets import Outlets
 from eplus_node.pacing import Pacing
-from models.episode import series
-from models.scenario import dump
-from models.weather import find_column
+from models.scenario.episode import series
+from models.scenario.schema import dump
+from models.weather.epw import find_column
 from topics import codec, errors, keys
 from topics.errors import EpisodeAborted, Refused, SimulatorError, ZenostatError
 from topics.fault_plan import FaultPlan

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from models import packs
+from models import data_packs
 from topics.errors import InvalidConfig, UnknownName, near
 
 MODEL_SUFFIXES = (".epjson", ".idf")
@@ -42,7 +42,7 @@ class _Kind:
     folder: str
     suffixes: tuple[str, ...]
     short: Callable[[str], str]
-    promised: Callable[[packs.Pack], tuple[str, ...]]
+    promised: Callable[[data_packs.Pack], tuple[str, ...]]
 
 
 @cache
@@ -134,19 +134,21 @@ def _entries_of_pack(root: Path, kind: _Kind, pack: str) -> tuple[Entry, ...]:
 def _packed(kind: _Kind) -> tuple[Entry, ...]:
     """What the packs hold that are in the store now."""
     return tuple(
-        entry for pack in packs.installed() for entry in _entries_of_pack(packs.root(pack.name), kind, pack.name)
+        entry
+        for pack in data_packs.installed()
+        for entry in _entries_of_pack(data_packs.root(pack.name), kind, pack.name)
     )
 
 
 def _find(text: str, kind: _Kind, bundled: Sequence[Entry]) -> Entry:
     pack, _, rest = text.partition("/")
     suffix = Path(text).suffix.lower()
-    if pack in packs.PACKS and "/" not in rest and suffix not in kind.suffixes:
+    if pack in data_packs.PACKS and "/" not in rest and suffix not in kind.suffixes:
         packed = [e for e in _packed(kind) if e.pack == pack]
-        return _named(rest, text, kind, [packed], [packs.find_pack(pack)])
+        return _named(rest, text, kind, [packed], [data_packs.find_pack(pack)])
     if suffix in kind.suffixes or "/" in text or text.startswith("~"):
         return _file(text, kind)
-    return _named(text, text, kind, [bundled, _packed(kind)], list(packs.PACKS.values()))
+    return _named(text, text, kind, [bundled, _packed(kind)], list(data_packs.PACKS.values()))
 
 
 def _file(text: str, kind: _Kind) -> Entry:
@@ -161,10 +163,12 @@ def _file(text: str, kind: _Kind) -> Entry:
     return Entry(path.stem, path.resolve())
 
 
-def _named(text: str, said: str, kind: _Kind, shelves: Sequence[Sequence[Entry]], asked: Sequence[packs.Pack]) -> Entry:
+def _named(
+    text: str, said: str, kind: _Kind, shelves: Sequence[Sequence[Entry]], asked: Sequence[data_packs.Pack]
+) -> Entry:
     """The entry that `text` names wholly, else in part; of several shelves the first that has any."""
     folded = text.casefold()
-    missing = [pack for pack in asked if not packs.is_installed(pack.name)]
+    missing = [pack for pack in asked if not data_packs.is_installed(pack.name)]
     for fits in (_is_whole, _is_part) if folded else ():
         for shelf in shelves:
             found = [e for e in shelf if fits(folded, (e.plain.casefold(), e.path.stem.casefold()))]
@@ -174,7 +178,7 @@ def _named(text: str, said: str, kind: _Kind, shelves: Sequence[Sequence[Entry]]
                 return found[0]
         for pack in missing:
             if any(fits(folded, (kind.short(s).casefold(), s.casefold())) for s in kind.promised(pack)):
-                command = packs.command(pack.name)
+                command = data_packs.command(pack.name)
                 raise UnknownName(f"{kind.what} {said!r} is in the data pack {pack.name!r}: {command}")
     names = [e.name for shelf in shelves for e in shelf]
     names = names or [f"{pack.name}/{kind.short(stem)}" for pack in missing for stem in kind.promised(pack)]

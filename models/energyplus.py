@@ -16,7 +16,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from models.errfile import explain
+from models.err_file import explain
 from topics.errors import ModelRefused
 
 ISOLATED = (sys.executable, "-P", "-m")

@@ -6,8 +6,8 @@ import hashlib
 import zipfile
 from pathlib import Path
 
-from models import packs
-from models.packs import Pack
+from models import data_packs
+from models.data_packs import Pack
 
 
 def sinergym() -> Path:
@@ -15,7 +15,7 @@ def sinergym() -> Path:
 
     The usual store is used by all test runs, so that it is fetched once; workers that ask at once wait for one.
     """
-    return packs.add("sinergym")
+    return data_packs.add("sinergym")
 
 
 def wheel(folder: Path, files: dict[str, str], *, name: str = "zenostat_fake_pack", version: str = "1.0") -> Path:

@@ -18,10 +18,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from models import design_days
-from models.building import prepared, read_building, write
+from models.building.model import prepared, read_building, write
 from models.catalog import find_building, find_weather
-from models.weather import read_header
+from models.weather import design_days
+from models.weather.epw import read_header
 from topics.messages import Meter, Reading, Sensor
 
 _RUN = """

@@ -12,9 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from reference import Alone, Case
 
-from models.building import read_building
+from models.building.edits import Changes, changed
+from models.building.model import read_building
 from models.catalog import find_building
-from models.changes import Changes, changed
 from topics.errors import InvalidConfig
 from topics.messages import Meter
 

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agent_sdk.clock import BOUNDS, clock
-from models.building import prepared, read_building, write
+from models.building.model import prepared, read_building, write
 from models.catalog import find_building, find_weather
 from topics.messages import TimeField
 

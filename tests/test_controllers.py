@@ -749,7 +749,7 @@ def test_a_file_beside_modules_that_are_called_like_ours(tmp_path: Path, modules
     made = load_controller(f"{tmp_path / 'mine.py'}:Mine")(node())
     assert made.act(view(node())) == {"cooling_setpoint": 28.0}
     assert sys.modules["models"] is models
-    assert sys.modules["models.points"] is models.points
+    assert sys.modules["models.points.selection"] is models.points
     assert sys.modules["topics"] is topics
 
 
@@ -759,7 +759,7 @@ def test_our_own_rooms_beside_a_file_stay_the_same(modules: dict[str, Any]) -> N
 
     with _beside(Path(models.__file__).parent.parent):
         assert sys.modules["models"] is models
-        assert importlib.import_module("models.points").Points is models.points.Points
+        assert importlib.import_module("models.points.selection").Points is models.points.Points
 
 
 @pytest.mark.parametrize(

@@ -14,12 +14,12 @@ import pytest
 from outdoors import DRY_BULB, Outdoors, run
 from reference import _RUN
 
-from models.building import prepared, read_building, write
+from models.building.model import prepared, read_building, write
 from models.catalog import find_building, find_weather
-from models.design_days import Site, apply, from_header, site, standard_pressure
-from models.errfile import grave_lines
-from models.period import Period
-from models.weather import DesignConditions, Header, read_header
+from models.err_file import grave_lines
+from models.scenario.run_period import Period
+from models.weather.design_days import Site, apply, from_header, site, standard_pressure
+from models.weather.epw import DesignConditions, Header, read_header
 from topics.errors import InvalidConfig
 
 DENVER = find_weather("USA_CO_Denver").path
@@ -123,7 +123,7 @@ def test_a_ddy_that_lacks_something_is_not_taken_and_the_source_says_so(folder: 
 
 
 def test_a_ddy_that_energyplus_cannot_convert_is_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from models import design_days
+    from models.weather import design_days
     from topics.errors import ModelRefused
 
     def refuse(*_: object, **__: object) -> None:
@@ -136,7 +136,7 @@ def test_a_ddy_that_energyplus_cannot_convert_is_refused(folder: Path, monkeypat
 
 
 def test_a_ddy_is_converted_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from models import design_days
+    from models.weather import design_days
 
     monkeypatch.setenv("ZENOSTAT_CACHE", str(folder / "cache"))
     epw, header = beside(folder, LOCATION + HEATING + COOLING)

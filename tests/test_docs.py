@@ -24,7 +24,7 @@ from typer.testing import CliRunner
 
 from agent_sdk.rewards import read_reward
 from cli.commands import app
-from models.scenario import Scenario, read_scenario
+from models.scenario.schema import Scenario, read_scenario
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"

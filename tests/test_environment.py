@@ -20,7 +20,7 @@ from nodes import COOLING, SMALL, ZONES, NodeProgram, free_port, remains, until
 
 import agent_sdk
 from agent_sdk.rewards import LinearReward
-from models.building import read_building
+from models.building.model import read_building
 from models.catalog import find_building
 from topics.errors import EpisodeChanged, InvalidConfig
 from topics.messages import Reading

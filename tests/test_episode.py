@@ -14,11 +14,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from models import design_days, weather
-from models.building import Building, read_building
+from models.building.model import Building, read_building
 from models.catalog import find_building, find_weather
-from models.episode import Draw, Draws, Episodes, Files, Source
-from models.variability import Noise, Variability
+from models.scenario.episode import Draw, Draws, Episodes, Files, Source
+from models.weather import design_days, epw
+from models.weather.noise import Noise, Variability
 
 SEEDS = st.integers(0, 2**64)
 ORDERS = ("random", "sequence")
@@ -138,7 +138,7 @@ def small() -> Building:
 
 def source(name: str, sizing: str = "weather") -> Source:
     path = find_weather(name).path
-    header = weather.read_header(path)
+    header = epw.read_header(path)
     return Source(name, path, header, design_days.site(path, header) if sizing == "weather" else None)
 
 
@@ -173,9 +173,9 @@ def test_noise_is_put_on_the_weather_that_was_drawn(small: Building, tmp_path: P
     sources = [source(DENVER), source(MIAMI)]
     made = episodes(small, sources, NOISE)
     for number, drawn in enumerate((1, 0, 1)):
-        found, own = weather.read(prepared(made, Draw(drawn, number), tmp_path / str(number)).weather), sources[drawn]
+        found, own = epw.read(prepared(made, Draw(drawn, number), tmp_path / str(number)).weather), sources[drawn]
         assert found.header.place == own.header.place
-        shift = found.column("dry_bulb_temperature") - weather.read(own.path).column("dry_bulb_temperature")
+        shift = found.column("dry_bulb_temperature") - epw.read(own.path).column("dry_bulb_temperature")
         assert abs(np.mean(shift)) < 1.0
 
 
@@ -193,7 +193,7 @@ def test_noise_changes_the_weather_by_about_what_was_drawn(small: Building, tmp_
     Its error is sigma / sqrt(2 * 365), that of the mean sigma / sqrt(365); five of either are allowed.
     """
     files = prepared(episodes(small, [source(DENVER)], NOISE), Draw(0, 3), tmp_path / "noisy")
-    before, after = (weather.read(path).column("dry_bulb_temperature") for path in (source(DENVER).path, files.weather))
+    before, after = (epw.read(path).column("dry_bulb_temperature") for path in (source(DENVER).path, files.weather))
     sigma = files.drawn["dry_bulb_temperature.sigma"]
     assert 1.0 <= sigma <= 2.0
     assert files.drawn["dry_bulb_temperature.tau_h"] == 12.0

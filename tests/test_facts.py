@@ -13,11 +13,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from models import catalog, facts
-from models.building import Building, prepared, read_building, write
-from models.facts import BuildingFacts, building_facts, climate_zone, listed_facts, weather_facts, zone_areas
-from models.period import Period
-from models.survey import places, survey
+from models import catalog
+from models.building import summary
+from models.building.model import Building, prepared, read_building, write
+from models.building.summary import BuildingFacts, building_facts, climate_zone, listed_facts, weather_facts, zone_areas
+from models.points.discovery import places, survey
+from models.scenario.run_period import Period
 from topics.errors import InvalidConfig
 
 # Multipliers of zones and of a list of zones, plenums, attics, no heating in some zones, condenser loops.
@@ -275,7 +276,7 @@ def test_facts_are_made_once_for_a_file(tmp_path: Path, monkeypatch: pytest.Monk
     first = listed_facts(entry)
     assert isinstance(first, BuildingFacts)
     assert first.floor_area_m2 == 5.0
-    monkeypatch.setattr(facts, "building_facts", lambda _: pytest.fail("made again"))
+    monkeypatch.setattr(summary, "building_facts", lambda _: pytest.fail("made again"))
     assert listed_facts(entry) == first
 
 

@@ -25,7 +25,7 @@ import pytest
 from nodes import PATIENCE_S, SMALL, WEATHER, NodeProgram, Program, engine_of, free_port, programs_of, until
 
 import agent_sdk
-from models.building import read_building
+from models.building.model import read_building
 from models.catalog import find_building
 from topics.errors import (
     EndpointTaken,

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from reference import Alone, Case
 
 import agent_sdk
-from models import points, survey
-from models.building import read_building
+from models.building.model import read_building
 from models.catalog import find_building, find_weather
+from models.points import discovery, selection
 from topics.messages import Manifest, Reading
 
 ZONE = {"office-small": "Core_ZN", "office-medium": "Core_mid", "ref-small-office": "Core_ZN"}
@@ -48,9 +48,9 @@ def _with_other_readings(case: Case) -> dict[str, list[str]]:
         "zone_cooling_rate_instant": ("Zone Air System Sensible Cooling Rate", zone, "instant"),
         "outdoor_mean": ("Site Outdoor Air Drybulb Temperature", "Environment", "mean"),
         "sun": ("Site Direct Solar Radiation Rate per Area", "Environment"),
-        "hvac_power_instant": (points.HVAC_POWER, "Whole Building", "instant"),
+        "hvac_power_instant": (selection.HVAC_POWER, "Whole Building", "instant"),
     }
-    found = points.default_sensors(survey.survey(read_building(entry), weather))
+    found = selection.default_sensors(discovery.survey(read_building(entry), weather))
     return {name: list(spec) for name, spec in (found | more).items()}
 
 

@@ -13,10 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import agent_sdk  # noqa: F401  # registers the environments
-from models.building import read_building
+from models.building.model import read_building
 from models.catalog import find_building
-from models.points import default_actuators, default_sensors, find_actuator, thermostat_zones
-from models.survey import ActuatorPoint, Survey, Variable
+from models.points.discovery import ActuatorPoint, Survey, Variable
+from models.points.selection import default_actuators, default_sensors, find_actuator, thermostat_zones
 from topics import codec
 from topics.errors import BadMessage, InvalidConfig, UnknownName
 from topics.keys import check_name, safe

@@ -13,11 +13,11 @@ from reference import Alone, Case
 
 import agent_sdk
 from models import energyplus
-from models.building import Building, prepared, read_building, write
+from models.building.model import Building, prepared, read_building, write
 from models.catalog import find_building, find_weather
-from models.period import Period
-from models.points import default_reading, find_variable
-from models.survey import Survey, survey
+from models.points.discovery import Survey, survey
+from models.points.selection import default_reading, find_variable
+from models.scenario.run_period import Period
 from topics.messages import Reading
 
 CASE = Case("ref-small-office", "USA_CO_Denver", "04-06", "04-09", 4)

@@ -15,7 +15,7 @@ from agent_sdk.testing.environment import FakeEnv
 from agent_sdk.wrappers.core import Step
 from agent_sdk.wrappers.metrics import MeansLog
 from agent_sdk.wrappers.single import Single
-from models.variability import ornstein_uhlenbeck
+from models.weather.noise import ornstein_uhlenbeck
 from topics.errors import InvalidConfig
 
 

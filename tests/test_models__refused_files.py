@@ -9,12 +9,13 @@ from typing import Any
 
 import pytest
 
-from models import building, energyplus
-from models.building import Building, check_runnable, read_building
+from models import energyplus
+from models.building import model
+from models.building.model import Building, check_runnable, read_building
 from models.catalog import bundled_weathers, find_building
-from models.design_days import site
-from models.survey import survey
-from models.weather import read_header
+from models.points.discovery import survey
+from models.weather.design_days import site
+from models.weather.epw import read_header
 from topics.errors import InvalidConfig, ModelRefused
 
 OFFICE = find_building("office-small")
@@ -119,4 +120,4 @@ def test_an_error_of_a_ddy_names_that_file(tmp_path: Path, monkeypatch: pytest.M
 def test_many_errors_of_a_model_are_told_by_the_first_ones() -> None:
     with pytest.raises(InvalidConfig) as caught:
         check_runnable(Building("many", {f"None{i}": {} for i in range(1000)}, "", (), "many.epJSON"))
-    assert len(str(caught.value).splitlines()) == building._MOST + 2
+    assert len(str(caught.value).splitlines()) == model._MOST + 2

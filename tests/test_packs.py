@@ -19,10 +19,10 @@ import pytest
 from packs import pack_of, sinergym, wheel
 
 from models import catalog
-from models import packs as store
+from models import data_packs as store
+from models.cache import drop_folder, made_folder
 from models.catalog import find_building, find_weather
-from models.packs import PACKS, Pack, add, check_hash, folder, installed, remove, unzip
-from models.store import drop_folder, made_folder
+from models.data_packs import PACKS, Pack, add, check_hash, folder, installed, remove, unzip
 from topics.errors import InvalidConfig, UnknownName
 from topics.scenario_ids import pack_ids
 

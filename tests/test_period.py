@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from models.building import Building
-from models.period import Period, parse_day, year_of
-from models.weather import Header, check_covers
+from models.building.model import Building
+from models.scenario.run_period import Period, parse_day, year_of
+from models.weather.epw import Header, check_covers
 from topics.errors import InvalidConfig
 
 WEEKDAYS = list(calendar.day_name)

@@ -12,11 +12,11 @@ from typing import Any
 import pytest
 
 from models import catalog
-from models.building import Building, prepared, read_building, write
-from models.facts import zone_areas
-from models.period import Period
-from models.points import Listed, MeterSpec, Points, Spec, choose, default_reading, listing, sensor_bounds
-from models.survey import ActuatorPoint, InternalVariable, MeterPoint, Survey, Variable, survey
+from models.building.model import Building, prepared, read_building, write
+from models.building.summary import zone_areas
+from models.points.discovery import ActuatorPoint, InternalVariable, MeterPoint, Survey, Variable, survey
+from models.points.selection import Listed, MeterSpec, Points, Spec, choose, default_reading, listing, sensor_bounds
+from models.scenario.run_period import Period
 from topics.errors import InvalidConfig, UnknownName
 from topics.messages import Reading
 from topics.units import limits, unit_name

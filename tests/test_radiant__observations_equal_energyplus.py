@@ -15,10 +15,10 @@ from nodes import NodeProgram
 from packs import sinergym
 
 import agent_sdk
-from models import design_days
-from models.building import prepared, read_building, write
+from models.building.model import prepared, read_building, write
 from models.catalog import find_building, find_weather
-from models.weather import read_header
+from models.weather import design_days
+from models.weather.epw import read_header
 from topics.messages import Manifest
 
 DAYS = ("01-15", "01-16")

@@ -13,8 +13,8 @@ from agent_sdk.settings import check_reward
 from agent_sdk.wrappers import restore_wrappers
 from bridge.affinity import Affinity
 from bridge.faults import read_plan
-from models.scenario import load_scenario, read_scenario
-from models.sinergym import scenarios_of
+from models.scenario.schema import load_scenario, read_scenario
+from models.sinergym.scenarios import scenarios_of
 from topics import yaml12
 from topics.errors import InvalidConfig, UsageError
 

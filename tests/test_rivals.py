@@ -10,12 +10,12 @@ from typing import Any
 
 import pytest
 
-from models.building import prepared, read_building, write
+from models.building.conflicts import rivals
+from models.building.edits import Changes, changed
+from models.building.model import prepared, read_building, write
 from models.catalog import find_building, find_weather
-from models.changes import Changes, changed
-from models.points import choose
-from models.rivals import rivals
-from models.survey import survey
+from models.points.discovery import survey
+from models.points.selection import choose
 from topics.messages import Actuator
 
 ZONE, SCHEDULE = "Zone Temperature Control", "Schedule:Compact"

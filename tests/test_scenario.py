@@ -19,7 +19,7 @@ from jsonschema import Draft202012Validator
 from agent_sdk.rewards import read_reward
 from cli.scenarios import scenario_schema
 from eplus_node.config import plan, read_config
-from models.scenario import (
+from models.scenario.schema import (
     ActionSpec,
     ActuatorSpec,
     ChoiceSpec,
@@ -30,7 +30,7 @@ from models.scenario import (
     load_scenario,
     read_scenario,
 )
-from models.variability import Noise
+from models.weather.noise import Noise
 from topics.errors import InvalidConfig, UnknownName, UsageError
 from topics.messages import Reading
 

@@ -9,7 +9,7 @@ import pytest
 
 import agent_sdk  # noqa: F401  # registers the environments
 from eplus_node.config import plan, read_config
-from models.period import parse_day
+from models.scenario.run_period import parse_day
 from topics.errors import InvalidConfig
 
 MINE = """

@@ -7,7 +7,7 @@ from collections import Counter
 from packs import sinergym
 
 from models import catalog
-from models.sinergym import pack_scenarios
+from models.sinergym.scenarios import pack_scenarios
 from topics.keys import check_name
 from topics.scenario_ids import BUILDINGS, DEMO, PACK_IDS, WEATHERS, bundled_ids, pack_ids, variants
 

@@ -19,7 +19,7 @@ import agent_sdk
 from agent_sdk.environment import BuildingEnv
 from eplus_node.config import plan, read_config
 from models.catalog import find_weather
-from models.weather import read
+from models.weather.epw import read
 from topics import codec
 from topics.errors import InvalidConfig, ModelRefused, UnknownName, UsageError
 

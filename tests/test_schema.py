@@ -15,8 +15,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from reference import _RUN
 
-from models import schema
-from models.building import prepared, read_building, write
+from models.building import schema
+from models.building.model import prepared, read_building, write
 from models.catalog import Entry, buildings, find_building, find_weather
 
 GYPSUM = "1/2IN Gypsum"

@@ -14,12 +14,12 @@ import yaml
 from packs import sinergym
 
 from agent_sdk.rewards import read_reward
-from models import sinergym as reader
 from models.catalog import find_building, find_weather
-from models.literals import Box, Discrete, MultiDiscrete, Offsets, Rows, space, table
-from models.scenario import ChoiceSpec, Scenario, dump, load_scenario
-from models.sinergym import discrete_tables, pack_scenarios, scenario_of, scenarios_of
-from models.variability import Noise
+from models.scenario.schema import ChoiceSpec, Scenario, dump, load_scenario
+from models.sinergym import scenarios as reader
+from models.sinergym.literals import Box, Discrete, MultiDiscrete, Offsets, Rows, space, table
+from models.sinergym.scenarios import discrete_tables, pack_scenarios, scenario_of, scenarios_of
+from models.weather.noise import Noise
 from topics.errors import InvalidConfig, UnknownName
 from topics.scenario_ids import DEMO, PACK_IDS
 

@@ -13,8 +13,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from models import store
-from models.store import cached_bytes, digest, made_folder
+from models import cache as store
+from models.cache import cached_bytes, digest, made_folder
 from topics.errors import InvalidConfig
 
 

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from models.building import Building
-from models.points import Points
-from models.scenario import Scenario, read_scenario
-from models.scenarios import expanded
-from models.tasks import task_of
+from models.building.model import Building
+from models.points.selection import Points
+from models.scenario.registry import expanded
+from models.scenario.schema import Scenario, read_scenario
+from models.scenario.task import task_of
 from topics.errors import InvalidConfig
 from topics.messages import Action, Actuator, Choice, Task, TimeField
 

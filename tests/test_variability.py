@@ -18,8 +18,9 @@ from outdoors import DRY_BULB, STEPS_PER_HOUR, run
 from pydantic import ValidationError
 
 from models.catalog import find_weather
-from models.period import date
-from models.variability import (
+from models.scenario.run_period import date
+from models.weather.epw import Weather, read, write
+from models.weather.noise import (
     Disturbed,
     Noise,
     checked,
@@ -30,7 +31,6 @@ from models.variability import (
     relative_humidity,
     saturation_pressure,
 )
-from models.weather import Weather, read, write
 from topics.errors import InvalidConfig, UnknownName
 
 DENVER = find_weather("USA_CO_Denver").path

@@ -9,10 +9,11 @@ from typing import Any
 
 import pytest
 
-from models import energyplus, schema, versions
-from models.building import read_building
+from models import energyplus
+from models.building import schema, transition
+from models.building.model import read_building
+from models.building.transition import STEPS, check_epjson, check_idf
 from models.catalog import find_building
-from models.versions import STEPS, check_epjson, check_idf
 from topics.errors import InvalidConfig
 
 pytestmark = pytest.mark.skipif(not energyplus.version().startswith("25.2"), reason="the tables end at 25.2")
@@ -124,7 +125,7 @@ def test_a_known_change_is_converted(
     version: str, kind: str, old: dict[str, Any], new: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     partly = functools.partial(schema.faults, complete=False)  # the objects here have only the fields that matter
-    monkeypatch.setattr(versions.schema, "faults", lambda objects, complete: partly(objects))
+    monkeypatch.setattr(transition.schema, "faults", lambda objects, complete: partly(objects))
     result = check_epjson(model(version) | {kind: {"it": old}}, name="m")
     assert result.objects[kind] == {"it": new}
     assert result.objects["Version"] == OWN["Version"]

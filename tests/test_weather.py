@@ -11,8 +11,8 @@ import pytest
 from outdoors import STEPS_PER_HOUR, run
 
 from models.catalog import find_weather, weathers
-from models.period import Period
-from models.weather import COLUMNS, DesignConditions, Header, check_covers, find_column, read, read_header, write
+from models.scenario.run_period import Period
+from models.weather.epw import COLUMNS, DesignConditions, Header, check_covers, find_column, read, read_header, write
 from topics.errors import InvalidConfig, UnknownName
 
 DENVER = find_weather("USA_CO_Denver").path

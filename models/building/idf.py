@@ -12,9 +12,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from models import energyplus, schema
-from models.errfile import grave_lines
-from models.versions import idf_objects
+from models import energyplus
+from models.building import schema
+from models.building.transition import idf_objects
+from models.err_file import grave_lines
 from topics.errors import InvalidConfig, ModelRefused, near
 
 _MOST = 10

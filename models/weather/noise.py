@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, ConfigDict, field_validator, model_validator
 
-from models.weather import COLUMNS, Column, Floats, Weather, find_column
+from models.weather.epw import COLUMNS, Column, Floats, Weather, find_column
 from topics.errors import InvalidConfig
 
 Mask = NDArray[np.bool_]

@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from models import energyplus
-from models.building import Objects
-from models.store import cached_bytes, digest
-from models.weather import DesignConditions, Header
+from models.building.model import Objects
+from models.cache import cached_bytes, digest
+from models.weather.epw import DesignConditions, Header
 from topics.errors import InvalidConfig, ModelRefused
 
 _LOCATION, _DAY = "Site:Location", "SizingPeriod:DesignDay"

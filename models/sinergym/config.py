@@ -10,15 +10,15 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
-from models import catalog, packs
+from models import catalog, data_packs
 from models.catalog import Entry
-from models.fields import Fields
-from models.literals import Box, Space, Table, space
-from models.scenario import ActionSpec, ActuatorSpec, ChoiceSpec, Scenario, SensorSpec, read_scenario
-from models.sinergym_choices import choice_specs
-from models.sinergym_rewards import RewardReader
-from models.variability import Noise
-from models.weather import find_column
+from models.scenario.schema import ActionSpec, ActuatorSpec, ChoiceSpec, Scenario, SensorSpec, read_scenario
+from models.sinergym.choices import choice_specs
+from models.sinergym.literals import Box, Space, Table, space
+from models.sinergym.rewards import RewardReader
+from models.sinergym.section_reader import Fields
+from models.weather.epw import find_column
+from models.weather.noise import Noise
 from topics.codec import explain
 from topics.errors import InvalidConfig, near
 from topics.keys import check_name
@@ -30,7 +30,7 @@ T = TypeVar("T")
 PACK = "sinergym"
 """The data pack of the buildings and weather files that a configuration may name."""
 
-MODEL, WEATHER = packs.PACKS[PACK].buildings, packs.PACKS[PACK].weathers
+MODEL, WEATHER = data_packs.PACKS[PACK].buildings, data_packs.PACKS[PACK].weathers
 
 REQUIRED = ("id_base", "building_file", "weather_specification", "variables", "action_space", "reward", "reward_kwargs")
 OPTIONAL = ("actuators", "meters", "context", "time_variables", "building_config", "weather_variability",
@@ -186,7 +186,7 @@ class Reader(Fields):
             if entry.path.name == text:
                 return entry.name
         if not packed and Path(text).stem in promised:
-            self.fault(f"{where}: {text!r} is in the data pack {PACK!r}: {packs.command(PACK)}")
+            self.fault(f"{where}: {text!r} is in the data pack {PACK!r}: {data_packs.command(PACK)}")
         else:
             names = [entry.path.name for entry in packed]
             self.fault(f"{where}: no file {text!r} beside {self.path.name} or in the data pack; {near(text, names)}")
@@ -380,8 +380,10 @@ class Reader(Fields):
         return self.attempt(lambda: choice_specs(discrete, meaning, actuators), "action_space_discrete") or (), ""
 
     def _unknown_choices(self, base: str) -> str:
-        if base in PACK_IDS and not packs.is_installed(PACK):
-            return f"what the discrete choices of {base!r} mean is in the data pack {PACK!r}: {packs.command(PACK)}"
+        if base in PACK_IDS and not data_packs.is_installed(PACK):
+            return (
+                f"what the discrete choices of {base!r} mean is in the data pack {PACK!r}: {data_packs.command(PACK)}"
+            )
         return (
             f"what the choices of {self.given['action_space_discrete']} mean for {base!r} stands in code, which is "
             "not run; write them into a scenario file (its field `discrete`), or use the continuous scenarios"

@@ -9,11 +9,12 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from models import energyplus, idf, schema, versions
+from models import energyplus
+from models.building import idf, schema, transition
+from models.building.edits import Changes, changed
+from models.cache import cached_bytes, digest
 from models.catalog import Entry
-from models.changes import Changes, changed
-from models.period import Period, parse_day, year_of
-from models.store import cached_bytes, digest
+from models.scenario.run_period import Period, parse_day, year_of
 from topics.errors import InvalidConfig
 
 Objects = dict[str, dict[str, Any]]
@@ -132,7 +133,7 @@ def read_building(entry: Entry) -> Building:
     content = digest(raw, energyplus.version())
     name = entry.path.name
     if entry.path.suffix.lower() == ".idf":
-        versions.check_idf(raw.decode("latin-1"), name=name)
+        transition.check_idf(raw.decode("latin-1"), name=name)
         raw = cached_bytes(f"models/{content}.epJSON", lambda target: idf.convert(entry.path, target))
     try:
         objects = json.loads(raw)
@@ -140,7 +141,7 @@ def read_building(entry: Entry) -> Building:
         raise InvalidConfig(f"{entry.path} is no epJSON: {error}") from None
     if not isinstance(objects, dict) or "Building" not in objects:
         raise InvalidConfig(f"{entry.path} is no building model: it has no 'Building' object")
-    converted = versions.check_epjson(objects, name=name)
+    converted = transition.check_epjson(objects, name=name)
     return Building(entry.name, converted.objects, content, converted.notes, str(entry.path))
 
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import re
 
-from models.building import Building
-from models.points import Points
-from models.scenario import ActionSpec, ActuatorSpec, ChoiceSpec, Scenario, SensorSpec
-from models.variability import Noise, Variability
+from models.building.model import Building
+from models.points.selection import Points
+from models.scenario.schema import ActionSpec, ActuatorSpec, ChoiceSpec, Scenario, SensorSpec
+from models.weather.noise import Noise, Variability
 from topics.errors import UnknownName, near
 from topics.messages import Actuator, Sensor, Task
 from topics.scenario_ids import BUILDINGS, WEATHERS, bundled_ids, pack_ids
@@ -43,7 +43,7 @@ def find_scenario(text: str) -> Scenario:
     """
     name = text.removeprefix("zenostat/")
     if name in pack_ids():
-        from models.sinergym import pack_scenarios
+        from models.sinergym.scenarios import pack_scenarios
 
         return pack_scenarios()[name]
     match = _ID.fullmatch(name)

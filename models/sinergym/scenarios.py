@@ -1,6 +1,6 @@
 """Scenarios from a configuration file of Sinergym, and those of the data pack `sinergym`. No code of either is run.
 
-The form is that of Sinergym 3.12. What its files say in Python text is read by `models.literals`; the choices of its
+The form is that of Sinergym 3.12. What its files say in Python text is read by `models.sinergym.literals`; the choices of its
 discrete scenarios stand in its code, and are read from the syntax tree of that.
 """
 
@@ -14,10 +14,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from models import packs
-from models.literals import Table, literal, table, text_of, tree
-from models.scenario import Scenario, load_yaml
-from models.sinergym_config import PACK, Parsed, Reader
+from models import data_packs
+from models.scenario.schema import Scenario, load_yaml
+from models.sinergym.config import PACK, Parsed, Reader
+from models.sinergym.literals import Table, literal, table, text_of, tree
 from topics.errors import InvalidConfig, UnknownName, near
 from topics.scenario_ids import DEMO, DISCRETE, pack_ids, variants
 
@@ -67,7 +67,7 @@ def scenario_of(
         wanted: an id (`Eplus-` may stand before it), or the end of one that fits only one, as `hot-discrete`;
             None is the first.
         discrete_tables: as in `scenarios_of`.
-        overridden: arguments (see `models.sinergym_config.OVERRIDDEN_BY`) that replace what the file says; mistakes
+        overridden: arguments (see `models.sinergym.scenarios.config.OVERRIDDEN_BY`) that replace what the file says; mistakes
             there do not matter.
 
     Raises:
@@ -138,7 +138,7 @@ def discrete_tables(constants: Path) -> dict[str, Table]:
 
 
 def _tables_of_pack() -> dict[str, Table]:
-    return _tables_in(packs.root(PACK)) if packs.is_installed(PACK) else {}
+    return _tables_in(data_packs.root(PACK)) if data_packs.is_installed(PACK) else {}
 
 
 @cache
@@ -152,7 +152,7 @@ def pack_scenarios() -> dict[str, Scenario]:
     Raises:
         InvalidConfig: the pack was not added yet; the text has the command.
     """
-    return dict(_scenarios_in(packs.root(PACK)))
+    return dict(_scenarios_in(data_packs.root(PACK)))
 
 
 @cache

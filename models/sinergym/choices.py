@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from models.literals import Discrete, MultiDiscrete, Offsets, Rows, Table
-from models.scenario import ActuatorSpec, ChoiceSpec
+from models.scenario.schema import ActuatorSpec, ChoiceSpec
+from models.sinergym.literals import Discrete, MultiDiscrete, Offsets, Rows, Table
 from topics.errors import InvalidConfig
 
 _Values = tuple[tuple[float, ...], ...]

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from models.period import Period
+from models.scenario.run_period import Period
 from topics.errors import InvalidConfig, UnknownName, near
 
 Floats = NDArray[np.float64]

@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models import energyplus
-from models.building import Building, Objects, read_building
+from models.building.model import Building, Objects, read_building
+from models.cache import cached_bytes, digest
 from models.catalog import Entry
-from models.store import cached_bytes, digest
-from models.survey import Kinds, own_zones, places, texts, zone_names
-from models.weather import read_header
+from models.points.discovery import Kinds, own_zones, places, texts, zone_names
+from models.weather.epw import read_header
 from topics.errors import InvalidConfig
 
 Floats = NDArray[np.float64]

@@ -22,8 +22,8 @@ from pathlib import Path
 from typing import Any
 
 from models import energyplus
+from models.cache import cached_bytes
 from models.catalog import wheel
-from models.store import cached_bytes
 from topics.errors import InvalidConfig, near
 
 FORMAT = "1"

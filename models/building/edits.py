@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from models import schema
+from models.building import schema
 from topics.errors import InvalidConfig, near
 
 Changes = dict[str, dict[str, dict[str, Any] | None]]

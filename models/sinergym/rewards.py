@@ -7,8 +7,8 @@ from datetime import date
 from pathlib import Path
 from typing import Any
 
-from models import packs
-from models.fields import Fields
+from models import data_packs
+from models.sinergym.section_reader import Fields
 from topics.errors import near
 
 MODULE = "sinergym.utils.rewards:"
@@ -186,10 +186,18 @@ class RewardReader:
                 f"EUR/MWh in the column 'value') expected, got {given!r}"
             )
             return ""
-        packed = packs.root(self._pack) / "data" / "energy_cost" / given if packs.is_installed(self._pack) else None
+        packed = (
+            data_packs.root(self._pack) / "data" / "energy_cost" / given
+            if data_packs.is_installed(self._pack)
+            else None
+        )
         for file in (self._path.parent / given, packed):
             if file is not None and file.is_file():
                 return str(file.resolve())
-        hint = "" if packed is not None else f"; if it is of the data pack {self._pack!r}: {packs.command(self._pack)}"
+        hint = (
+            ""
+            if packed is not None
+            else f"; if it is of the data pack {self._pack!r}: {data_packs.command(self._pack)}"
+        )
         self._fields.fault(f"reward_kwargs.{_PRICES}: no file {given!r} beside {self._path.name}{hint}")
         return ""

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from models import design_days, weather
-from models.building import Building, prepared, write
-from models.design_days import Site
-from models.period import Period
-from models.scenario import Order
-from models.variability import Variability, disturbed
-from models.weather import Header
+from models.building.model import Building, prepared, write
+from models.scenario.run_period import Period
+from models.scenario.schema import Order
+from models.weather import design_days, epw
+from models.weather.design_days import Site
+from models.weather.epw import Header
+from models.weather.noise import Variability, disturbed
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +90,7 @@ class Episodes:
     ) -> None:
         self._building, self._period, self._sources = building, period, sources
         self._variability, self._outputs = variability, outputs
-        self._read: dict[int, weather.Weather] = {}
+        self._read: dict[int, epw.Weather] = {}
 
     def prepare(self, draw: Draw, folder: Path, disturbed_weather: Path) -> Files:
         """Writes the model of an episode into `folder`, and its weather, if there is noise, to the other path."""
@@ -102,9 +102,9 @@ class Episodes:
         if not self._variability:
             return Files(model, source.path)
         if draw.source not in self._read:
-            self._read[draw.source] = weather.read(source.path)
+            self._read[draw.source] = epw.read(source.path)
         found = disturbed(self._read[draw.source], self._variability, np.random.Generator(np.random.PCG64(draw.noise)))
-        weather.write(self._read[draw.source], disturbed_weather, found.changed)
+        epw.write(self._read[draw.source], disturbed_weather, found.changed)
         drawn = {f"{column}.{name}": value for column, values in found.drawn.items() for name, value in values.items()}
         return Files(model, disturbed_weather, drawn)
 
@@ -122,8 +122,8 @@ def series(path: Path, period: Period, columns: Sequence[str]) -> tuple[NDArray[
     Raises:
         UnknownName: no such column.
     """
-    found = [weather.find_column(name) for name in columns]
-    read = weather.read(path)
+    found = [epw.find_column(name) for name in columns]
+    read = epw.read(path)
     days: dict[tuple[int, int], list[int]] = {}
     for row, (_, month, day, _, _) in enumerate(read.times.tolist()):
         days.setdefault((month, day), []).append(row)

@@ -12,7 +12,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from models import energyplus, schema
+from models import energyplus
+from models.building import schema
 from topics.errors import InvalidConfig
 
 Objects = Mapping[str, Mapping[str, Any]]

@@ -23,9 +23,9 @@ from pydantic import (
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
+from models.building.edits import Changes
 from models.catalog import MODEL_SUFFIXES, WEATHER_SUFFIXES
-from models.changes import Changes
-from models.variability import Noise
+from models.weather.noise import Noise
 from topics import yaml12
 from topics.codec import explain
 from topics.errors import Faults, InvalidConfig, UnknownName

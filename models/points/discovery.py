@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from models import energyplus
-from models.building import Building, Objects, check_runnable, prepared, write
-from models.period import Period
-from models.store import cached_bytes, digest
+from models.building.model import Building, Objects, check_runnable, prepared, write
+from models.cache import cached_bytes, digest
+from models.scenario.run_period import Period
 from topics.units import unit_name
 
 Kinds = Mapping[str, Objects]

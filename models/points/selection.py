@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from math import isfinite, nan
 from typing import TypeVar
 
-from models.building import Building
-from models.survey import ActuatorPoint, MeterPoint, Survey, Variable, places
+from models.building.model import Building
+from models.points.discovery import ActuatorPoint, MeterPoint, Survey, Variable, places
 from topics.errors import Faults, InvalidConfig, UnknownName, UsageError, near
 from topics.keys import check_name, safe
 from topics.messages import Actuator, Meter, Reading, Sensor

@@ -19,7 +19,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
-from models.store import drop_folder, made_folder, stored_folder
+from models.cache import drop_folder, made_folder, stored_folder
 from topics.errors import InvalidConfig, UnknownName, near
 from topics.scenario_ids import pack_ids
 

@@ -7,8 +7,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from models.points import THERMOSTAT, Points
-from models.scenario import Scenario
+from models.points.selection import THERMOSTAT, Points
+from models.scenario.schema import Scenario
 from topics.errors import InvalidConfig, near
 from topics.keys import check_name, safe
 from topics.messages import Action, Actuator, Choice, Limit, Task

@@ -1,0 +1,1 @@
+"""Building models: reading, editing, preparing and summarizing them."""

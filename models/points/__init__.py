@@ -1,0 +1,1 @@
+"""Points of a model: which it offers, and which are selected."""

@@ -1,0 +1,1 @@
+"""Scenarios: their schema, registry, task and episodes."""

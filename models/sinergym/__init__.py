@@ -1,0 +1,1 @@
+"""Scenarios from configurations of Sinergym. No code of theirs is run."""

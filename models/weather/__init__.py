@@ -1,0 +1,1 @@
+"""Weather files, their noise and their design days."""
