@@ -24,11 +24,11 @@ from zenoh.handlers import Callback, RingChannel
 from agent_sdk import forked
 from agent_sdk.link import ControlLink
 from agent_sdk.sample import SampleView
-from bridge import affinity
-from bridge.access import May, may
-from bridge.affinity import Affinity
-from bridge.session import DEFAULT_ENDPOINT, FORKED, open_session
-from bridge.wake import Wake
+from bridge.runtime import affinity
+from bridge.runtime.affinity import Affinity
+from bridge.transport.access_control import May, may
+from bridge.transport.session import DEFAULT_ENDPOINT, FORKED, open_session
+from bridge.transport.wakeup import Wake
 from topics import codec, keys
 from topics.errors import (
     BusError,
@@ -98,7 +98,7 @@ def connect(
     Args:
         endpoint: `tcp/HOST:PORT`, `unixsock-stream/PATH`, or, with keys, `tls/HOST:PORT`.
         wait: keep trying in the background instead of failing.
-        affinity: where this process's bus threads run; see `bridge.affinity`.
+        affinity: where this process's bus threads run; see `bridge.runtime.affinity`.
         core: the node's core, if it is known already.
         keys: a folder that `zenostat keys init` made.
         role: whose certificate to show: a controller's, or a monitor's, which may only read.

@@ -29,7 +29,7 @@ from agent_sdk.render import History
 from agent_sdk.rewards import AnyReward
 from agent_sdk.sample import SampleView
 from agent_sdk.snapshot import Snapshot, asked_for, forking, take
-from bridge.affinity import Affinity
+from bridge.runtime.affinity import Affinity
 from topics.errors import BusError, EpisodeChanged, InvalidConfig, UsageError
 from topics.messages import MakeBranch, Mask, WeatherSeries
 from topics.seeds import check_seed
@@ -85,7 +85,7 @@ class BuildingEnv(Named, gym.Env[Observation, Any]):
         branches: how many snapshots and branches there may be at a time; 64 if left out.
         unresponsive_s: how long an engine may neither answer nor use processor time, before it is killed and the
             episode fails; 10 if left out.
-        affinity: see `bridge.affinity`.
+        affinity: see `bridge.runtime.affinity`.
         render_mode: `rgb_array`: `render()` gives a picture of the last day (needs matplotlib); `rerun`: a live
             view is opened beside the environment.
         link: what samples come from and commands go to, in place of a node: see `agent_sdk.testing`.

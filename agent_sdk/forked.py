@@ -6,7 +6,7 @@ import os
 from typing import Any, Protocol
 from weakref import WeakSet
 
-from bridge.session import FORKED
+from bridge.transport.session import FORKED
 from topics.errors import BusError
 
 

@@ -15,7 +15,7 @@ from agent_sdk.client import connect as join
 from agent_sdk.launch import Monitor, OwnNode, undisturbed
 from agent_sdk.rewards import AnyReward, Reward, read_reward
 from agent_sdk.sample import SampleView
-from bridge.affinity import Affinity
+from bridge.runtime.affinity import Affinity
 from topics.errors import BusError, EpisodeChanged, InvalidConfig
 from topics.messages import Manifest
 

@@ -17,10 +17,10 @@ from typing import Any
 
 import psutil
 
-from bridge import affinity
-from bridge.affinity import Affinity
-from bridge.handlers import handled
-from bridge.scratch import Scratch
+from bridge.runtime import affinity
+from bridge.runtime.affinity import Affinity
+from bridge.runtime.scratch import Scratch
+from bridge.runtime.signals import handled
 from topics.errors import NodeLost, from_wire
 from topics.messages import Manifest
 
@@ -35,7 +35,7 @@ class OwnNode:
 
     Args:
         settings: of `eplus_node.config.NodeConfig`; the endpoint, folder and core are filled in here.
-        placement: see `bridge.affinity`.
+        placement: see `bridge.runtime.affinity`.
 
     Attributes:
         manifest: what the node is, told before anybody has joined its bus; None if it was only to check.

@@ -15,10 +15,10 @@ from zenoh.handlers import FifoChannel
 
 from agent_sdk.presence import NodeWatch, undeclare
 from agent_sdk.sample import SampleView
-from bridge import affinity
-from bridge.affinity import Affinity
-from bridge.polling import Polling
-from bridge.wake import Wake
+from bridge.runtime import affinity
+from bridge.runtime.affinity import Affinity
+from bridge.runtime.polling import Polling
+from bridge.transport.wakeup import Wake
 from topics import codec, keys
 from topics.errors import (
     EpisodeChanged,

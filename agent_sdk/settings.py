@@ -10,7 +10,7 @@ import numpy as np
 
 from agent_sdk.launch import OwnNode
 from agent_sdk.rewards import AnyReward, read_reward
-from bridge.affinity import Affinity
+from bridge.runtime.affinity import Affinity
 from topics import yaml12
 from topics.errors import InvalidConfig, UnknownArgument, UsageError, near
 

@@ -26,7 +26,7 @@ from agent_sdk.rewards import AnyReward
 from agent_sdk.slot import Seeds, Slot, seeds_of, slots_of
 from agent_sdk.snapshot import Snapshot, asked_for, forking, take
 from agent_sdk.wrappers import apply_wrappers
-from bridge.affinity import Affinity
+from bridge.runtime.affinity import Affinity
 from topics.errors import BusError, EpisodeChanged, InvalidConfig, UsageError
 from topics.messages import Mask, WeatherSeries
 

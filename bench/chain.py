@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from zenoh.handlers import FifoChannel
 
-from bridge import affinity
-from bridge.affinity import Affinity
-from bridge.session import open_session
+from bridge.runtime import affinity
+from bridge.runtime.affinity import Affinity
+from bridge.transport.session import open_session
 
 _SAMPLE, _COMMAND = "sample", "command"
 _MOST = 1 << 16
@@ -34,7 +34,7 @@ class Chain:
     Args:
         run: a `bench.worker.InProcess`, which simulates in a process forked from this one.
         folder: for the socket.
-        placement: `node` or `together`; see `bridge.affinity`.
+        placement: `node` or `together`; see `bridge.runtime.affinity`.
     """
 
     def __init__(self, run: Any, folder: Path, placement: Affinity) -> None:

@@ -92,7 +92,7 @@ class InProcess:
 def chain(run: InProcess, pace: Pace, *, affinity: str) -> None:
     """Across processes over Zenoh as `env.step` is, with bare bytes and nothing done to them."""
     from bench.chain import Chain
-    from bridge.affinity import Affinity
+    from bridge.runtime.affinity import Affinity
 
     with Chain(run, Path(tempfile.mkdtemp()), Affinity(affinity)) as made:
         _in_turn(made.step, pace)
@@ -206,7 +206,7 @@ def slots(found: dict[str, Any], pace: Pace, *, count: int, **more: Any) -> None
     """Slots of one node, without an environment around them: what the bus and the node take of it."""
     from agent_sdk.client import connect
     from agent_sdk.launch import OwnNode
-    from bridge.affinity import Affinity
+    from bridge.runtime.affinity import Affinity
 
     placement = Affinity(more.get("affinity", Affinity.APART))
     node = OwnNode({**found, "slots": count, "name": "bench"}, placement)

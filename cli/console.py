@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from bridge.handlers import ENDING, handled
+from bridge.runtime.signals import ENDING, handled
 from topics.errors import ZenostatError
 
 out = Console(highlight=False)

@@ -37,7 +37,7 @@ def demo(
     """
     from agent_sdk import connect
     from agent_sdk.launch import OwnNode
-    from bridge.affinity import Affinity
+    from bridge.runtime.affinity import Affinity
 
     folder.mkdir(parents=True, exist_ok=True)
     recording, picture = folder / "run.rrd", folder / "run.png"

@@ -13,7 +13,7 @@ from topics.errors import UnknownName, near
 from topics.keys import Role
 
 if TYPE_CHECKING:
-    from bridge.certificates import Certificate
+    from bridge.transport.certificates import Certificate
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -42,7 +42,7 @@ def init(
 
     Example: `zenostat keys init --host lab.example.org --host 192.168.1.20`
     """
-    from bridge.certificates import AUTHORITY, make
+    from bridge.transport.certificates import AUTHORITY, make
 
     made = make(folder, hosts=host or (), days=days, force=force)
     out.print(_table(made))
@@ -66,8 +66,8 @@ def add(
 
     Example: `zenostat keys add controller annex`
     """
-    from bridge.access import ROLES
-    from bridge.certificates import add
+    from bridge.transport.access_control import ROLES
+    from bridge.transport.certificates import add
 
     if role not in tuple(ROLES):
         raise UnknownName(f"no role {role!r}; {near(role, ROLES)}")
@@ -80,7 +80,7 @@ def show(folder: Annotated[Path, typer.Argument(help="Where the files are.")] = 
 
     Example: `zenostat keys show`
     """
-    from bridge.certificates import show
+    from bridge.transport.certificates import show
 
     out.print(_table(show(folder)))
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from bridge.session import DEFAULT_ENDPOINT, default_endpoint
+from bridge.transport.session import DEFAULT_ENDPOINT, default_endpoint
 from cli.console import err, out, until_signal
 from cli.options import CertificateName, Keys
 from topics.errors import InvalidConfig, NothingThere, near
@@ -39,11 +39,11 @@ def monitor(
 
     Example: `zenostat monitor --save run.rrd --screenshot run.png`
     """
-    from bridge import affinity
-    from bridge.rerun_program import NO_VULKAN, has_vulkan, how_to_open
-    from bridge.rerun_program import screenshot as draw
-    from bridge.rerun_stream import RerunStream
-    from bridge.session import open_session
+    from bridge.rerun.stream import RerunStream
+    from bridge.rerun.viewer import NO_VULKAN, has_vulkan, how_to_open
+    from bridge.rerun.viewer import screenshot as draw
+    from bridge.runtime import affinity
+    from bridge.transport.session import open_session
 
     if screenshot is not None and screenshot.suffix != ".png":
         raise InvalidConfig(f"--screenshot {screenshot}: a file .png expected, as --screenshot run.png")
@@ -86,7 +86,7 @@ def _awaited(session: zenoh.Session, node: str) -> str:
 
 def _there(connect: str, stop: threading.Event, **who: Any) -> bool:
     """Waits until somebody listens; False if it is told to stop before."""
-    from bridge.session import open_session
+    from bridge.transport.session import open_session
 
     told = False
     while not stop.is_set():
@@ -104,7 +104,7 @@ def _there(connect: str, stop: threading.Event, **who: Any) -> bool:
 def _sinks(stack: ExitStack, recording: Path | None, web: bool) -> list[Any]:
     import rerun as rr
 
-    from bridge.rerun_program import program, web_viewer
+    from bridge.rerun.viewer import program, web_viewer
 
     sinks: list[Any] = []
     if recording is not None:

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bridge.affinity import Affinity
-from bridge.session import DEFAULT_ENDPOINT, default_endpoint, exposure
+from bridge.runtime.affinity import Affinity
+from bridge.transport.session import DEFAULT_ENDPOINT, default_endpoint, exposure
 from cli import statistics
 from cli.console import out, progress
 from cli.options import CertificateName, Keys

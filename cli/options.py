@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from bridge.session import DEFAULT_ENDPOINT
+from bridge.transport.session import DEFAULT_ENDPOINT
 
 Connect = Annotated[str | None, typer.Option(help="Endpoint of the bus.", show_default=DEFAULT_ENDPOINT)]
 Keys = Annotated[Path | None, typer.Option(help="Folder made by `zenostat keys init`: TLS, with rules for each role.")]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bridge.session import default_endpoint
+from bridge.transport.session import default_endpoint
 from cli.console import out
 from cli.options import CertificateName, Connect, Keys
 from cli.write import Node, person

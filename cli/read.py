@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from bridge.session import default_endpoint
+from bridge.transport.session import default_endpoint
 from cli.options import CertificateName, Connect, Keys
 from cli.tables import show, show_json
 from topics.errors import UnknownName, near

@@ -25,7 +25,7 @@ def router(
 
     Example: `zenostat router --listen tcp/127.0.0.1:7447`
     """
-    from bridge.session import Mode, default_endpoint, exposure, open_session
+    from bridge.transport.session import Mode, default_endpoint, exposure, open_session
     from topics.keys import Role
 
     endpoints = listen or [default_endpoint(keys)]

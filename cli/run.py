@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from bridge.session import default_endpoint
+from bridge.transport.session import default_endpoint
 from cli.console import out, progress
 from cli.options import CertificateName, Connect, Keys
 from cli.results import show_results

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 
-from bridge.session import default_endpoint
+from bridge.transport.session import default_endpoint
 from cli.console import out
 from cli.options import CertificateName, Connect, Keys
 from cli.statistics import milliseconds

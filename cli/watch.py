@@ -13,7 +13,7 @@ import typer
 from rich.console import RenderableType
 from rich.live import Live
 
-from bridge.session import default_endpoint
+from bridge.transport.session import default_endpoint
 from cli.console import err, out
 from cli.options import CertificateName, Connect, Keys
 from cli.read import Row, check_points, shown, where

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from bridge.handlers import ENDING, handled
-from bridge.session import default_endpoint
+from bridge.runtime.signals import ENDING, handled
+from bridge.transport.session import default_endpoint
 from cli.console import out
 from cli.options import CertificateName, Connect, Keys
 from topics.errors import InvalidConfig
@@ -32,8 +32,8 @@ def zmq(
     """
     if importlib.util.find_spec("zmq") is None:
         raise InvalidConfig(f"pyzmq is not installed: {install_command('zeromq')}")
-    from bridge.session import open_session
-    from bridge.zeromq import Gateway
+    from bridge.gateways.zeromq import Gateway
+    from bridge.transport.session import open_session
 
     connect = connect or default_endpoint(keys)
     with (

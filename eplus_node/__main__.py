@@ -13,7 +13,7 @@ import sys
 import threading
 from typing import Any
 
-from bridge.handlers import ENDING
+from bridge.runtime.signals import ENDING
 from eplus_node.config import plan, read_config
 from eplus_node.node import Node
 from topics.errors import ZenostatError, to_wire

@@ -13,7 +13,7 @@ from typing import Any
 import zenoh
 from zenoh.handlers import Callback
 
-from bridge.timer import Timer
+from bridge.runtime.timer import Timer
 from topics import codec
 
 BATCH_S = 0.1

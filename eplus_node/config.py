@@ -9,9 +9,9 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from bridge.affinity import Affinity
 from bridge.faults import read_plan
-from bridge.session import DEFAULT_ENDPOINT
+from bridge.runtime.affinity import Affinity
+from bridge.transport.session import DEFAULT_ENDPOINT
 from eplus_node.injection import Injection
 from eplus_node.registry import UNRESPONSIVE_S
 from models import catalog

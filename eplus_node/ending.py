@@ -13,7 +13,7 @@ import threading
 from collections.abc import Callable
 from time import monotonic
 
-from bridge.handlers import ENDING
+from bridge.runtime.signals import ENDING
 
 PATIENCE_S = 0.5
 """How long an engine that is computing may go on when the node is to end."""

@@ -37,7 +37,7 @@ from itertools import repeat
 from math import isfinite
 from typing import Any, NoReturn
 
-from bridge.polling import Polling
+from bridge.runtime.polling import Polling
 from eplus_node.memory import SaturationCache, join_pages
 
 RUN_PERIOD = 3

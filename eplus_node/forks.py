@@ -15,8 +15,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from bridge.commanded import Held
-from bridge.lockstep import Exchange
+from bridge.exchange.actuator_commands import Held
+from bridge.exchange.episode import Exchange
 from eplus_node.engines import Engines
 from eplus_node.injection import NO_FAULTS
 from eplus_node.injection import State as Faulty

@@ -18,7 +18,7 @@ from typing import Any
 import zenoh
 from zenoh.handlers import Callback, FifoChannel
 
-from bridge.wake import Wake
+from bridge.transport.wakeup import Wake
 from topics import codec, errors, keys
 from topics.errors import BadMessage, ZenostatError
 from topics.messages import Ask, Denied, Message

@@ -22,8 +22,8 @@ import numpy as np
 import psutil
 from numpy.typing import NDArray
 
-from bridge.idle import LOOK_S, IdleWatch
-from bridge.polling import Polling
+from bridge.runtime.idle_watch import LOOK_S, IdleWatch
+from bridge.runtime.polling import Polling
 from eplus_node.engine import Order, Said
 from eplus_node.registry import EngineRegistry
 from models.energyplus import ISOLATED

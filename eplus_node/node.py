@@ -10,11 +10,11 @@ from functools import partial
 from pathlib import Path
 from types import FrameType
 
-from bridge import affinity
-from bridge.handlers import ENDING, handled
-from bridge.lockstep import Exchange
-from bridge.scratch import Scratch, sweep
-from bridge.session import open_session
+from bridge.exchange.episode import Exchange
+from bridge.runtime import affinity
+from bridge.runtime.scratch import Scratch, sweep
+from bridge.runtime.signals import ENDING, handled
+from bridge.transport.session import open_session
 from eplus_node.config import NodeConfig, Plan, plan
 from eplus_node.ending import LIMIT_S, Ending
 from eplus_node.engines import Engines

@@ -11,7 +11,7 @@ import zenoh
 from zenoh import CongestionControl
 from zenoh.handlers import Callback
 
-from bridge.timer import Timer
+from bridge.runtime.timer import Timer
 from eplus_node.batches import Batches
 from topics import codec, keys
 from topics.messages import Event, EventKind, Manifest, PointValue

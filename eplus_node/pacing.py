@@ -6,7 +6,7 @@ from collections.abc import Callable
 from time import monotonic
 from typing import TYPE_CHECKING
 
-from bridge.pace import Pace
+from bridge.exchange.step_schedule import Pace
 from topics import keys
 from topics.errors import EpisodeAborted, Refused
 from topics.messages import Accepted, EventKind, GoSteps, Message, Mode, Pause, Resume, SetPace, State

@@ -18,9 +18,9 @@ import numpy as np
 import psutil
 import zenoh
 
-from bridge.latencies import Latencies
-from bridge.lockstep import MOST_NAME, Exchange, Input
-from bridge.timer import Timer
+from bridge.exchange.episode import MOST_NAME, Exchange, Input
+from bridge.exchange.latency import Latencies
+from bridge.runtime.timer import Timer
 from eplus_node.config import Plan
 from eplus_node.engines import Engines
 from eplus_node.injection import Injection

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bridge.lockstep import Exchange
+from bridge.exchange.episode import Exchange
 from topics import codec
 from topics.messages import (
     Action,

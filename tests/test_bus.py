@@ -14,7 +14,7 @@ from nodes import SMALL, NodeProgram, Program, until
 from zenoh.handlers import FifoChannel
 
 import agent_sdk
-from bridge.session import MOST_BYTES
+from bridge.transport.session import MOST_BYTES
 from topics import codec, keys
 from topics.errors import NothingThere, Refused
 from topics.messages import Claim, Event, EventKind, State

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from bridge import certificates
-from bridge.certificates import add, identity, make, show
+from bridge.transport import certificates
+from bridge.transport.certificates import add, identity, make, show
 from topics.errors import InvalidConfig, UnknownName
 from topics.keys import Role
 

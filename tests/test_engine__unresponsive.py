@@ -13,7 +13,7 @@ from nodes import SMALL, NodeProgram, Program, engines_of, until
 from zenoh.handlers import FifoChannel
 
 import agent_sdk
-from bridge.idle import IdleWatch
+from bridge.runtime.idle_watch import IdleWatch
 from topics import codec, keys
 from topics.errors import EngineUnresponsive, InvalidConfig
 from topics.messages import Event, EventKind, Start

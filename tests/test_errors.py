@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bridge.session import DEFAULT_ENDPOINT, check_endpoint, open_session
+from bridge.transport.session import DEFAULT_ENDPOINT, check_endpoint, open_session
 from topics import errors
 from topics.errors import (
     EndpointTaken,

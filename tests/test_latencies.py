@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from bridge.latencies import Latencies
+from bridge.exchange.latency import Latencies
 
 
 def test_one_that_was_hardly_used_is_small() -> None:

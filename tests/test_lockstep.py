@@ -12,7 +12,7 @@ from builders import NAN, actuator, advance, answer, claim, command, exchange, r
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bridge.lockstep import TRANSITIONS, Exchange, IllegalInput, Input
+from bridge.exchange.episode import TRANSITIONS, Exchange, IllegalInput, Input
 from topics import codec
 from topics.errors import Refused
 from topics.messages import Command, Event, EventKind, Mask, Mode, State, Write

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from builders import actuator, advance, claim, command, exchange, ruling
 
-from bridge.claims import MAX_CLAIMS
-from bridge.priority import MAX_SOURCES
+from bridge.exchange.claims import MAX_CLAIMS
+from bridge.exchange.priority_array import MAX_SOURCES
 from topics.errors import Refused
 from topics.messages import EventKind, Mask, Write
 

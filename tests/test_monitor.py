@@ -19,9 +19,9 @@ from rerun.chunk import RrdReader
 from zenoh.handlers import RingChannel
 
 import agent_sdk
-from bridge.rerun_program import screenshot, web_viewer
-from bridge.rerun_stream import RerunStream
-from bridge.session import open_session
+from bridge.rerun.stream import RerunStream
+from bridge.rerun.viewer import screenshot, web_viewer
+from bridge.transport.session import open_session
 from topics import codec, keys
 from topics.messages import Batch, Event, EventKind
 

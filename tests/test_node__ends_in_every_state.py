@@ -17,7 +17,7 @@ import pytest
 from nodes import SMALL, NodeProgram, Program, engines_of, programs_of, remains, runs, until
 
 import agent_sdk
-from bridge.scratch import Scratch, sweep
+from bridge.runtime.scratch import Scratch, sweep
 from topics.errors import ZenostatError
 from topics.messages import MakeBranch, Reset, State
 

@@ -23,7 +23,7 @@ import agent_sdk
 from agent_sdk import Bus
 from agent_sdk.link import ControlLink
 from agent_sdk.sample import SampleView
-from bridge.pace import Pace
+from bridge.exchange.step_schedule import Pace
 from cli.pace import read_pace
 from topics.errors import InvalidConfig, Refused
 from topics.messages import EventKind, Mode, Sample, State

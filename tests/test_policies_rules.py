@@ -8,7 +8,7 @@ from builders import NAN, advance, answer, claim, command, exchange, wire
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bridge.lockstep import MOST_A_STEP, Exchange, Input
+from bridge.exchange.episode import MOST_A_STEP, Exchange, Input
 from topics.errors import EpisodeAborted
 from topics.messages import ControllerStatus, Event, EventKind, Mask, Mode, Policy, State
 

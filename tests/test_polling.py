@@ -6,8 +6,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from bridge import polling
-from bridge.polling import Polling
+from bridge.runtime import polling
+from bridge.runtime.polling import Polling
 
 LIMIT_S = Polling.LIMIT_S
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
-from bridge.priority import LEVELS, THE_BUILDING, PriorityArray
+from bridge.exchange.priority_array import LEVELS, THE_BUILDING, PriorityArray
 
 SLOTS, ACTUATORS = 2, 3
 NAMES = [f"controller {i}" for i in range(5)]

@@ -11,8 +11,8 @@ import pytest
 
 from agent_sdk.settings import check_reward
 from agent_sdk.wrappers import restore_wrappers
-from bridge.affinity import Affinity
 from bridge.faults import read_plan
+from bridge.runtime.affinity import Affinity
 from models.scenario.schema import load_scenario, read_scenario
 from models.sinergym.scenarios import scenarios_of
 from topics import yaml12

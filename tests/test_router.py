@@ -21,8 +21,8 @@ import pytest
 from nodes import SMALL, NodeProgram, free_port, until
 
 import agent_sdk
-from bridge.certificates import add, make
-from bridge.session import open_session
+from bridge.transport.certificates import add, make
+from bridge.transport.session import open_session
 from eplus_node.config import read_config
 from topics import codec, keys
 from topics.errors import InvalidConfig, NameTaken

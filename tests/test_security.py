@@ -24,10 +24,10 @@ from test_certificates import expire
 from zenoh.handlers import FifoChannel
 
 import agent_sdk
-from bridge.access import ALL_MESSAGES, ROLES, May, control, may, rules
-from bridge.certificates import Identity, add, make
-from bridge.handshake import why_refused
-from bridge.session import check_endpoint, exposure, open_session
+from bridge.transport.access_control import ALL_MESSAGES, ROLES, May, control, may, rules
+from bridge.transport.certificates import Identity, add, make
+from bridge.transport.session import check_endpoint, exposure, open_session
+from bridge.transport.tls_diagnosis import why_refused
 from topics import codec, keys
 from topics.errors import EndpointTaken, InvalidConfig, NothingThere, UsageError
 from topics.keys import TOPICS, Role

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from agent_sdk.settings import OF_A_NODE, OF_THE_SCENARIO, _of_file, check_reward, for_node
-from bridge.affinity import Affinity
+from bridge.runtime.affinity import Affinity
 from eplus_node.config import read_config
 from topics.errors import InvalidConfig, UsageError
 from topics.messages import Reading

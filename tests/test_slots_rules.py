@@ -8,8 +8,8 @@ from builders import NAN, answer, claim, command, exchange, ruling
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bridge.lockstep import Exchange
-from bridge.priority import LEVELS, PriorityArray
+from bridge.exchange.episode import Exchange
+from bridge.exchange.priority_array import LEVELS, PriorityArray
 from topics.messages import Command, EventKind, Mask, Mode, State, Write
 
 KEEP, SET, RELEASE = Mask.KEEP, Mask.SET, Mask.RELEASE

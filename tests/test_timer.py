@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from nodes import until
 
-from bridge.timer import Agenda, Timer
+from bridge.runtime.timer import Agenda, Timer
 
 
 class Clock:

@@ -25,8 +25,8 @@ from topics.messages import Event, EventKind, Manifest, Sample, State
 
 zmq = pytest.importorskip("zmq", reason="pyzmq is not installed")
 
-from bridge.zeromq import nodes as view  # noqa: E402
-from bridge.zeromq.frames import split  # noqa: E402
+from bridge.gateways.zeromq import node_state as view  # noqa: E402
+from bridge.gateways.zeromq.frames import split  # noqa: E402
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 ANY = "tcp://127.0.0.1:*"

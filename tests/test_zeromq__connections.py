@@ -16,8 +16,8 @@ from nodes import Program
 from test_zeromq import KILLED, GatewayProgram, Peer, gateway, keeping
 
 import agent_sdk
-from bridge.zeromq import connections
-from bridge.zeromq.frames import split
+from bridge.gateways.zeromq import connections
+from bridge.gateways.zeromq.frames import split
 
 __all__ = ["gateway"]
 

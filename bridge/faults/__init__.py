@@ -1,8 +1,8 @@
 """Faults on purpose, between a node and its bus. Rules without I/O; only `read_plan` reads a file."""
 
-from bridge.faults.files import read_plan
-from bridge.faults.link import LinkFaults
-from bridge.faults.points import PointFaults
-from bridge.faults.windows import Told, Turn
+from bridge.faults.link_faults import LinkFaults
+from bridge.faults.plan_file import read_plan
+from bridge.faults.point_faults import PointFaults
+from bridge.faults.schedule import Told, Turn
 
 __all__ = ["LinkFaults", "PointFaults", "Told", "Turn", "read_plan"]

@@ -9,8 +9,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.faults.draws import Draws, Law
-from bridge.faults.windows import Windows
+from bridge.faults.random_streams import Draws, Law
+from bridge.faults.schedule import Windows
 from topics.fault_plan import Bias, Clip, Delay, Drift, Drop, Freeze, Gain, Noise, PointFault, Quantise, Spike, Stuck
 
 Floats = NDArray[np.float64]

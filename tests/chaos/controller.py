@@ -21,7 +21,7 @@ import agent_sdk
 from agent_sdk.client import Bus
 from agent_sdk.link import ControlLink
 from agent_sdk.sample import SampleView
-from bridge.affinity import Affinity
+from bridge.runtime.affinity import Affinity
 from chaos.journal import Journal
 from topics.errors import EpisodeChanged, NodeLost, NothingThere, Refused, SimulatorError
 from topics.messages import Actuator, Mask

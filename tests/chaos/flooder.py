@@ -20,7 +20,7 @@ from zenoh import CongestionControl
 
 import agent_sdk
 from agent_sdk.client import Bus
-from bridge.affinity import Affinity
+from bridge.runtime.affinity import Affinity
 from chaos.acts import Act
 from chaos.journal import Journal
 from topics import codec, keys

@@ -14,7 +14,7 @@ from contextlib import ExitStack
 import msgpack
 from zenoh.handlers import RingChannel
 
-from bridge.session import open_session
+from bridge.transport.session import open_session
 from chaos.journal import KINDS
 from topics import codec, keys
 from topics.messages import Event, EventKind

@@ -9,7 +9,7 @@ from nodes import NodeProgram
 
 import agent_sdk
 from agent_sdk.link import ControlLink
-from bridge.affinity import Affinity
+from bridge.runtime.affinity import Affinity
 from chaos.account import Episode
 from chaos.run import BUILDING
 from topics.errors import ZenostatError

@@ -21,8 +21,8 @@ from nodes import SMALL, ZONES, NodeProgram, engines_of, until
 from zenoh.handlers import Callback
 
 import agent_sdk
-from bridge.affinity import Affinity
-from bridge.timer import Timer
+from bridge.runtime.affinity import Affinity
+from bridge.runtime.timer import Timer
 from chaos.acts import FLOODS, LONG_S, SIZES, Act, Step, script
 from chaos.controller import LOST
 from chaos.crew import Member

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from bridge.faults.draws import Draws, Episodes, Law, flow_key
-from bridge.faults.windows import Grid, Told, Windows
+from bridge.faults.random_streams import Draws, Episodes, Law, flow_key
+from bridge.faults.schedule import Grid, Told, Windows
 from topics.fault_plan import Duplicate, FaultPlan, Jitter, Latency, LinkFault, Loss, Reorder
 
 _SAMPLES = ""  # no controller has this name

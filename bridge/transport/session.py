@@ -17,13 +17,13 @@ from typing import TYPE_CHECKING, Any
 
 import zenoh
 
-from bridge.access import ROLES, control
+from bridge.transport.access_control import ROLES, control
 from topics import codec
 from topics.errors import BusError, EndpointTaken, Faults, InvalidConfig, NothingThere
 from topics.keys import Role
 
 if TYPE_CHECKING:
-    from bridge.certificates import Identity
+    from bridge.transport.certificates import Identity
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 DEFAULT_TLS_ENDPOINT = "tls/127.0.0.1:7447"
@@ -96,7 +96,7 @@ def open_session(
         wait: keep trying to connect in the background instead of failing.
         expose: allow listening beyond this machine.
         keys: a folder that `zenostat keys init` made; then every endpoint is a `tls/` one, both sides show their
-            certificates, and who listens lets through what `bridge.access` allows.
+            certificates, and who listens lets through what `bridge.transport.access_control` allows.
         role: whose certificate to show; needed with `keys`.
         certificate: the name of another certificate of that role, made with `zenostat keys add`.
         mode: None is a peer where it listens, else a client.
@@ -175,7 +175,7 @@ def _identity(keys: Path | None, role: Role | None, certificate: str | None, *, 
         raise InvalidConfig(f"keys need a role: {', '.join(ROLES)}")
     if listens and role is not Role.NODE:
         raise InvalidConfig(f"a {role} does not listen; connect to a node or router, or listen as a node")
-    from bridge.certificates import identity  # few need it, and it takes a while
+    from bridge.transport.certificates import identity  # few need it, and it takes a while
 
     return identity(keys, role, certificate)
 
@@ -229,7 +229,7 @@ def _explained(error: zenoh.ZError, listen: Sequence[str], connect: Sequence[str
         )
     if "Unable to connect" in text or "Timeout" in text:
         if shown is not None:
-            from bridge.handshake import why_refused
+            from bridge.transport.tls_diagnosis import why_refused
 
             return NothingThere("\n".join(why_refused(endpoint, shown) for endpoint in connect))
         return NothingThere(f"nobody listens on {' or '.join(connect)}; start a node there: zenostat node --help")

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.claims import Claimant
-from bridge.priority import PriorityArray
+from bridge.exchange.claims import Claimant
+from bridge.exchange.priority_array import PriorityArray
 from topics import codec
 from topics.errors import BadMessage, near
 from topics.messages import Actuator, Command, Mask, Write

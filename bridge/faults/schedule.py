@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.faults.draws import Draws, Episodes, Key, Law, fault_key
+from bridge.faults.random_streams import Draws, Episodes, Key, Law, fault_key
 from topics.errors import Faults, InvalidConfig
 from topics.fault_plan import WEEKDAYS, AnyFault, FaultPlan, When, moment
 

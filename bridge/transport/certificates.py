@@ -28,7 +28,7 @@ from cryptography.hazmat.primitives.serialization import (
 )
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from bridge.access import ROLES, common_name
+from bridge.transport.access_control import ROLES, common_name
 from topics.errors import Faults, InvalidConfig, UnknownName, near
 from topics.keys import Role, check_name
 

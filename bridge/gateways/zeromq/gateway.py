@@ -11,11 +11,11 @@ from dataclasses import dataclass, field
 
 import zenoh
 
-from bridge.zeromq.bus import BusSide, Said
-from bridge.zeromq.frames import Peer, Request, answer, denied, read, split
-from bridge.zeromq.lanes import Lanes
-from bridge.zeromq.nodes import NodeView
-from bridge.zeromq.sockets import DEFAULT_COMMAND, DEFAULT_PUBLISH, Sockets, check_endpoint
+from bridge.gateways.zeromq.delivery import Lanes
+from bridge.gateways.zeromq.frames import Peer, Request, answer, denied, read, split
+from bridge.gateways.zeromq.node_state import NodeView
+from bridge.gateways.zeromq.sockets import DEFAULT_COMMAND, DEFAULT_PUBLISH, Sockets, check_endpoint
+from bridge.gateways.zeromq.zenoh_side import BusSide, Said
 from topics import codec, errors, keys
 from topics.errors import BadMessage, InvalidConfig, NodeLost, NothingThere, Refused, ZenostatError, near
 from topics.keys import Delivery, Role

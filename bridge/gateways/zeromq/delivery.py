@@ -25,9 +25,9 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from bridge.zeromq.bus import BusSide, Said
-from bridge.zeromq.frames import Request, denied
-from bridge.zeromq.nodes import REFUSALS, NodeView, Owner, answers, leads_to, refusals
+from bridge.gateways.zeromq.frames import Request, denied
+from bridge.gateways.zeromq.node_state import REFUSALS, NodeView, Owner, answers, leads_to, refusals
+from bridge.gateways.zeromq.zenoh_side import BusSide, Said
 from topics import codec, keys
 from topics.errors import NodeLost, NothingThere, Refused, ZenostatError, from_wire
 from topics.messages import Accepted, Claim, Command, Event, EventKind, Message, Sample, State, Status, Write

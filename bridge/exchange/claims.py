@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.latencies import Latencies
-from bridge.priority import PriorityArray
+from bridge.exchange.latency import Latencies
+from bridge.exchange.priority_array import PriorityArray
 from topics.errors import Refused, near
 from topics.messages import Actuator, Claim
 

@@ -7,7 +7,7 @@ import ssl
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from bridge.certificates import Identity
+    from bridge.transport.certificates import Identity
 
 _PATIENCE_S = 2.0
 

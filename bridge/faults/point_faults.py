@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from bridge.faults.draws import Draws, Episodes
 from bridge.faults.effects import COMMANDED, SENSED, Effect, Floats, limited
-from bridge.faults.windows import Grid, Told, Windows
+from bridge.faults.random_streams import Draws, Episodes
+from bridge.faults.schedule import Grid, Told, Windows
 from topics.errors import Faults, InvalidConfig, near
 from topics.fault_plan import FaultPlan, PointFault, Stuck
 from topics.messages import Actuator

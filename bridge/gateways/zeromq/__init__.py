@@ -1,5 +1,5 @@
 """The ZeroMQ gateway: programs that speak only ZeroMQ and msgpack join a bus. It needs pyzmq (the extra `zeromq`)."""
 
-from bridge.zeromq.gateway import Gateway
+from bridge.gateways.zeromq.gateway import Gateway
 
 __all__ = ["Gateway"]

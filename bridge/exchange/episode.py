@@ -27,9 +27,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from bridge.claims import Claimant, Claims
-from bridge.commanded import Commanded, Held
-from bridge.priority import MAX_SOURCES
+from bridge.exchange.actuator_commands import Commanded, Held
+from bridge.exchange.claims import Claimant, Claims
+from bridge.exchange.priority_array import MAX_SOURCES
 from topics import codec
 from topics.errors import BadMessage, EpisodeAborted
 from topics.messages import (

@@ -16,7 +16,7 @@ from time import monotonic
 import zmq
 from zmq.utils.monitor import recv_monitor_message
 
-from bridge.zeromq.connections import CHECK_S, Connections
+from bridge.gateways.zeromq.connections import CHECK_S, Connections
 from topics import codec
 from topics.errors import EndpointTaken, InvalidConfig
 

@@ -1,0 +1,1 @@
+"""Gateways: clients of other protocols on the same node."""

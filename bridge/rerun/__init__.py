@@ -1,0 +1,1 @@
+"""The Rerun monitor: a stream of samples and events, and the viewer program."""

@@ -1,0 +1,1 @@
+"""Threads, timers, signals, polling and placement on cores."""

@@ -1,0 +1,1 @@
+"""Zenoh sessions, access control, certificates and wake-ups."""
