@@ -178,8 +178,8 @@ def environment(found: dict[str, Any], pace: Pace, *, monitors: int = 0, **more:
 
 def engines(found: dict[str, Any], pace: Pace, *, count: int) -> None:
     """Engines of one node that step together by its sockets alone: no bus, no node, no controller."""
-    from eplus_node.engines import Engines
-    from eplus_node.link import EngineLink, Run
+    from eplus_node.engine.client import EngineLink, Run
+    from eplus_node.engine.group import Engines
 
     folder = Path(tempfile.mkdtemp())
     checked, files = scenes.prepared(found, folder)

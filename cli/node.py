@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from eplus_node.config import NodeConfig
     from eplus_node.node import Node
-    from eplus_node.runner import Observer, Runner
+    from eplus_node.server import Observer, Runner
 
 
 def node(

@@ -12,8 +12,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from bridge.faults import read_plan
 from bridge.runtime.affinity import Affinity
 from bridge.transport.session import DEFAULT_ENDPOINT
-from eplus_node.injection import Injection
-from eplus_node.registry import UNRESPONSIVE_S
+from eplus_node.engine.registry import UNRESPONSIVE_S
+from eplus_node.fault_injection import Injection
 from models import catalog
 from models.building import conflicts
 from models.building import model as building

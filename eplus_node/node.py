@@ -15,16 +15,16 @@ from bridge.runtime import affinity
 from bridge.runtime.scratch import Scratch, sweep
 from bridge.runtime.signals import ENDING, handled
 from bridge.transport.session import open_session
+from eplus_node.branches import Forks
 from eplus_node.config import NodeConfig, Plan, plan
-from eplus_node.ending import LIMIT_S, Ending
-from eplus_node.engines import Engines
-from eplus_node.forks import Forks
-from eplus_node.injection import NO_FAULTS
-from eplus_node.injection import State as Faulty
-from eplus_node.link import EngineLink, one_for_each
-from eplus_node.registry import EngineRegistry
-from eplus_node.runner import Observer, Runner, Stopped
-from eplus_node.supply import Supply, Waiting, told_of
+from eplus_node.engine.client import EngineLink, one_for_each
+from eplus_node.engine.group import Engines
+from eplus_node.engine.pool import Supply, Waiting, told_of
+from eplus_node.engine.registry import EngineRegistry
+from eplus_node.fault_injection import NO_FAULTS
+from eplus_node.fault_injection import State as Faulty
+from eplus_node.server import Observer, Runner, Stopped
+from eplus_node.shutdown import LIMIT_S, Ending
 from models import energyplus
 from topics import VERSION, codec, errors, keys
 from topics.errors import NameTaken, SimulatorError

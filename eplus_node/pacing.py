@@ -12,7 +12,7 @@ from topics.errors import EpisodeAborted, Refused
 from topics.messages import Accepted, EventKind, GoSteps, Message, Mode, Pause, Resume, SetPace, State
 
 if TYPE_CHECKING:
-    from eplus_node.runner import Runner
+    from eplus_node.server import Runner
 
 _PACED = Mode.PACED
 

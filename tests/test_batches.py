@@ -6,7 +6,7 @@ from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
-from eplus_node.batches import BATCH_S, Batches
+from eplus_node.batching import BATCH_S, Batches
 from topics import codec
 from topics.messages import Batch
 

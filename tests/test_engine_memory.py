@@ -14,7 +14,7 @@ import psutil
 import pytest
 from forking import SMALL, engines, make
 
-from eplus_node.memory import SaturationCache
+from eplus_node.engine.memory import SaturationCache
 
 SLOTS, HEAD, WET_BULB, SATURATION, BY_PRESSURE, SETTING, BY_ENTHALPY = 1 << 20, 8, 1 << 25, 1 << 24, 3 << 23, 8, 3 << 23
 SETTING_AT = HEAD + WET_BULB + SATURATION + BY_PRESSURE

@@ -216,14 +216,14 @@ def test_all_messages_are_fuzzed() -> None:
 def test_the_limits_in_the_documentation_are_those_of_the_code() -> None:
     from bridge.exchange import episode
     from bridge.transport import session
-    from eplus_node import inlets, outlets
+    from eplus_node import publications, subscriptions
 
     page = (Path(__file__).parent.parent / "docs" / "security.md").read_text()
     section = page.split("## What a stranger can send", 1)[1].split("\n## ", 1)[0]
     numbers = (
         codec.MAX_BYTES // 2**20, session.MOST_BYTES // 2**20, codec.MOST_ENTRIES, codec.MOST_OF[Claim],
         episode.MOST_A_STEP, episode.MOST_NAME,
-        inlets.INBOX, inlets.MOST_SHELVED, outlets.EVENTS_A_STEP, outlets.WRITTEN_A_STEP,
+        subscriptions.INBOX, subscriptions.MOST_SHELVED, publications.EVENTS_A_STEP, publications.WRITTEN_A_STEP,
     )  # fmt: skip
     rows = [line.split("|")[2].strip() for line in section.splitlines() if line.startswith("| ")][1:]
     assert [row.split(" ")[0] for row in rows] == [f"{number:,}" for number in numbers]

@@ -19,7 +19,7 @@ from agent_sdk import Bus
 from agent_sdk.link import ControlLink
 from bridge.faults import LinkFaults
 from eplus_node.config import plan, read_config
-from eplus_node.injection import Injection
+from eplus_node.fault_injection import Injection
 from topics import codec, keys
 from topics.errors import InvalidConfig
 from topics.fault_plan import FaultPlan

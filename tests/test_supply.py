@@ -17,8 +17,8 @@ from nodes import runs, until
 
 from eplus_node.config import Plan, read_config
 from eplus_node.config import plan as read_plan
-from eplus_node.link import EngineLink
-from eplus_node.supply import Supply, Waiting
+from eplus_node.engine.client import EngineLink
+from eplus_node.engine.pool import Supply, Waiting
 from topics.errors import EngineDied, ForkFailed, SimulatorError
 from topics.messages import Start, State
 

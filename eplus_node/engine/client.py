@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 
 from bridge.runtime.idle_watch import LOOK_S, IdleWatch
 from bridge.runtime.polling import Polling
-from eplus_node.engine import Order, Said
-from eplus_node.registry import EngineRegistry
+from eplus_node.engine.process import Order, Said
+from eplus_node.engine.registry import EngineRegistry
 from models.energyplus import ISOLATED
 from models.err_file import explain
 from models.points.selection import Points
@@ -239,7 +239,7 @@ def _start(run: Run) -> tuple[_Ends, Process]:
     ours, theirs = _ends()
     with theirs, (run.folder / LOG).open("wb") as log:
         process = subprocess.Popen(
-            [*ISOLATED, "eplus_node.engine", *map(str, theirs.descriptors), str(os.getpid())],
+            [*ISOLATED, "eplus_node.engine.process", *map(str, theirs.descriptors), str(os.getpid())],
             pass_fds=theirs.descriptors,
             env=os.environ | _HUGE_PAGES,
             stdin=subprocess.DEVNULL,

@@ -38,7 +38,7 @@ from math import isfinite
 from typing import Any, NoReturn
 
 from bridge.runtime.polling import Polling
-from eplus_node.memory import SaturationCache, join_pages
+from eplus_node.engine.memory import SaturationCache, join_pages
 
 RUN_PERIOD = 3
 """EnergyPlus's `kind_of_sim` of a weather-file run period."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from topics.errors import EngineDied
 
 if TYPE_CHECKING:
-    from eplus_node.link import EngineLink
+    from eplus_node.engine.client import EngineLink
 
 UNRESPONSIVE_S = 10.0
 """Default of the time after which an engine that neither answers nor uses processor time is given up."""

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from eplus_node.config import Plan, kept_episodes
-from eplus_node.link import LOG, EngineLink, Run
-from eplus_node.registry import EngineRegistry
+from eplus_node.engine.client import LOG, EngineLink, Run
+from eplus_node.engine.registry import EngineRegistry
 from models.scenario.episode import Draw, Draws, Episodes, Files, Source
 from topics.errors import EngineDied, ForkFailed, SimulatorError
 from topics.messages import Start

@@ -17,12 +17,12 @@ from pathlib import Path
 
 from bridge.exchange.actuator_commands import Held
 from bridge.exchange.episode import Exchange
-from eplus_node.engines import Engines
-from eplus_node.injection import NO_FAULTS
-from eplus_node.injection import State as Faulty
-from eplus_node.link import EngineLink, one_for_each
-from eplus_node.runner import Runner
-from eplus_node.supply import Position, Supply, made, told_of
+from eplus_node.engine.client import EngineLink, one_for_each
+from eplus_node.engine.group import Engines
+from eplus_node.engine.pool import Position, Supply, made, told_of
+from eplus_node.fault_injection import NO_FAULTS
+from eplus_node.fault_injection import State as Faulty
+from eplus_node.server import Runner
 from models.scenario.episode import Source
 from topics import keys
 from topics.errors import ForkFailed, Refused, near

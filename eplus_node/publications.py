@@ -12,7 +12,7 @@ from zenoh import CongestionControl
 from zenoh.handlers import Callback
 
 from bridge.runtime.timer import Timer
-from eplus_node.batches import Batches
+from eplus_node.batching import Batches
 from topics import codec, keys
 from topics.messages import Event, EventKind, Manifest, PointValue
 

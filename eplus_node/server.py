@@ -22,11 +22,11 @@ from bridge.exchange.episode import MOST_NAME, Exchange, Input
 from bridge.exchange.latency import Latencies
 from bridge.runtime.timer import Timer
 from eplus_node.config import Plan
-from eplus_node.engines import Engines
-from eplus_node.injection import Injection
-from eplus_node.inlets import INBOX, MOST_SHELVED, Inlets
-from eplus_node.outlets import Outlets
+from eplus_node.engine.group import Engines
+from eplus_node.fault_injection import Injection
 from eplus_node.pacing import Pacing
+from eplus_node.publications import Outlets
+from eplus_node.subscriptions import INBOX, MOST_SHELVED, Inlets
 from models.scenario.episode import series
 from models.scenario.schema import dump
 from models.weather.epw import find_column

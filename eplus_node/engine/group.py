@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from eplus_node.link import EngineLink, one_for_each
+from eplus_node.engine.client import EngineLink, one_for_each
 
 
 class Engines:

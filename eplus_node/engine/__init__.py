@@ -1,0 +1,1 @@
+"""EnergyPlus in a process of its own, and the node's side of it."""
