@@ -6,8 +6,8 @@ from gymnasium.envs.registration import EnvSpec, registry
 
 from topics.scenario_ids import bundled_ids, pack_ids
 
-_ENTRY, _VECTOR = "agent_sdk.environment_file:make", "agent_sdk.vector:make"
-_FAKE, _FAKE_VECTOR = "agent_sdk.testing.environment:FakeEnv", "agent_sdk.testing.slots:FakeVectorEnv"
+_ENTRY, _VECTOR = "agent_sdk.make:make", "agent_sdk.envs.vector_env:make"
+_FAKE, _FAKE_VECTOR = "agent_sdk.testing.fake_env:FakeEnv", "agent_sdk.testing.fake_vector_env:FakeVectorEnv"
 _OPEN = ("Building-v1", "Scenario-v1", "Sinergym-v1")
 
 

@@ -15,14 +15,14 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from agent_sdk import spaces
-from agent_sdk.actions import Actions
-from agent_sdk.clock import clock
+from agent_sdk.bus.sample import SampleView
 from agent_sdk.controllers import Controller, Values
-from agent_sdk.evaluation import Maker, run_episode
-from agent_sdk.metrics import Result
-from agent_sdk.normalization import beside_model, load_normalization, mark_normalized, normalization_of
-from agent_sdk.sample import SampleView
+from agent_sdk.envs import spaces
+from agent_sdk.envs.actions import Actions
+from agent_sdk.envs.time_features import clock
+from agent_sdk.evaluation.evaluate import Maker, run_episode
+from agent_sdk.evaluation.metrics import Result
+from agent_sdk.vec_normalization import beside_model, load_normalization, mark_normalized, normalization_of
 from agent_sdk.wrappers import restore_wrappers, save_wrappers
 from topics import yaml12
 from topics.errors import InvalidConfig, UnknownName, near

@@ -13,7 +13,7 @@ import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from agent_sdk.evaluation import evaluate
+from agent_sdk.evaluation.evaluate import evaluate
 from topics.scenario_ids import WEATHERS, pack_ids
 
 BUNDLED = ("office-small", "office-medium", "ref-warehouse", "warehouse", "ref-large-hotel", "hotel-small")

@@ -204,8 +204,8 @@ def engines(found: dict[str, Any], pace: Pace, *, count: int) -> None:
 
 def slots(found: dict[str, Any], pace: Pace, *, count: int, **more: Any) -> None:
     """Slots of one node, without an environment around them: what the bus and the node take of it."""
-    from agent_sdk.client import connect
-    from agent_sdk.launch import OwnNode
+    from agent_sdk.bus.bus import connect
+    from agent_sdk.bus.local_node import OwnNode
     from bridge.runtime.affinity import Affinity
 
     placement = Affinity(more.get("affinity", Affinity.APART))

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
     from agent_sdk import Bus
-    from agent_sdk.metrics import Result
+    from agent_sdk.evaluation.metrics import Result
 
 NODE = "office"
 ZENOSTAT = [sys.executable, "-P", "-m", "cli.main"]
@@ -36,7 +36,7 @@ def demo(
     Example: `zenostat demo --begin 01-08 --end 01-14`
     """
     from agent_sdk import connect
-    from agent_sdk.launch import OwnNode
+    from agent_sdk.bus.local_node import OwnNode
     from bridge.runtime.affinity import Affinity
 
     folder.mkdir(parents=True, exist_ok=True)
@@ -82,7 +82,7 @@ def _rest(process: subprocess.Popen[str]) -> list[str]:
 
 def _episode(bus: Bus, endpoint: str, controller: str, title: str, bars: Progress) -> tuple[Result, float]:
     """One episode under one controller in a process of its own; its totals and its timesteps per second."""
-    from agent_sdk.metrics import Tally
+    from agent_sdk.evaluation.metrics import Tally
 
     manifest = bus.manifest(NODE)
     tally, bar = Tally(manifest), bars.add_task(title, total=manifest.steps, rate="")

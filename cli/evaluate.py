@@ -17,7 +17,7 @@ from cli.tables import show, show_json
 from topics.errors import InvalidConfig
 
 if TYPE_CHECKING:
-    from agent_sdk.evaluation import Evaluation, Progress, Spread
+    from agent_sdk.evaluation.evaluate import Evaluation, Progress, Spread
 
 _UNITS = {"kwh": "kWh", "w": "W", "kw": "kW", "k": "K", "kh": "K h", "percent": "%"}
 _TEXTS = ("controller", "weather")
@@ -58,7 +58,7 @@ def evaluate(
     """
     if file is not None:
         check_file(file)
-    from agent_sdk.evaluation import evaluate as run_all
+    from agent_sdk.evaluation.evaluate import evaluate as run_all
 
     period = {name: day for name, day in (("begin", begin), ("end", end)) if day is not None}
     with ExitStack() as stack:

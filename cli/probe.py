@@ -15,8 +15,8 @@ from cli.tables import show, show_json
 from topics.errors import Faults, InvalidConfig
 
 if TYPE_CHECKING:
-    from agent_sdk.effects import Effect
-    from agent_sdk.probe import Probed, Progress
+    from agent_sdk.evaluation.probe import Probed, Progress
+    from agent_sdk.evaluation.probe_effects import Effect
 
 _MOST = 5
 """Points of an actuator that the table shows; `--json` has all."""
@@ -54,7 +54,7 @@ def probe(
     settings = faults.catch(lambda: read_parameters(given or [])) or {}
     faults.raise_all()
     settings |= {name: day for name, day in (("begin", begin), ("end", end)) if day is not None}
-    from agent_sdk.probe import probe as run
+    from agent_sdk.evaluation.probe import probe as run
 
     with ExitStack() as stack:
         watch = None if as_json else _watcher(stack, scenario)

@@ -17,7 +17,7 @@ from topics.keys import Role
 from topics.messages import Manifest, Meter, Sensor
 
 if TYPE_CHECKING:
-    from agent_sdk.sample import SampleView
+    from agent_sdk.bus.sample import SampleView
 
 
 @dataclass(frozen=True, slots=True)

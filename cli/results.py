@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from cli.tables import show
 
 if TYPE_CHECKING:
-    from agent_sdk.metrics import Result
+    from agent_sdk.evaluation.metrics import Result
 
 
 def show_results(results: Mapping[str, tuple[Result, float]], title: str) -> None:

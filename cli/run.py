@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from agent_sdk import ControlLink
     from agent_sdk.controllers import Agent
-    from agent_sdk.metrics import Result
+    from agent_sdk.evaluation.metrics import Result
 
 _WORDS = {"true": True, "false": False}
 
@@ -75,7 +75,7 @@ def run(
 
 def _episode(link: ControlLink, agent: Agent, bars: Progress) -> tuple[Result, float]:
     """Answer all samples to the episode's end, and show how far it is; its totals and its timesteps per second."""
-    from agent_sdk.metrics import Tally
+    from agent_sdk.evaluation.metrics import Tally
 
     bar = bars.add_task(f"{link.manifest.node}: {link.name}", total=link.manifest.steps, rate="")
     tally, rate = Tally(link.manifest), 0.0

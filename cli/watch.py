@@ -24,7 +24,7 @@ from topics.keys import Role
 
 if TYPE_CHECKING:
     from agent_sdk import Bus
-    from agent_sdk.sample import SampleView
+    from agent_sdk.bus.sample import SampleView
 
 _A_SECOND = 10
 """How often the table is drawn."""

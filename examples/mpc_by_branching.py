@@ -23,7 +23,7 @@ import numpy as np
 
 import agent_sdk  # registers the environments
 from agent_sdk.controllers import Agent, ComfortBandRules
-from agent_sdk.environment import BuildingEnv
+from agent_sdk.envs.building_env import BuildingEnv
 
 parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
 parser.add_argument("--days", type=int, default=5)

@@ -7,8 +7,8 @@ Start a node first, in another terminal:
 Then: `zenostat run --node office --controller examples/my_controller.py:Mine --set day=25`
 """
 
+from agent_sdk.bus.sample import SampleView
 from agent_sdk.controllers import Controller, Values
-from agent_sdk.sample import SampleView
 from topics.messages import Manifest
 
 

@@ -13,7 +13,7 @@ import collections
 import threading
 
 import agent_sdk
-from agent_sdk.sample import SampleView
+from agent_sdk.bus.sample import SampleView
 
 HALVES = {
     "north": ["core_zn_cooling_setpoint", "perimeter_zn_3_cooling_setpoint", "perimeter_zn_4_cooling_setpoint"],

@@ -11,9 +11,9 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk import spaces
-from agent_sdk.actions import Actions
-from agent_sdk.clock import clock
+from agent_sdk.envs import spaces
+from agent_sdk.envs.actions import Actions
+from agent_sdk.envs.time_features import clock
 from topics.errors import UnknownName
 from topics.messages import Action, Task, TimeField, WeatherSeries
 

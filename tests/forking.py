@@ -14,7 +14,7 @@ import pytest
 from nodes import engines_of, runs, until
 
 import agent_sdk  # noqa: F401  # registers the environments
-from agent_sdk.environment import BuildingEnv
+from agent_sdk.envs.building_env import BuildingEnv
 
 SMALL = "zenostat/ref-small-office-USA_CO_Denver-continuous-v1"
 """One summer day of it has 96 steps with `FOUR`."""

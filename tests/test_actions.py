@@ -11,7 +11,7 @@ from gymnasium.spaces import Box, Discrete, MultiDiscrete
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent_sdk.actions import Actions
+from agent_sdk.envs.actions import Actions
 from topics.errors import InvalidAction
 from topics.messages import Action, Actuator, Choice, Mask, Task
 

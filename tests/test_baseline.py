@@ -10,7 +10,7 @@ import packs
 import pytest
 from forking import FOUR, KINDS, SMALL, engines, kill, make, plan, row, same
 
-from agent_sdk.environment import BuildingEnv
+from agent_sdk.envs.building_env import BuildingEnv
 from topics.errors import EngineDied
 
 Rows = list[list[float]]

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent_sdk.clock import BOUNDS, clock
+from agent_sdk.envs.time_features import BOUNDS, clock
 from models.building.model import prepared, read_building, write
 from models.catalog import find_building, find_weather
 from topics.messages import TimeField

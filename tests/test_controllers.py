@@ -17,6 +17,7 @@ from builders import actuator, manifest, sensor
 from hypothesis import given
 from hypothesis import strategies as st
 
+from agent_sdk.bus.sample import SampleView
 from agent_sdk.controllers import (
     CONTROLLERS,
     Agent,
@@ -32,11 +33,10 @@ from agent_sdk.controllers import (
     create,
     load_controller,
 )
-from agent_sdk.controllers.loading import _beside
-from agent_sdk.controllers.parts import Role, parts_of
+from agent_sdk.controllers.action_roles import Role, parts_of
+from agent_sdk.controllers.loader import _beside
 from agent_sdk.controllers.setback import weekdays
-from agent_sdk.sample import SampleView
-from agent_sdk.spaces import action_space
+from agent_sdk.envs.spaces import action_space
 from topics.errors import InvalidAction, InvalidConfig, UnknownName
 from topics.messages import Action, Actuator, Choice, Manifest, Sample, Task
 

@@ -14,10 +14,10 @@ from nodes import SMALL
 from test_controllers import view
 
 from agent_sdk.controllers import Agent, PidControl
-from agent_sdk.controllers.comfort import inside
-from agent_sdk.environment import BuildingEnv
-from agent_sdk.evaluation import evaluate
-from agent_sdk.settings import of_scenario
+from agent_sdk.controllers.comfort_band import inside
+from agent_sdk.envs.arguments import of_scenario
+from agent_sdk.envs.building_env import BuildingEnv
+from agent_sdk.evaluation.evaluate import evaluate
 from topics.errors import InvalidConfig
 
 WEEK = {"begin": "07-10", "end": "07-16", "affinity": "off"}

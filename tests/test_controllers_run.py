@@ -15,9 +15,9 @@ from builders import manifest
 from nodes import SMALL, NodeProgram
 
 import agent_sdk
+from agent_sdk.bus.sample import SampleView
 from agent_sdk.controllers import Agent, ComfortBandRules, Controller, IncrementalRules, RandomControl, action_of
-from agent_sdk.sample import SampleView
-from agent_sdk.spaces import action_space
+from agent_sdk.envs.spaces import action_space
 from eplus_node.config import plan, read_config
 from topics.messages import Manifest, Sample
 from topics.scenario_ids import BUILDINGS, WEATHERS, pack_ids

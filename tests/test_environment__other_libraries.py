@@ -14,7 +14,7 @@ from nodes import SMALL
 
 import agent_sdk  # noqa: F401  # registers the environments
 from agent_sdk.testing import FakeEnv
-from agent_sdk.testing.slots import FakeVectorEnv
+from agent_sdk.testing.fake_vector_env import FakeVectorEnv
 from topics.errors import InvalidConfig
 
 DAY: dict[str, Any] = {"zones": 1, "steps_per_hour": 1, "begin": "07-03", "end": "07-03"}

@@ -14,8 +14,8 @@ import pytest
 from builders import manifest, sensor
 from nodes import command_of, until
 
-from agent_sdk.environment import BuildingEnv
-from agent_sdk.limits import Limits
+from agent_sdk.envs.building_env import BuildingEnv
+from agent_sdk.envs.termination import Limits
 from topics.errors import EpisodeChanged, InvalidConfig
 from topics.messages import Limit, Task
 
@@ -194,7 +194,7 @@ if __name__ == "__main__":
 
 
 def test_an_environment_goes_to_one_file_and_comes_back_equal(scratch: Path) -> None:
-    from agent_sdk.environment_file import load_env, save_env
+    from agent_sdk.make import load_env, save_env
     from agent_sdk.rewards import LinearReward
     from agent_sdk.wrappers import apply_wrappers, wrappers_of
 
@@ -227,7 +227,7 @@ def test_a_wrapper_that_cannot_be_leaves_nothing_behind(scratch: Path) -> None:
 
 
 def test_an_own_reward_cannot_be_written(scratch: Path) -> None:
-    from agent_sdk.environment_file import save_env
+    from agent_sdk.make import save_env
 
     def mine(values: Any, begin: Any) -> dict[str, float]:
         return {"heat": -float(values["core_zn_air_temperature"])}

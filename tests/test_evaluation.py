@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from builders import actuator, manifest, meter, own_action, sensor
 
+from agent_sdk.bus.sample import SampleView
 from agent_sdk.controllers import Agent, ComfortBandRules, Controller, FixedSetpoints, RandomControl
-from agent_sdk.environment import BuildingEnv
-from agent_sdk.evaluation import Evaluation, Row, evaluate
-from agent_sdk.metrics import Result, Tally
+from agent_sdk.envs.building_env import BuildingEnv
+from agent_sdk.evaluation.evaluate import Evaluation, Row, evaluate
+from agent_sdk.evaluation.metrics import Result, Tally
 from agent_sdk.rewards import LinearReward, MultiZoneReward, OccupiedReward, read_reward
-from agent_sdk.sample import SampleView
 from agent_sdk.testing import Climate, FakeBuilding, FakeLink
 from topics.errors import InvalidConfig, UnknownName
 from topics.messages import Manifest, Reading, Sample, Task

@@ -13,7 +13,7 @@ import pytest
 from forking import KINDS, SMALL, engines, make
 from nodes import runs, until, within
 
-from agent_sdk.environment import BuildingEnv
+from agent_sdk.envs.building_env import BuildingEnv
 from topics.errors import EngineDied
 
 ALL = KINDS | {

@@ -13,7 +13,7 @@ import pytest
 from nodes import SMALL, NodeProgram, Program, until
 
 import agent_sdk
-from agent_sdk.client import Bus
+from agent_sdk.bus.bus import Bus
 from topics.errors import InvalidConfig, NodeLost, NothingThere, Refused
 from topics.messages import MakeBranch, Reset
 

@@ -18,7 +18,7 @@ from nodes import SMALL, NodeProgram, Program, nothing_left, until
 from zenoh.handlers import RingChannel
 
 import agent_sdk
-from agent_sdk.client import Bus
+from agent_sdk.bus.bus import Bus
 from topics import codec, keys
 from topics.messages import Event, EventKind, State
 

@@ -16,7 +16,7 @@ from nodes import SMALL, WEATHER, NodeProgram, until
 
 import agent_sdk
 from agent_sdk import Bus
-from agent_sdk.link import ControlLink
+from agent_sdk.bus.controller_link import ControlLink
 from bridge.faults import LinkFaults
 from eplus_node.config import plan, read_config
 from eplus_node.fault_injection import Injection

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from agent_sdk import wrappers as w
-from agent_sdk.testing.environment import FakeEnv
-from agent_sdk.wrappers.core import Step
-from agent_sdk.wrappers.metrics import MeansLog
+from agent_sdk.testing.fake_env import FakeEnv
+from agent_sdk.wrappers.base import Step
+from agent_sdk.wrappers.metric_loggers import MeansLog
 from agent_sdk.wrappers.single import Single
 from models.weather.noise import ornstein_uhlenbeck
 from topics.errors import InvalidConfig

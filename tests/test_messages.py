@@ -9,7 +9,7 @@ import pytest
 from builders import NAN, actuator, manifest, meter, sensor
 from pydantic import ValidationError
 
-from agent_sdk.sample import SampleView
+from agent_sdk.bus.sample import SampleView
 from topics import messages
 from topics.errors import BadMessage, UnknownName
 from topics.messages import (

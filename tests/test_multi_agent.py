@@ -14,7 +14,7 @@ import pytest
 from nodes import COOLING, SMALL, ZONES
 from pettingzoo.test import parallel_api_test, parallel_seed_test
 
-from agent_sdk.multi_agent import ZonesEnv
+from agent_sdk.envs.zone_agents import ZonesEnv
 from agent_sdk.rewards import LinearReward
 from agent_sdk.testing import FakeBuilding, FakeEnv, FakeLink
 from topics.errors import EpisodeChanged, InvalidAction, InvalidConfig

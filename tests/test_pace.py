@@ -21,8 +21,8 @@ from nodes import SMALL, NodeProgram, free_port, until
 
 import agent_sdk
 from agent_sdk import Bus
-from agent_sdk.link import ControlLink
-from agent_sdk.sample import SampleView
+from agent_sdk.bus.controller_link import ControlLink
+from agent_sdk.bus.sample import SampleView
 from bridge.exchange.step_schedule import Pace
 from cli.pace import read_pace
 from topics.errors import InvalidConfig, Refused

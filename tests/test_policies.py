@@ -20,7 +20,7 @@ from nodes import COOLING, SMALL, NodeProgram, Program, free_port, until
 from zenoh.handlers import FifoChannel
 
 import agent_sdk
-from agent_sdk.sample import SampleView
+from agent_sdk.bus.sample import SampleView
 from topics import codec, keys
 from topics.errors import EpisodeAborted, InvalidConfig, ZenostatError
 from topics.messages import ControllerStatus, Event, EventKind, Policy, State

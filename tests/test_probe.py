@@ -16,9 +16,9 @@ import packs
 import pytest
 from nodes import SMALL, command_of, interrupted, nothing_left, programs_of
 
-from agent_sdk.effects import Held, Ranges, effect_of
-from agent_sdk.environment import BuildingEnv
-from agent_sdk.probe import Asked, Probed, probe
+from agent_sdk.envs.building_env import BuildingEnv
+from agent_sdk.evaluation.probe import Asked, Probed, probe
+from agent_sdk.evaluation.probe_effects import Held, Ranges, effect_of
 from topics.errors import InvalidConfig, UnknownName
 from topics.messages import Actuator, Manifest, Meter, Mode, Policy, Reading, Sensor, Versions
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from agent_sdk.settings import check_reward
+from agent_sdk.envs.arguments import check_reward
 from agent_sdk.wrappers import restore_wrappers
 from bridge.faults import read_plan
 from bridge.runtime.affinity import Affinity

@@ -18,7 +18,7 @@ from nodes import SMALL
 import agent_sdk  # noqa: F401  # registers the environments
 from agent_sdk import wrappers as w
 from agent_sdk.testing import Climate, FakeEnv
-from agent_sdk.testing.slots import FakeVectorEnv
+from agent_sdk.testing.fake_vector_env import FakeVectorEnv
 from agent_sdk.wrappers import vector
 from topics.errors import EpisodeChanged, InvalidConfig
 
@@ -30,7 +30,7 @@ from stable_baselines3.common.evaluation import evaluate_policy  # noqa: E402
 from stable_baselines3.common.monitor import Monitor  # noqa: E402
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor, VecNormalize  # noqa: E402
 
-from agent_sdk.sb3 import SlotsVecEnv, as_sb3  # noqa: E402
+from agent_sdk.envs.sb3_vec_env import SlotsVecEnv, as_sb3  # noqa: E402
 
 SAME = AutoresetMode.SAME_STEP
 WARM = {"points": ["zone_1_air_temperature"], "low": 17.0, "high": 26.0, "for_h": 2.0}

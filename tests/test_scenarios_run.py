@@ -16,7 +16,7 @@ import yaml
 from nodes import command_of
 
 import agent_sdk
-from agent_sdk.environment import BuildingEnv
+from agent_sdk.envs.building_env import BuildingEnv
 from eplus_node.config import plan, read_config
 from models.catalog import find_weather
 from models.weather.epw import read

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 import agent_sdk
-from agent_sdk.environment import BuildingEnv
-from agent_sdk.multi_agent import ZonesEnv
+from agent_sdk.envs.building_env import BuildingEnv
+from agent_sdk.envs.vector_env import BuildingVectorEnv
+from agent_sdk.envs.zone_agents import ZonesEnv
 from agent_sdk.testing import FakeBuilding, FakeLink
-from agent_sdk.testing.slots import FakeSlots
-from agent_sdk.vector import BuildingVectorEnv
+from agent_sdk.testing.fake_vector_env import FakeSlots
 from topics.errors import InvalidConfig
 
 WRONG = pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agent_sdk.settings import OF_A_NODE, OF_THE_SCENARIO, _of_file, check_reward, for_node
+from agent_sdk.envs.arguments import OF_A_NODE, OF_THE_SCENARIO, _of_file, check_reward, for_node
 from bridge.runtime.affinity import Affinity
 from eplus_node.config import read_config
 from topics.errors import InvalidConfig, UsageError

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from packs import sinergym
 from pydantic import TypeAdapter, ValidationError
 
-from agent_sdk.signals import (
+from agent_sdk.time_series import (
     HOURS,
     LEAP_HOURS,
     Constant,

@@ -14,7 +14,7 @@ from nodes import SMALL as SMALL_NODE
 from nodes import NodeProgram, until, within
 
 from agent_sdk import wrappers as w
-from agent_sdk.environment import BuildingEnv
+from agent_sdk.envs.building_env import BuildingEnv
 from topics.errors import EngineDied, EpisodeChanged, InvalidConfig, NodeLost, Refused, ZenostatError
 from topics.messages import MakeBranch, Reset, Start
 

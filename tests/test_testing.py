@@ -39,9 +39,9 @@ from agent_sdk.testing import (
     check_environment,
     check_reward,
 )
-from agent_sdk.testing.controllers import CONTROLLER_CHECKS
-from agent_sdk.testing.environments import ENVIRONMENT_CHECKS
-from agent_sdk.testing.rewards import REWARD_CHECKS
+from agent_sdk.testing.check_controller import CONTROLLER_CHECKS
+from agent_sdk.testing.check_environment import ENVIRONMENT_CHECKS
+from agent_sdk.testing.check_reward import REWARD_CHECKS
 from topics.errors import (
     EpisodeChanged,
     InvalidAction,

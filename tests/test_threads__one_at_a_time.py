@@ -14,12 +14,12 @@ import pytest
 from nodes import SMALL, until
 
 import agent_sdk
-from agent_sdk.environment import BuildingEnv
-from agent_sdk.multi_agent import ZonesEnv
+from agent_sdk.envs.building_env import BuildingEnv
+from agent_sdk.envs.vector_env import BuildingVectorEnv
+from agent_sdk.envs.zone_agents import ZonesEnv
 from agent_sdk.rewards import of_function
 from agent_sdk.testing import FakeBuilding, FakeLink
-from agent_sdk.testing.slots import FakeSlots
-from agent_sdk.vector import BuildingVectorEnv
+from agent_sdk.testing.fake_vector_env import FakeSlots
 from topics.errors import EpisodeChanged, InvalidAction, UsageError
 
 BUSY = "one thread at a time"
@@ -94,7 +94,7 @@ def test_who_comes_second_is_refused_and_who_came_first_goes_on(made: Callable[[
 
 
 def test_actions_of_another_thread_are_not_taken_for_ones_own() -> None:
-    sb3 = pytest.importorskip("agent_sdk.sb3")
+    sb3 = pytest.importorskip("agent_sdk.envs.sb3_vec_env")
     gate = Gate()
     gate.opens.set()
     slots = FakeSlots([building(), building()])

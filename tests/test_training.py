@@ -17,7 +17,7 @@ from builders import manifest
 from nodes import SMALL
 
 import agent_sdk  # noqa: F401  # registers the environments
-from agent_sdk.evaluation import evaluate
+from agent_sdk.evaluation.evaluate import evaluate
 from agent_sdk.testing import Climate, FakeBuilding, FakeEnv, FakeLink
 from topics.errors import InvalidConfig, UnknownName
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agent_sdk.evaluation import evaluate, run_episode
+from agent_sdk.evaluation.evaluate import evaluate, run_episode
 from agent_sdk.testing import FakeEnv
 from topics.errors import InvalidConfig
 

@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 import agent_sdk
 from agent_sdk import wrappers as w
+from agent_sdk.envs.vector_env import BuildingVectorEnv
 from agent_sdk.testing import Climate, FakeEnv
-from agent_sdk.testing.slots import FakeVectorEnv
-from agent_sdk.vector import BuildingVectorEnv
+from agent_sdk.testing.fake_vector_env import FakeVectorEnv
 from topics.errors import (
     EngineDied,
     EpisodeChanged,

@@ -29,13 +29,13 @@ from gymnasium.wrappers import (
 )
 
 from agent_sdk import wrappers as w
-from agent_sdk.signals import HourlySeries
 from agent_sdk.testing import FakeEnv
-from agent_sdk.testing.slots import FakeVectorEnv
+from agent_sdk.testing.fake_vector_env import FakeVectorEnv
+from agent_sdk.time_series import HourlySeries
 from agent_sdk.wrappers import vector
-from agent_sdk.wrappers.core import Infos
+from agent_sdk.wrappers.base import Infos
 from agent_sdk.wrappers.cyclic_time import cyclic
-from agent_sdk.wrappers.increments import rounded
+from agent_sdk.wrappers.incremental import rounded
 from agent_sdk.wrappers.weather_forecast import ErrorModel, error_path
 from topics.errors import InvalidAction, InvalidConfig, UnknownName
 

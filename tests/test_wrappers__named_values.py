@@ -11,7 +11,7 @@ from gymnasium.wrappers import DtypeObservation, FrameStackObservation, TimeAwar
 
 from agent_sdk import wrappers as w
 from agent_sdk.testing import FakeEnv
-from agent_sdk.testing.slots import FakeVectorEnv
+from agent_sdk.testing.fake_vector_env import FakeVectorEnv
 from agent_sdk.wrappers import vector
 from topics.errors import InvalidConfig
 

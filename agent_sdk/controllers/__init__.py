@@ -4,7 +4,7 @@ from agent_sdk.controllers.agent import Agent, action_of
 from agent_sdk.controllers.base import Acts, BuildingControl, Controller, Values
 from agent_sdk.controllers.fixed import FixedSetpoints
 from agent_sdk.controllers.incremental import IncrementalRules
-from agent_sdk.controllers.loading import CONTROLLERS, load_controller
+from agent_sdk.controllers.loader import CONTROLLERS, load_controller
 from agent_sdk.controllers.parameters import create
 from agent_sdk.controllers.pid import PidControl
 from agent_sdk.controllers.random_control import RandomControl

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from agent_sdk.bus.sample import SampleView
+from agent_sdk.controllers.action_roles import SETPOINTS, role_of
 from agent_sdk.controllers.base import Acts, Values
 from agent_sdk.controllers.parameters import bounds
-from agent_sdk.controllers.parts import SETPOINTS, role_of
-from agent_sdk.sample import SampleView
 from topics.errors import InvalidAction, near
 from topics.messages import Action, Choice, Manifest
 from topics.units import with_unit

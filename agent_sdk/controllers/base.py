@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import Protocol
 
-from agent_sdk.sample import SampleView
+from agent_sdk.bus.sample import SampleView
 from topics.messages import Manifest
 
 Values = dict[str, float | None]

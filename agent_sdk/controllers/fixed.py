@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from datetime import datetime
 
+from agent_sdk.bus.sample import SampleView
+from agent_sdk.controllers.action_roles import Part, Role, parts_of
 from agent_sdk.controllers.base import Controller, Values
-from agent_sdk.controllers.comfort import Band, comfort_bands, inside
+from agent_sdk.controllers.comfort_band import Band, comfort_bands, inside
 from agent_sdk.controllers.parameters import named
-from agent_sdk.controllers.parts import Part, Role, parts_of
-from agent_sdk.sample import SampleView
 from topics.errors import InvalidConfig
 from topics.messages import Manifest
 

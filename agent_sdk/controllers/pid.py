@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from agent_sdk.bus.sample import SampleView
+from agent_sdk.controllers.action_roles import SETPOINTS, role_of, temperature_sensors
 from agent_sdk.controllers.base import Controller, Values
 from agent_sdk.controllers.parameters import ControllerMismatch, bounds, named, number
-from agent_sdk.controllers.parts import SETPOINTS, role_of, temperature_sensors
-from agent_sdk.sample import SampleView
 from topics.errors import InvalidConfig, near
 from topics.messages import Action, Actuator, Manifest, Sensor
 

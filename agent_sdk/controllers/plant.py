@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from agent_sdk.controllers.action_roles import Part, Role
 from agent_sdk.controllers.base import Values
-from agent_sdk.controllers.comfort import Band, inside
-from agent_sdk.controllers.parts import Part, Role
+from agent_sdk.controllers.comfort_band import Band, inside
 
 RESET_K = 1.0
 """Water is at its mildest while all rooms are this far within the band."""

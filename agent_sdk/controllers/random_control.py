@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from agent_sdk.bus.sample import SampleView
 from agent_sdk.controllers.base import Controller, Values
 from agent_sdk.controllers.parameters import ControllerMismatch
-from agent_sdk.sample import SampleView
 from topics.errors import InvalidConfig
 from topics.messages import Manifest
 

@@ -7,12 +7,12 @@ from datetime import datetime, timedelta
 import numpy as np
 from numpy.typing import NDArray
 
+from agent_sdk.bus.sample import SampleView
+from agent_sdk.controllers.action_roles import SETPOINTS, Part, Role, parts_of
 from agent_sdk.controllers.base import Controller, Values
-from agent_sdk.controllers.comfort import comfort_bands, default_setback, inside
+from agent_sdk.controllers.comfort_band import comfort_bands, default_setback, inside
 from agent_sdk.controllers.parameters import ControllerMismatch, number
-from agent_sdk.controllers.parts import SETPOINTS, Part, Role, parts_of
 from agent_sdk.controllers.plant import PlantRules
-from agent_sdk.sample import SampleView
 from topics.messages import Manifest
 
 OPEN_HOURS = range(6, 22)

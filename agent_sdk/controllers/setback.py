@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from datetime import datetime, timedelta
 
+from agent_sdk.bus.sample import SampleView
+from agent_sdk.controllers.action_roles import SETPOINTS, Role, parts_of
 from agent_sdk.controllers.base import Controller, Values
-from agent_sdk.controllers.comfort import Band, comfort_bands, default_setback, inside
+from agent_sdk.controllers.comfort_band import Band, comfort_bands, default_setback, inside
 from agent_sdk.controllers.fixed import DAYS, default, refuse_crossed
 from agent_sdk.controllers.parameters import ControllerMismatch, bounds, number
-from agent_sdk.controllers.parts import SETPOINTS, Role, parts_of
-from agent_sdk.sample import SampleView
 from topics.errors import InvalidConfig
 from topics.messages import Manifest
 

@@ -9,15 +9,15 @@ from pydantic import ValidationError
 
 from agent_sdk.rewards.base import BoundReward, Outcome, Reward
 from agent_sdk.rewards.carbon import CarbonReward
+from agent_sdk.rewards.config import Kind
+from agent_sdk.rewards.custom import RewardFunction, made, of_function
 from agent_sdk.rewards.energy_cost import EnergyCostReward, TariffReward
 from agent_sdk.rewards.exponential import ExponentialReward
 from agent_sdk.rewards.hourly import HourlyReward
-from agent_sdk.rewards.kind import Kind
 from agent_sdk.rewards.linear import LinearReward
 from agent_sdk.rewards.multi_zone import MultiZoneReward
-from agent_sdk.rewards.normalised import NormalisedReward
+from agent_sdk.rewards.normalized import NormalisedReward
 from agent_sdk.rewards.occupied import OccupiedReward
-from agent_sdk.rewards.own import RewardFunction, made, of_function
 from agent_sdk.rewards.peak import PeakReward
 from agent_sdk.rewards.thermal_sensation import ThermalSensationReward
 from topics.codec import explain

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from agent_sdk.rewards.base import Begin, BoundReward, Outcome
 from agent_sdk.rewards.energy import Metered, MeteredBound
-from agent_sdk.signals import Intensity, grams_per_kwh
+from agent_sdk.time_series import Intensity, grams_per_kwh
 from topics.messages import Manifest
 
 
@@ -24,7 +24,7 @@ class CarbonReward(Metered):
     Terms: carbon, comfort. Measures: degrees_outside, energy_kwh, co2_kg.
 
     Attributes:
-        intensity: see `agent_sdk.signals`; in g/kWh, kg/MWh, kg/kWh or t/MWh.
+        intensity: see `agent_sdk.time_series`; in g/kWh, kg/MWh, kg/kWh or t/MWh.
         lambda_carbon: 1/kg.
     """
 

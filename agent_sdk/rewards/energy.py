@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from agent_sdk.rewards.kind import Names
-from agent_sdk.rewards.points import HVAC_POWER, indices, of_variables
-from agent_sdk.rewards.season import Banded, BandedBound
+from agent_sdk.rewards.comfort_band import Banded, BandedBound
+from agent_sdk.rewards.config import Names
+from agent_sdk.rewards.selectors import HVAC_POWER, indices, of_variables
 from topics.errors import InvalidConfig, near
 from topics.messages import Manifest, Meter, Reading, Sensor
 

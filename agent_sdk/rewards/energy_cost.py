@@ -10,7 +10,7 @@ from pydantic import Field, field_validator, model_validator
 
 from agent_sdk.rewards.base import Begin, BoundReward, Outcome
 from agent_sdk.rewards.energy import Metered, MeteredBound
-from agent_sdk.signals import AnySignal, HourTable, Number, Period, Price, Unit, per_kwh
+from agent_sdk.time_series import AnySignal, HourTable, Number, Period, Price, Unit, per_kwh
 from topics.messages import Manifest
 
 
@@ -28,7 +28,7 @@ class EnergyCostReward(Metered):
     Terms: energy, comfort, cost. Measures: power_w, degrees_outside, energy_kwh, cost (in the price's money).
 
     Attributes:
-        price: see `agent_sdk.signals`.
+        price: see `agent_sdk.time_series`.
         weight_temperature: w_T, 0 to 1; `weight` and it together are at most 1.
         lambda_energy: 1/W.
         lambda_cost: per unit of money.
@@ -79,7 +79,7 @@ class TariffReward(Metered):
     Terms: cost, comfort. Measures: degrees_outside, energy_kwh, cost (in the price's money).
 
     Attributes:
-        periods: of dearer or cheaper hours; see `agent_sdk.signals.Period`.
+        periods: of dearer or cheaper hours; see `agent_sdk.time_series.Period`.
         otherwise: the price in all other hours.
         unit: of all these prices, as EUR/kWh.
         lambda_cost: per unit of money.

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from agent_sdk.rewards.base import Begin, BoundReward, Outcome
 from agent_sdk.rewards.linear import Weighted, WeightedBound
-from agent_sdk.rewards.points import total
+from agent_sdk.rewards.selectors import total
 from topics.messages import Manifest
 
 MOST_K = 100.0

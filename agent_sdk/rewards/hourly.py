@@ -11,8 +11,8 @@ from pydantic import Field
 
 from agent_sdk.rewards.base import Begin, BoundReward, Outcome
 from agent_sdk.rewards.linear import Weighted, WeightedBound
-from agent_sdk.rewards.points import total
-from agent_sdk.signals import Hours, within
+from agent_sdk.rewards.selectors import total
+from agent_sdk.time_series import Hours, within
 from topics.messages import Manifest
 
 

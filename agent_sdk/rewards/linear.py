@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from agent_sdk.rewards.base import Begin, BoundReward, Outcome
-from agent_sdk.rewards.kind import Names
-from agent_sdk.rewards.points import powers, total
-from agent_sdk.rewards.season import Banded, BandedBound
+from agent_sdk.rewards.comfort_band import Banded, BandedBound
+from agent_sdk.rewards.config import Names
+from agent_sdk.rewards.selectors import powers, total
 from topics.messages import Manifest
 
 

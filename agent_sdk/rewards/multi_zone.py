@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
 from agent_sdk.rewards.base import Begin, BoundReward, Outcome
-from agent_sdk.rewards.kind import Kind, Names
-from agent_sdk.rewards.points import ZONE_TEMPERATURES, Indices, beside, indices, named, of_variables, powers, total
+from agent_sdk.rewards.config import Kind, Names
+from agent_sdk.rewards.selectors import ZONE_TEMPERATURES, Indices, beside, indices, named, of_variables, powers, total
 from topics.errors import InvalidConfig
 from topics.messages import Manifest
 

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from agent_sdk.rewards.base import Begin, BoundReward, Outcome
 from agent_sdk.rewards.linear import Weighted, WeightedBound
-from agent_sdk.rewards.points import beside, indices, named, total
+from agent_sdk.rewards.selectors import beside, indices, named, total
 from topics.errors import InvalidConfig
 from topics.messages import Manifest
 

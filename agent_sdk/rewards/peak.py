@@ -12,7 +12,7 @@ from pydantic import Field
 
 from agent_sdk.rewards.base import Begin, BoundReward, Outcome
 from agent_sdk.rewards.energy import Metered, MeteredBound
-from agent_sdk.rewards.memory import Memory
+from agent_sdk.rewards.slot_state import Memory
 from topics.messages import Manifest
 
 

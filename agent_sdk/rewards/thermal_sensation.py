@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from agent_sdk.rewards.base import Begin, BoundReward, Outcome
-from agent_sdk.rewards.kind import Names
-from agent_sdk.rewards.points import Indices, beside, indices, named, of_variables, powers, temperatures, total
-from agent_sdk.rewards.season import Dated
+from agent_sdk.rewards.comfort_band import Dated
+from agent_sdk.rewards.config import Names
+from agent_sdk.rewards.selectors import Indices, beside, indices, named, of_variables, powers, temperatures, total
 from topics.errors import InvalidConfig
 from topics.extras import install_command
 from topics.messages import Manifest

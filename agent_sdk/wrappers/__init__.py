@@ -1,7 +1,8 @@
 """Wrappers for buildings, where Gymnasium has none; `agent_sdk.wrappers.vector` has the same for vectors."""
 
-from agent_sdk.wrappers.data import GYMNASIUMS, apply_wrappers, wrappers_of
+from agent_sdk.wrappers.checkpoint import restore_normalization, restore_wrappers, save_wrappers
 from agent_sdk.wrappers.names import action_names_of, names_of, observation_dict
+from agent_sdk.wrappers.serialization import GYMNASIUMS, apply_wrappers, wrappers_of
 from agent_sdk.wrappers.single import (
     ChangingContext,
     CyclicTime,
@@ -17,7 +18,6 @@ from agent_sdk.wrappers.single import (
     WeatherForecast,
     WeightsAndBiasesLog,
 )
-from agent_sdk.wrappers.state import restore_normalization, restore_wrappers, save_wrappers
 
 __all__ = [
     "GYMNASIUMS",

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from agent_sdk.wrappers.core import Core, Start, Step, Values, View
-from agent_sdk.wrappers.randoms import Randoms
-from agent_sdk.wrappers.tables import Table
+from agent_sdk.wrappers.base import Core, Start, Step, Values, View
+from agent_sdk.wrappers.rng import Randoms
+from agent_sdk.wrappers.time_table import Table
 
 Context = Mapping[str, float | None]
 Schedule = Callable[[datetime, np.random.Generator], Context]

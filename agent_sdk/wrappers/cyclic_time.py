@@ -8,7 +8,7 @@ from datetime import date, datetime, timedelta
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk.wrappers.core import Observing, Start, Step, Values, View, append
+from agent_sdk.wrappers.base import Observing, Start, Step, Values, View, append
 from agent_sdk.wrappers.names import places
 from topics.messages import TimeField
 

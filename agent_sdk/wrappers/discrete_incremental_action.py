@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from gymnasium.spaces import Discrete
 
-from agent_sdk.wrappers.core import Values, View
-from agent_sdk.wrappers.increments import Moving, refused
+from agent_sdk.wrappers.base import Values, View
+from agent_sdk.wrappers.incremental import Moving, refused
 from agent_sdk.wrappers.names import places
 from topics.errors import InvalidConfig
 

@@ -10,10 +10,10 @@ from typing import Any, Literal
 import numpy as np
 from gymnasium.spaces import Box
 
-from agent_sdk.wrappers.core import Core, Start, Step, Values, View
+from agent_sdk.wrappers.base import Core, Start, Step, Values, View
 from agent_sdk.wrappers.extras import load
-from agent_sdk.wrappers.files import Cell, CsvWriter, ParquetWriter, Writer
 from agent_sdk.wrappers.names import refuse_inside
+from agent_sdk.wrappers.table_writers import Cell, CsvWriter, ParquetWriter, Writer
 from topics.errors import InvalidConfig
 
 FORMATS = ("csv", "parquet")

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from gymnasium.spaces import Box
 
-from agent_sdk.wrappers.core import Values, View
-from agent_sdk.wrappers.increments import Moving, refused, rounded
+from agent_sdk.wrappers.base import Values, View
+from agent_sdk.wrappers.incremental import Moving, refused, rounded
 from agent_sdk.wrappers.names import places
 from topics.errors import InvalidConfig
 

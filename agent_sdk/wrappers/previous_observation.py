@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from agent_sdk.wrappers.core import Observing, Start, Step, Values, View, append
+from agent_sdk.wrappers.base import Observing, Start, Step, Values, View, append
 from agent_sdk.wrappers.names import places
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from gymnasium.spaces import Box
 
-from agent_sdk.wrappers.core import Core, Step, Values, View
+from agent_sdk.wrappers.base import Core, Step, Values, View
 from agent_sdk.wrappers.names import places, refuse_inside
 from topics.errors import InvalidConfig
 

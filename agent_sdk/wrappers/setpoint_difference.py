@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from agent_sdk.wrappers.core import Observing, Start, Step, Values, View, append
+from agent_sdk.wrappers.base import Observing, Start, Step, Values, View, append
 from agent_sdk.wrappers.names import need_units, places
 from topics.errors import InvalidConfig
 

@@ -6,15 +6,15 @@ from agent_sdk.wrappers import (
     discrete_incremental_action,
     episode_log,
     incremental_action,
-    metrics,
+    metric_loggers,
     previous_observation,
     reduced_observation,
     reward_vector,
     setpoint_difference,
-    signals,
+    time_series_observation,
     weather_forecast,
 )
-from agent_sdk.wrappers.around import Vector
+from agent_sdk.wrappers.adapters import Vector
 
 
 class CyclicTime(Vector):
@@ -36,9 +36,9 @@ class WeatherForecast(Vector):
 
 
 class Signals(Vector):
-    """A `signals.Signals`, which documents it."""
+    """A `time_series_observation.Signals`, which documents it."""
 
-    core = signals.Signals
+    core = time_series_observation.Signals
 
 
 class SetpointDifference(Vector):
@@ -84,12 +84,12 @@ class EpisodeLog(Vector):
 
 
 class TensorBoardLog(Vector):
-    """A `metrics.TensorBoardLog`, which documents it."""
+    """A `metric_loggers.TensorBoardLog`, which documents it."""
 
-    core = metrics.TensorBoardLog
+    core = metric_loggers.TensorBoardLog
 
 
 class WeightsAndBiasesLog(Vector):
-    """A `metrics.WeightsAndBiasesLog`, which documents it."""
+    """A `metric_loggers.WeightsAndBiasesLog`, which documents it."""
 
-    core = metrics.WeightsAndBiasesLog
+    core = metric_loggers.WeightsAndBiasesLog

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk.wrappers.core import Observing, Start, Step, Values, View, append
+from agent_sdk.wrappers.base import Observing, Start, Step, Values, View, append
 from agent_sdk.wrappers.names import places
-from agent_sdk.wrappers.randoms import Randoms
+from agent_sdk.wrappers.rng import Randoms
 from topics.errors import InvalidConfig
 from topics.messages import WeatherSeries
 

@@ -18,9 +18,9 @@ from zlib import crc32
 import numpy as np
 
 import agent_sdk
-from agent_sdk.client import Bus
-from agent_sdk.link import ControlLink
-from agent_sdk.sample import SampleView
+from agent_sdk.bus.bus import Bus
+from agent_sdk.bus.controller_link import ControlLink
+from agent_sdk.bus.sample import SampleView
 from bridge.runtime.affinity import Affinity
 from chaos.journal import Journal
 from topics.errors import EpisodeChanged, NodeLost, NothingThere, Refused, SimulatorError

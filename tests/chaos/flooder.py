@@ -19,7 +19,7 @@ import zenoh
 from zenoh import CongestionControl
 
 import agent_sdk
-from agent_sdk.client import Bus
+from agent_sdk.bus.bus import Bus
 from bridge.runtime.affinity import Affinity
 from chaos.acts import Act
 from chaos.journal import Journal

@@ -8,7 +8,7 @@ import numpy as np
 from nodes import NodeProgram
 
 import agent_sdk
-from agent_sdk.link import ControlLink
+from agent_sdk.bus.controller_link import ControlLink
 from bridge.runtime.affinity import Affinity
 from chaos.account import Episode
 from chaos.run import BUILDING

@@ -1,0 +1,1 @@
+"""The client of the bus: nodes, controller links, samples and snapshots."""

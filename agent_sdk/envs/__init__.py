@@ -1,0 +1,1 @@
+"""Gymnasium, PettingZoo and stable-baselines3 environments."""

@@ -1,0 +1,443 @@
+"""A building on the bus as a Gymnasium environment."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack, suppress
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from zenoh import ZError
+
+from agent_sdk.bus.bus import Bus
+from agent_sdk.bus.controller_link import ControlLink
+from agent_sdk.bus.local_node import OwnNode
+from agent_sdk.bus.sample import SampleView
+from agent_sdk.bus.snapshot import Snapshot, asked_for, forking, take
+from agent_sdk.envs import arguments, spaces
+from agent_sdk.envs.actions import Actions
+from agent_sdk.envs.connection import AGENT, BUSY, RENDER_MODES, Hold
+from agent_sdk.envs.episode_state import EpisodeMemory
+from agent_sdk.envs.rendering import History
+from agent_sdk.envs.space_names import Named
+from agent_sdk.envs.termination import Limits
+from agent_sdk.envs.time_features import clock
+from agent_sdk.envs.vector_sample import Link
+from agent_sdk.rewards import AnyReward
+from bridge.runtime.affinity import Affinity
+from topics.errors import BusError, EpisodeChanged, InvalidConfig, UsageError
+from topics.messages import MakeBranch, Mask, WeatherSeries
+from topics.seeds import check_seed
+
+Observation = NDArray[np.float32]
+
+
+def _stop(bus: Bus, node: str) -> None:
+    with suppress(BusError, ZError):  # it has ended with its parent, or the bus has been left
+        bus.stop(node)
+
+
+class BuildingEnv(Named, gym.Env[Observation, Any]):
+    """One building, one agent; `gym.make("zenostat/5zone-hot-continuous-v1")` and all others under `zenostat/`.
+
+    Without `connect` it starts a node of its own over a private unix socket and ends it on `close()`; with
+    `connect` and `node` it drives a node that runs elsewhere, whose scenario it takes over.
+
+    Observation: float32, shape (time fields + sensors + meters,), in the order of the manifest. Action: float32,
+    shape (actions,), within each action's bounds, or a number for each discrete choice. An episode of N timesteps
+    has N steps; the last one is `truncated`. A limit of the scenario that is broken (`terminate`) makes the step
+    `terminated`, and `info["terminated_by"]` says which.
+
+    What is simulated comes from `scenario`, `file` or `config`, or from `building` and `weather`; each argument
+    that is given goes before what those say.
+
+    Args:
+        building: short name, path to an IDF or epJSON, or any part of a listed name that fits only one.
+        weather: short name, path to an EPW, or any part of a listed name that fits only one; or several of them.
+        scenario: an id, as `zenostat scenarios` lists them.
+        file: a scenario file (YAML).
+        config: a Sinergym configuration (YAML), of which `variant` names the weather and form
+            (`hot-continuous-stochastic`; its first one if left out).
+        sensors: name to (variable, key) or (variable, key, reading); reading is "mean", "sum" or "instant".
+        meters: name to EnergyPlus's meter.
+        actuators: name to (component type, control type, key), or that with low and high. Empty: the
+            building's own control. Each of the three left out: a sensible set found in the model.
+        begin, end: first and last day, MM-DD or YYYY-MM-DD.
+        steps_per_hour: timesteps an hour; None is the model's own.
+        weather_order, variability, sizing, changes, time, reading, actions, control, discrete, terminate: as in a
+            scenario file (`zenostat scenarios schema`).
+        reward: an object of `agent_sdk.rewards`, or a kind or a kind with its parameters, or a function or class of
+            your own (`agent_sdk.rewards.of_function`); None gives 0.0; left out, the scenario's.
+        connect: endpoint of a bus.
+        keys: for a bus over TLS, the folder of certificates that `zenostat keys init` made.
+        node: the node's name there.
+        level: priority level that this agent commands at, 1 to 16.
+        keep: folder in which EnergyPlus's own output files are kept, one folder an episode.
+        keep_last: how many finished episodes' files are kept there beside the running one's; None is all.
+        baseline: run the building under its own control beside the episode: `info["baseline"]` has its points,
+            `info["baseline_applied"]` what that control set the actuators to.
+        faults: a file of faults that the node injects (YAML); see docs/faults.md.
+        branches: how many snapshots and branches there may be at a time; 64 if left out.
+        unresponsive_s: how long an engine may neither answer nor use processor time, before it is killed and the
+            episode fails; 10 if left out.
+        affinity: see `bridge.runtime.affinity`.
+        render_mode: `rgb_array`: `render()` gives a picture of the last day (needs matplotlib); `rerun`: a live
+            view is opened beside the environment.
+        link: what samples come from and commands go to, in place of a node: see `agent_sdk.testing`.
+
+    Raises:
+        UsageError, BusError, SimulatorError: see `topics.errors`; nothing is left behind.
+
+    Warns:
+        UserWarning: something in the model works against the scenario's actuators.
+    """
+
+    metadata = {"render_modes": [*RENDER_MODES], "render_fps": 4}  # noqa: RUF012  # Gymnasium's own form
+
+    def __init__(
+        self,
+        building: str | Path | None = None,
+        weather: str | Path | Sequence[str | Path] | None = None,
+        *,
+        scenario: str | None = None,
+        file: str | Path | None = None,
+        config: str | Path | None = None,
+        variant: str | None = None,
+        sensors: Mapping[str, Sequence[str]] | None = None,
+        meters: Mapping[str, str] | None = None,
+        actuators: Mapping[str, Sequence[str | float]] | None = None,
+        begin: str | None = None,
+        end: str | None = None,
+        steps_per_hour: int | None = None,
+        weather_order: str | None = None,
+        variability: Mapping[str, Any] | None = None,
+        sizing: str | None = None,
+        changes: Mapping[str, Any] | None = None,
+        time: Sequence[str] | None = None,
+        reading: str | None = None,
+        actions: Mapping[str, Any] | None = None,
+        control: str | None = None,
+        discrete: int | Sequence[Any] | None = None,
+        terminate: Sequence[Mapping[str, Any]] | None = None,
+        reward: AnyReward | None = arguments.OF_THE_SCENARIO,
+        connect: str | None = None,
+        node: str | None = None,
+        level: int = 10,
+        keep: str | Path | None = None,
+        keep_last: int | None = None,
+        baseline: bool | None = None,
+        branches: int | None = None,
+        unresponsive_s: float | None = None,
+        faults: str | Path | None = None,
+        affinity: Affinity | str = Affinity.APART,
+        render_mode: str | None = None,
+        keys: str | Path | None = None,
+        link: Link | None = None,
+    ) -> None:
+        here = locals()
+        given = {name: here[name] for name in arguments.OF_A_NODE if here[name] is not None}
+        self._hold = Hold(
+            given,
+            reward=reward,
+            connect=connect,
+            node=node,
+            level=level,
+            affinity=affinity,
+            render_mode=render_mode,
+            keys=keys,
+            link=link,
+        )
+        with ExitStack() as undo:
+            undo.callback(self._hold.abandon)
+            manifest = self.manifest = self._hold.manifest
+            self.observation_space = spaces.observation_space(manifest)
+            self._actions = Actions(manifest)
+            self.action_space = self._actions.space
+            self.reward = self._hold.reward
+            self._memory: EpisodeMemory[dict[int, float | None]] = EpisodeMemory(
+                self.reward.bind(manifest) if self.reward is not None else None,
+                Limits(manifest) if manifest.task.terminate else None,
+                {},
+            )
+            self.wrappers = self._memory.wrappers
+            self._history = History(manifest) if render_mode == "rgb_array" else None
+            if render_mode == "rerun":
+                self._hold.watch()
+            undo.pop_all()
+        self.render_mode, self._level = render_mode, level
+        self._timestep = timedelta(hours=1 / manifest.steps_per_hour)
+        self._time = manifest.task.time
+        self._values = self._actions.values
+        self._sample: SampleView | None = None
+        self._ended = self._busy = False
+        self._begun: dict[str, Any] = {"weather": "", "weather_noise": {}, "start": ""}
+        self._outputs = ""
+        self._rulers: tuple[bytes, list[str]] = (b"", [])
+        self._ruled_by: tuple[str, ...] = ()
+        self._hold.warn(stacklevel=3)
+
+    @property
+    def link(self) -> Link:
+        """The hold on the node; an own node's bus is joined when it is first needed."""
+        link: Link = self._hold.link
+        return link
+
+    @property
+    def own_node(self) -> OwnNode | None:
+        """The node that was started; None if it runs elsewhere."""
+        return self._hold.own_node
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Starts an episode: sample 0, the state after warm-up, and its info.
+
+        The seed rules which weather is drawn and its noise; without one, the next of the sequence that the last
+        seed began. `info["weather"]` says which it is, and `info["start"]` how its engine came to its first sample.
+
+        Where the node injects faults, observations have them; the reward and the limits go by the truth, which is
+        `info["undisturbed"]`.
+
+        `options={"snapshot": snap}` goes back to a snapshot instead: its sample, and what the reward and the limits
+        remembered there.
+
+        Where the environment's own node has ended, another one is started. After a lost link the node is claimed
+        again.
+
+        Raises:
+            InvalidConfig: an unknown option; a snapshot that is closed, of another node, or of a node that has ended;
+                a seed that is no whole number from 0 to 2**64 - 1.
+            EngineDied, ForkFailed: the snapshot's engine; the running episode goes on.
+            NothingThere: a node that runs elsewhere is gone.
+            NodeLost: that node was restarted with other points.
+            UsageError: another thread is in `step` or `reset`.
+
+        Warns:
+            UserWarning: why another node was started.
+        """
+        busy, self._busy = self._busy, True  # one statement without a call: CPython switches no threads within it
+        if busy:
+            raise UsageError(BUSY)
+        try:
+            return self._reset(None if seed is None else check_seed(seed), options or {})
+        except (EpisodeChanged, BusError):
+            self._hold.check_open()
+            raise
+        finally:
+            self._busy = False
+
+    def _reset(self, seed: int | None, options: dict[str, Any]) -> tuple[Observation, dict[str, Any]]:
+        super().reset(seed=seed)
+        self._hold.check_open()
+        self._hold.renew()
+        snapshot = self._asked(options)
+        if snapshot is None:
+            sample = self._sample = self._hold.reset(seed=seed)
+            self._memory.forget()
+            self._memory.context = {}
+        else:
+            sample = self._sample = self._forking().reset(seed=seed, snapshot=snapshot.name)
+            self._memory.restore(snapshot.remembered)
+        self.manifest, self._ended = self._hold.manifest, False
+        (begun,) = self.link.accepted.begun
+        self._outputs = begun.outputs
+        self._begun = {"weather": begun.weather, "weather_noise": begun.drawn, "start": begun.start}
+        values, now, info = sample.values, sample.time, self._info(sample)
+        info["action"] = np.full(len(self.manifest.actuators), np.nan)
+        info |= self._memory.unrewarded(sample.truth, now)
+        if self._history is not None:
+            self._history.clear()
+            self._history.add(now, values)
+        return self._observed(values, now - self._timestep if sample.step else now, now), info
+
+    def _asked(self, options: Mapping[str, Any]) -> Snapshot | None:
+        self.manifest = self._hold.manifest
+        if self.manifest.branch_of:
+            raise InvalidConfig("a branch has no sample 0 of its own; close it and make another one")
+        return asked_for(options, self.manifest)
+
+    def snapshot(self) -> Snapshot:
+        """Keeps where the episode stands, to go back there by `reset(options={"snapshot": snap})` any number of times.
+
+        Raises:
+            EpisodeChanged: no episode runs.
+            Refused: there are as many snapshots and branches as the node allows, or this is a branch.
+            ForkFailed: the system has no memory for a fork; the episode goes on.
+        """
+        return take(self._forking(), self._running(), self._memory)
+
+    def branch(self, *, snapshot: Snapshot | None = None, released: bool = False) -> BuildingEnv:
+        """Another environment that goes on from this very step on its own, while this one goes on.
+
+        It is a node of its own on the bus and ends with `close()`, or with this environment. It has one episode: it
+        cannot be reset. `with env.unwrapped.branch() as b: b.step(action)`.
+
+        Args:
+            snapshot: begin there instead.
+            released: what was commanded up to now holds no more; until a step commands it, the building's own control
+                goes on.
+
+        Raises:
+            as for `snapshot`.
+        """
+        link, sample = self._forking(), self._running() if snapshot is None else snapshot.sample
+        if snapshot is not None:
+            snapshot.check(self.manifest)
+        with ExitStack() as undo:
+            asked = MakeBranch(
+                controller=link.name, snapshot=snapshot.name if snapshot is not None else "", released=released
+            )
+            name = link.bus.branch(link.manifest.node, asked)
+            undo.callback(_stop, link.bus, name)
+            hold = undo.enter_context(link.bus.controller(name, name="env", level=self._level))
+            branch = BuildingEnv(link=hold, reward=copy.deepcopy(self.reward))  # it may be an object with a memory
+            branch._sample = hold.stand_at(sample.wire)
+            branch._begun = self._begun
+            branch._memory.restore(self._memory.state() if snapshot is None else snapshot.remembered)
+            branch._hold.also(undo.pop_all())
+        return branch
+
+    def _forking(self) -> ControlLink:
+        self._hold.check_open()
+        return forking(self.link)
+
+    def _running(self) -> SampleView:
+        if self._sample is None or self._ended:
+            raise EpisodeChanged("no episode runs; call reset() first")
+        return self._sample
+
+    def step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Simulates one timestep under `action`.
+
+        `info` has `time` and `step` of the sample; `action`: the value commanded for each actuator; `applied`: what
+        each really was (NaN where EnergyPlus does not tell); `ruled_by`: who set it ("agent" is this environment, ""
+        the building's own control); `reward_terms`, whose sum is the reward, and `reward_measures`; the node's counts
+        of `late` and `rejected` messages; and at the episode's end `outputs`, the folder of EnergyPlus's files, if
+        they are kept.
+
+        Raises:
+            InvalidAction: wrong shape, out of bounds, not finite, or no such choice; nothing was simulated.
+            NodeLost, SimulatorError, Refused, EpisodeChanged: see `ControlLink.receive`.
+            UsageError: another thread is in `step` or `reset`.
+        """
+        busy, self._busy = self._busy, True  # one statement without a call: CPython switches no threads within it
+        if busy:
+            raise UsageError(BUSY)
+        try:
+            return self._step(action)
+        except (EpisodeChanged, BusError):
+            self._hold.check_open()
+            raise
+        finally:
+            self._busy = False
+
+    def _step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        previous = self._sample
+        if previous is None or self._ended or self._hold.closed:
+            self._hold.check_open()
+            raise EpisodeChanged("the episode is over; call reset()" if previous else "call reset() before step()")
+        commanded, mask = self._command(action)
+        link = self.link
+        link.send(commanded, mask)
+        sample = self._sample = link.receive()
+        values, end, info = sample.values, sample.time, self._info(sample)
+        begin = end - self._timestep
+        truth = sample.truth if sample.wire.undisturbed else values
+        info["action"] = self._actions.commanded(commanded, mask)
+        memory, reward = self._memory, 0.0
+        if memory.reward is not None:
+            total, info["reward_terms"], info["reward_measures"] = memory.reward(truth, begin)
+            reward = float(total)
+        broken = ""
+        if memory.limits is not None:
+            broken = memory.limits.broken(truth)
+            info["terminated_by"] = broken
+        truncated = sample.truncated
+        self._ended = truncated or bool(broken)
+        if self._ended and self._outputs:
+            info["outputs"] = self._outputs
+        if self._history is not None:
+            self._history.add(end, values)
+        return self._observed(values, begin, end), reward, bool(broken), truncated, info
+
+    def render(self) -> Any:
+        """With `rgb_array` a picture of the last day, shape (640, 960, 3), uint8; with `rerun` nothing: it is live."""
+        return self._history.picture() if self._history is not None else None
+
+    @property
+    def sample(self) -> SampleView:
+        """The latest sample; a controller answers it.
+
+        Raises:
+            EpisodeChanged: before the first reset.
+        """
+        if self._sample is None:
+            raise EpisodeChanged("call reset() first")
+        return self._sample
+
+    def _command(self, action: ArrayLike) -> tuple[NDArray[np.float64], bytes | None]:
+        values, mask = self._values(action), self._actions.mask
+        if self._memory.context:
+            assert mask is not None
+            kinds = bytearray(mask)
+            for index, value in self._memory.context.items():
+                kinds[index] = Mask.RELEASE if value is None else Mask.SET
+                values[index] = 0.0 if value is None else value
+            mask, self._memory.context = bytes(kinds), {}
+        return values, mask
+
+    def set_context(self, values: Mapping[str, float | None]) -> None:
+        """Sets actuators that are in no action, from the next step on until it is called again; None releases one.
+
+        Raises:
+            InvalidAction: an actuator that the node does not have, or that an action sets; a value out of bounds.
+        """
+        self._memory.context |= self._actions.context(values)
+
+    def weather(self, columns: Sequence[str]) -> WeatherSeries:
+        """Columns of the weather file that this episode reads, noise included; see `WeatherSeries`.
+
+        Raises:
+            UnknownName: no such column of an EPW.
+        """
+        return self.link.weather(columns)
+
+    def _observed(self, values: NDArray[np.float64], begin: datetime, end: datetime) -> Observation:
+        if not self._time:
+            return values.astype(np.float32)
+        return np.concatenate([clock(self._time, begin, end), values], dtype=np.float32, casting="same_kind")
+
+    def _info(self, sample: SampleView) -> dict[str, Any]:
+        wire = sample.wire
+        if (wire.ruler, wire.rulers) != self._rulers:
+            me = self.link.name
+            self._rulers = (wire.ruler, wire.rulers)
+            self._ruled_by = tuple(AGENT if who == me else who for who in sample.ruled_by.values())
+        info = {
+            "time": wire.time[0],
+            "step": wire.step[0],
+            "applied": sample.applied,
+            "ruled_by": self._ruled_by,
+            "late": wire.late,
+            "rejected": wire.rejected,
+            **self._begun,
+            "weather_noise": dict(self._begun["weather_noise"]),
+        }
+        if self._memory.limits is not None:
+            info["terminated_by"] = ""
+        if self._outputs:
+            info["outputs"] = ""
+        if wire.undisturbed:
+            info["undisturbed"] = sample.truth
+        if wire.baseline:
+            info |= {"baseline": sample.baseline, "baseline_applied": sample.baseline_applied}
+        return info
+
+    def close(self) -> None:
+        """Lets go of the node, and ends it if it is this environment's own; twice is fine."""
+        self._hold.close()

@@ -1,0 +1,140 @@
+"""A vector environment as stable-baselines3's algorithms take it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
+
+from agent_sdk.envs.connection import BUSY
+from agent_sdk.envs.vector_infos import of_slot
+from agent_sdk.wrappers.names import inside, layers
+from topics.errors import EpisodeChanged, InvalidConfig, UsageError
+from topics.extras import install_command
+
+try:
+    from stable_baselines3.common.vec_env import VecEnv
+    from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
+except ImportError as error:
+    raise InvalidConfig(f"as_sb3 needs stable-baselines3 ({error}): {install_command('train')}") from None
+
+
+_STATISTICS = "episode"
+
+
+def as_sb3(env: VectorEnv[Any, Any, Any]) -> SlotsVecEnv:
+    """The same environment for stable-baselines3: what `PPO("MlpPolicy", …)` takes.
+
+    Args:
+        env: made with `autoreset_mode="SameStep"`, with any wrappers for vectors around it.
+
+    Raises:
+        InvalidConfig: another autoreset mode.
+    """
+    return SlotsVecEnv(env)
+
+
+class SlotsVecEnv(VecEnv):  # type: ignore[misc,unused-ignore]  # without types where it is not installed
+    """A vector environment of Gymnasium's as one of stable-baselines3's, equal to its `DummyVecEnv`.
+
+    What it gives for an ended episode stands in the slot's info: `terminal_observation` and `TimeLimit.truncated`;
+    the info of the reset that followed is in `reset_infos`.
+
+    Args:
+        env: see `as_sb3`.
+
+    Attributes:
+        env: the vector environment.
+    """
+
+    def __init__(self, env: VectorEnv[Any, Any, Any]) -> None:
+        mode = env.metadata.get("autoreset_mode")
+        if mode is not AutoresetMode.SAME_STEP:
+            raise InvalidConfig(
+                f"stable-baselines3 begins episodes anew at once, and this environment's autoreset_mode is {mode}: "
+                "make it with autoreset_mode='SameStep'"
+            )
+        self.env = env
+        self._actions: Any = None
+        super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
+
+    def reset(self) -> Any:
+        """Starts an episode in each slot, with the seeds of `seed()` and the options of `set_options()`, once."""
+        options = self._options[0]
+        if any(one != options for one in self._options):
+            raise InvalidConfig("options differ between slots; give one for all")
+        seeds = None if all(seed is None for seed in self._seeds) else list(self._seeds)
+        self._actions = None
+        observations, infos = self.env.reset(seed=seeds, options=options or None)  # type: ignore[arg-type]
+        self.reset_infos = self._each(infos)
+        self._reset_seeds()
+        self._reset_options()
+        return observations
+
+    def step_async(self, actions: Any) -> None:
+        """Takes the actions, shape (slots, …); `step_wait` simulates.
+
+        Raises:
+            UsageError: another thread's actions wait for `step_wait`.
+        """
+        if self._actions is not None:
+            raise UsageError(f"step_async() was called already, and step_wait() comes next; or {BUSY}")
+        self._actions = actions
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """Observations, rewards (float32), whether each slot's episode has ended, and an info a slot."""
+        if self._actions is None:
+            raise EpisodeChanged("call step_async() before step_wait()")
+        actions, self._actions = self._actions, None
+        observations, rewards, terminated, truncated, infos = self.env.step(actions)
+        told, ended = self._each(infos), terminated | truncated
+        for slot in np.flatnonzero(ended).tolist():
+            self.reset_infos[slot] = {key: value for key, value in told[slot].items() if not key.startswith("final_")}
+            told[slot] = of_slot(infos["final_info"], slot)
+            if self.reset_infos[slot].pop(_STATISTICS, None) is not None:
+                # Gymnasium's wrapper for vectors puts them beside the final info, in a form of their own.
+                told[slot][_STATISTICS] = {name: values[slot].item() for name, values in infos[_STATISTICS].items()}
+            told[slot]["terminal_observation"] = infos["final_obs"][slot]
+        for slot, cut in enumerate((truncated & ~terminated).tolist()):
+            told[slot]["TimeLimit.truncated"] = cut
+        return observations, np.asarray(rewards, np.float32), ended, told
+
+    def _each(self, infos: dict[str, Any]) -> list[dict[str, Any]]:
+        return [of_slot(infos, slot) for slot in range(self.num_envs)]
+
+    def close(self) -> None:
+        """Closes the vector environment; twice is fine."""
+        self.env.close()
+
+    def get_images(self) -> Sequence[Any]:
+        """A picture of each slot; None without `render_mode="rgb_array"`."""
+        return self.env.render() or [None] * self.num_envs
+
+    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
+        """An attribute of slots; that of the outermost wrapper that has it, if one has."""
+        if attr_name in ("observation_space", "action_space"):
+            return [getattr(self, attr_name) for _ in self._get_indices(indices)]
+        for layer in layers(self.env):
+            if isinstance(layer, VectorWrapper) and hasattr(layer, attr_name) and not hasattr(VectorWrapper, attr_name):
+                return [getattr(layer, attr_name) for _ in self._get_indices(indices)]
+        return [getattr(slot, attr_name) for slot in self._slots(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
+        """Sets an attribute of slots."""
+        for slot in self._slots(indices):
+            setattr(slot, attr_name, value)
+
+    def _slots(self, indices: VecEnvIndices) -> list[Any]:
+        slots = inside(self.env.unwrapped)
+        return [slots[slot] for slot in self._get_indices(indices)]
+
+    def env_method(self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any) -> list[Any]:
+        """Calls a method of slots."""
+        return [one(*args, **kwargs) for one in self.get_attr(method_name, indices)]
+
+    def env_is_wrapped(self, wrapper_class: type[Any], indices: VecEnvIndices = None) -> list[bool]:
+        """Whether slots are within such a wrapper; wrappers are around the vector, so all are or none."""
+        wrapped = any(isinstance(layer, wrapper_class) for layer in layers(self.env))
+        return [wrapped for _ in self._get_indices(indices)]

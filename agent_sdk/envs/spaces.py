@@ -1,0 +1,37 @@
+"""Gymnasium spaces from a node's manifest."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from gymnasium.spaces import Box, Discrete, MultiDiscrete, Space
+
+from agent_sdk.envs.time_features import BOUNDS
+from topics.messages import Action, Manifest, Meter, Sensor
+
+Floats = Box
+
+
+def observation_space(manifest: Manifest) -> Box[np.float32]:
+    """Float32, shape (time fields + sensors + meters,); bounds from units and limits, infinite where there are none."""
+    points: list[Sensor | Meter] = [*manifest.sensors, *manifest.meters]
+    return _box([*(BOUNDS[field] for field in manifest.task.time), *map(_bounds, points)])
+
+
+def action_space(manifest: Manifest) -> Space[Any]:
+    """A number for each choice, `Discrete` or `MultiDiscrete`; without choices float32, shape (actions,)."""
+    counts = [len(choice.values) for choice in manifest.task.choices]
+    if len(counts) == 1:
+        return Discrete(counts[0])
+    return MultiDiscrete(counts) if counts else _box(map(_bounds, manifest.task.actions))
+
+
+def _bounds(point: Sensor | Meter | Action) -> tuple[float, float]:
+    return (-np.inf if point.low is None else point.low, np.inf if point.high is None else point.high)
+
+
+def _box(bounds: Iterable[tuple[float, float]]) -> Box[np.float32]:
+    low, high = np.array([*bounds], np.float32).reshape(-1, 2).T
+    return Box(low, high, dtype=np.float32)

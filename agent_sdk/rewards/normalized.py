@@ -1,0 +1,94 @@
+"""A reward whose terms lie between 0 and -1, whatever the building's size."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from agent_sdk.rewards.base import Begin, BoundReward, Outcome
+from agent_sdk.rewards.comfort_band import Banded, BandedBound
+from agent_sdk.rewards.config import Names
+from agent_sdk.rewards.selectors import powers, total
+from agent_sdk.rewards.slot_state import Memory
+from topics.messages import Manifest
+
+
+class NormalisedReward(Banded):
+    """Power and degrees outside the band, each as a share of the greatest that was seen.
+
+        r = -w * P / P_max - (1 - w) * D / D_max,    D = sum_z max(low - T_z, T_z - high, 0)
+
+    The maxima begin with `max_power_w` and `max_degrees` and grow with what is seen, this timestep included (so each
+    share lies between 0 and 1; 0 / 0 is 0). With `moving: false` they stay as given, and shares may be above 1. Each
+    slot has its own. A new episode keeps them unless `forget` is set.
+
+    Source: Sinergym's `NormalizedLinearReward`, as it is documented; its code never moves the maxima.
+
+    Terms: energy, comfort. Measures: power_w, degrees_outside, max_power_w, max_degrees.
+
+    Attributes:
+        weight: w, that of energy, 0 to 1.
+        max_power_w: W; None begins at 0.
+        max_degrees: K; None begins at 0.
+        moving: whether the maxima grow.
+        forget: whether a new episode begins with new maxima.
+        power: name or names of the sensors for P, W; None is the HVAC's electricity demand.
+    """
+
+    kind: Literal["normalised"] = "normalised"
+    weight: float = Field(0.5, ge=0.0, le=1.0)
+    max_power_w: float | None = Field(None, gt=0.0)
+    max_degrees: float | None = Field(None, gt=0.0)
+    moving: bool = True
+    forget: bool = False
+    power: Names | None = None
+
+    @model_validator(mode="after")
+    def _has_maxima(self) -> NormalisedReward:
+        if not self.moving and (self.max_power_w is None or self.max_degrees is None):
+            raise ValueError("maxima that do not move have to be given: max_power_w and max_degrees")
+        return self
+
+    def bind(self, manifest: Manifest) -> BoundReward:
+        """See `Reward.bind`."""
+        return _Bound(self, manifest)
+
+
+class _Bound(BandedBound):
+    def __init__(self, of: NormalisedReward, manifest: Manifest) -> None:
+        super().__init__(of, manifest)
+        self._of = of
+        self._powers = powers(of.kind, of.power, manifest)
+        self._memory = Memory(of.kind, max_power_w=of.max_power_w or 0.0, max_degrees=of.max_degrees or 0.0)
+
+    def __call__(self, values: NDArray[np.float64], begin: Begin) -> Outcome:
+        outside, power_w = self._degrees(values, begin), total(values, self._powers)
+        maxima = self._memory.of(values.shape[:-1])
+        if self._of.moving:
+            most_w = np.maximum(maxima["max_power_w"], power_w)
+            most_k = np.maximum(maxima["max_degrees"], outside)
+            self._memory.keep(max_power_w=most_w, max_degrees=most_k)
+        else:
+            most_w, most_k = maxima["max_power_w"][()], maxima["max_degrees"][()]
+        energy = -self._of.weight * _share(power_w, most_w)
+        comfort = -(1.0 - self._of.weight) * _share(outside, most_k)
+        measures = {"power_w": power_w, "degrees_outside": outside, "max_power_w": most_w, "max_degrees": most_k}
+        return Outcome(energy + comfort, {"energy": energy, "comfort": comfort}, measures)
+
+    def reset(self, slots: Sequence[int] | None = None) -> None:
+        if self._of.forget:
+            self._memory.forget(slots)
+
+    def state(self) -> dict[str, Any]:
+        return self._memory.state()
+
+    def restore(self, state: dict[str, Any]) -> None:
+        self._memory.restore(state)
+
+
+def _share(part: Any, most: Any) -> Any:
+    return part / np.where(most > 0.0, most, 1.0)

@@ -1,0 +1,66 @@
+"""Samples of a node that is not there: values that its points could have, drawn from a seed."""
+
+from __future__ import annotations
+
+from datetime import datetime, timedelta
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent_sdk.bus.sample import SampleView
+from topics.messages import Flag, Manifest, Meter, Sample, Sensor
+
+_RANGES = {"degC": (10.0, 35.0), "percent": (0.0, 100.0), "W": (0.0, 2e4), "J": (0.0, 1e7), "W/m2": (0.0, 900.0)}
+_MOST_PEOPLE = 6
+
+
+def values(manifest: Manifest, count: int, seed: int) -> NDArray[np.float64]:
+    """Shape (count, points), within the points' bounds; rooms are empty at half of the times."""
+    random = np.random.default_rng([seed, 1])
+    points: list[Sensor | Meter] = [*manifest.sensors, *manifest.meters]
+    made: NDArray[np.float64] = np.empty((count, len(points)))
+    for index, point in enumerate(points):
+        made[:, index] = _column(point, count, random)
+    return made
+
+
+def _column(point: Sensor | Meter, count: int, random: np.random.Generator) -> NDArray[np.float64]:
+    if isinstance(point, Sensor) and point.variable.endswith("Occupant Count"):
+        people: NDArray[np.float64] = random.integers(1, _MOST_PEOPLE, count) * random.integers(0, 2, count).astype(
+            float
+        )
+        return people
+    low, high = _RANGES.get(point.unit, (0.0, 1.0))
+    low = low if point.low is None else max(low, point.low)
+    high = high if point.high is None else min(high, point.high)
+    column: NDArray[np.float64] = random.uniform(low, max(low, high), count)
+    return column
+
+
+def begins(manifest: Manifest, count: int, shift_h: float = 0.0) -> list[datetime]:
+    """When `count` timesteps of an episode begin that is moved by `shift_h` hours."""
+    first = datetime.fromisoformat(manifest.begin) + timedelta(hours=shift_h)
+    return [first + timedelta(hours=k / manifest.steps_per_hour) for k in range(count)]
+
+
+def samples(manifest: Manifest, count: int, seed: int) -> list[SampleView]:
+    """The samples 0 to `count` - 1 of an episode that ends with the last of them. Each call makes new ones."""
+    rows = np.repeat(values(manifest, count, seed)[:, None, :], manifest.slots, axis=1)
+    applied = np.full((manifest.slots, len(manifest.actuators)), np.nan)
+    index = {name: i for i, name in enumerate(manifest.names)}
+    made = []
+    for step, (row, time) in enumerate(zip(rows, begins(manifest, count), strict=True)):
+        flag = Flag.FIRST if step == 0 else Flag.TRUNCATED if step == count - 1 else Flag.NONE
+        wire = Sample(
+            episode=[seed] * manifest.slots,
+            step=[step] * manifest.slots,
+            time=[time.isoformat()] * manifest.slots,
+            elapsed_s=[step * 3600.0 / manifest.steps_per_hour] * manifest.slots,
+            flags=[flag] * manifest.slots,
+            values=row.astype("<f8").tobytes(),
+            applied=applied.astype("<f8").tobytes(),
+            ruler=bytes(2 * applied.size),
+            rulers=[""],
+        )
+        made.append(SampleView(wire, manifest, index))
+    return made
