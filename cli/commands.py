@@ -9,16 +9,17 @@ import typer
 import typer.core
 
 from cli import (
+    asyncapi,
     buildings,
-    contract,
+    data_packs,
     demo,
     evaluate,
+    gateway,
     keys,
     lifecycle,
     monitor,
     node,
     pace,
-    packs,
     points,
     probe,
     read,
@@ -28,7 +29,6 @@ from cli import (
     watch,
     weathers,
     write,
-    zmq,
 )
 from cli.scenarios import scenarios
 from topics import VERSION
@@ -40,12 +40,12 @@ _GROUPS: dict[str, tuple[Callable[..., None] | typer.Typer, ...]] = {
         write.write, write.release, lifecycle.reset, pace.pause, pace.resume, pace.step, pace.pace, pace.faults,
         lifecycle.stop,
     ),
-    "Choose what is simulated": (scenarios, buildings.buildings, weathers.weathers, points.points, packs.app),
-    "Connect others": (keys.app, router.router, zmq.zmq, contract.contract),
+    "Choose what is simulated": (scenarios, buildings.buildings, weathers.weathers, points.points, data_packs.app),
+    "Connect others": (keys.app, router.router, gateway.zmq, asyncapi.contract),
 }  # fmt: skip
 """The commands by the heading under which `--help` lists them, in its order."""
 
-_SUBCOMMANDS = {id(scenarios): "scenarios", id(packs.app): "packs", id(keys.app): "keys"}
+_SUBCOMMANDS = {id(scenarios): "scenarios", id(data_packs.app): "packs", id(keys.app): "keys"}
 
 
 class _Ordered(typer.core.TyperGroup):

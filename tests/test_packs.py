@@ -398,9 +398,9 @@ def test_the_command_lists_adds_and_removes(fake, cache, monkeypatch):
     from rich.console import Console
     from typer.testing import CliRunner
 
-    from cli.packs import app
+    from cli.data_packs import app
 
-    monkeypatch.setattr("cli.packs.out", Console(width=300, highlight=False))
+    monkeypatch.setattr("cli.data_packs.out", Console(width=300, highlight=False))
     runner = CliRunner()
     for arguments in ([], ["list"]):
         rows = [line.split("│")[1:-1] for line in runner.invoke(app, arguments).stdout.splitlines() if "│" in line]
