@@ -30,7 +30,7 @@ from pydantic import (
     model_validator,
 )
 
-from topics.errors import InvalidConfig, near
+from topics.errors import InvalidConfig, did_you_mean
 
 HOURS, LEAP_HOURS = 8760, 8784
 _FEBRUARY_28, _FEBRUARY_29 = 24 * (31 + 27), 24 * (31 + 28)
@@ -237,7 +237,7 @@ class HourlyFile(AnySignal):
             fault = "stands twice" if self.column in names else "is not there"
             raise InvalidConfig(
                 f"{self.csv}: column {self.column!r} {fault} in line {self.header_row}, with {self.delimiter!r} "
-                f"between columns; {near(self.column, names)}"
+                f"between columns; {did_you_mean(self.column, names)}"
             )
         return names.index(self.column)
 

@@ -25,9 +25,9 @@ from agent_sdk.evaluation.metrics import Result
 from agent_sdk.vec_normalization import beside_model, load_normalization, mark_normalized, normalization_of
 from agent_sdk.wrappers import restore_wrappers, save_wrappers
 from topics import yaml12
-from topics.errors import InvalidConfig, UnknownName, near
+from topics.errors import InvalidConfig, UnknownName, did_you_mean
 from topics.extras import install_command
-from topics.messages import Manifest, Mask
+from topics.messages import CommandOp, Manifest
 
 try:
     import stable_baselines3 as sb3
@@ -291,9 +291,9 @@ class PolicyControl(Controller):
         if self._normalization is not None:
             observation = self._normalization.normalize_obs(observation)
         chosen = self._actions.values(self._memory.action(observation))
-        kinds = self._actions.mask or bytes([Mask.SET] * len(chosen))
+        kinds = self._actions.mask or bytes([CommandOp.SET] * len(chosen))
         named = zip(self.manifest.actuators, chosen.tolist(), kinds, strict=True)
-        return {actuator.name: value for actuator, value, kind in named if kind == Mask.SET}
+        return {actuator.name: value for actuator, value, kind in named if kind == CommandOp.SET}
 
 
 def _dimensions(manifest: Manifest, what: str) -> list[str]:
@@ -337,7 +337,7 @@ def load_policy(path: str | Path, algorithm: str | type[BaseAlgorithm] | None = 
     path = Path(path).expanduser()
     if isinstance(algorithm, str):
         if algorithm.casefold() not in ALGORITHMS:
-            raise UnknownName(f"no algorithm {algorithm!r}; {near(algorithm, ALGORITHMS)}")
+            raise UnknownName(f"no algorithm {algorithm!r}; {did_you_mean(algorithm, ALGORITHMS)}")
         algorithm = ALGORITHMS[algorithm.casefold()]
     if not path.is_file():
         raise UnknownName(f"there is no file {path.absolute()} to take a model from")

@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from bench import pace, scenes
-from topics.messages import Start
+from topics.messages import EngineStart
 
 SCENES = ("five-zone", "office-small", "office-medium", "outpatient")
 
@@ -30,7 +30,7 @@ def measure(*, quick: bool) -> dict[str, Any]:
     return found
 
 
-def _reset_ms(env: Any, expected: Start) -> float:
+def _reset_ms(env: Any, expected: EngineStart) -> float:
     env.step(env.action_space.low)  # else the engine that waits untouched would do
     begin = time.perf_counter()
     _, info = env.reset()
@@ -56,11 +56,11 @@ def main() -> None:
     try:
         env.reset(seed=0)
         env.step(env.action_space.low)
-        forked = [_reset_ms(env, Start.FORKED) for _ in range(forks)]
+        forked = [_reset_ms(env, EngineStart.FORKED) for _ in range(forks)]
         started = []
         for _ in range(starts):
             _end_waiting(env)
-            started.append(_reset_ms(env, Start.STARTED))
+            started.append(_reset_ms(env, EngineStart.STARTED))
     finally:
         env.close()
     print(json.dumps({"forked": pace.spread(forked), "started": pace.spread(started)}))

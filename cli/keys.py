@@ -9,7 +9,7 @@ import typer
 from rich.table import Table
 
 from cli.console import out
-from topics.errors import UnknownName, near
+from topics.errors import UnknownName, did_you_mean
 from topics.keys import Role
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ def add(
     from bridge.transport.certificates import add
 
     if role not in tuple(ROLES):
-        raise UnknownName(f"no role {role!r}; {near(role, ROLES)}")
+        raise UnknownName(f"no role {role!r}; {did_you_mean(role, ROLES)}")
     out.print(_table([add(folder, Role(role), name, hosts=host or (), days=days, force=force)]))
 
 

@@ -30,7 +30,7 @@ def reset(
     with connect_bus(connect or default_endpoint(keys), keys=keys, certificate=certificate) as bus:
         steps = bus.manifest(node).steps
         accepted = bus.reset(node, Reset(controller=person(), seed=seed))
-    weathers = ", ".join(dict.fromkeys(begun.weather for begun in accepted.begun))
+    weathers = ", ".join(dict.fromkeys(begun.weather for begun in accepted.episode_starts))
     text = f"{node}: episode {accepted.episode[0]}, {steps} timesteps, {weathers}"
     out.print(text, markup=False, soft_wrap=True)
 

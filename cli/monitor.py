@@ -14,7 +14,7 @@ import typer
 from bridge.transport.session import DEFAULT_ENDPOINT, default_endpoint
 from cli.console import err, out, until_signal
 from cli.options import CertificateName, Keys
-from topics.errors import InvalidConfig, NothingThere, near
+from topics.errors import InvalidConfig, NodeNotFound, did_you_mean
 from topics.keys import Role
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ def _awaited(session: zenoh.Session, node: str) -> str:
         return ""
     if node == "*":
         return ", where no node is yet; waiting for one"
-    return f", where no node {node!r} is; {near(node, there)}; waiting for it"
+    return f", where no node {node!r} is; {did_you_mean(node, there)}; waiting for it"
 
 
 def _there(connect: str, stop: threading.Event, **who: Any) -> bool:
@@ -93,7 +93,7 @@ def _there(connect: str, stop: threading.Event, **who: Any) -> bool:
         try:
             with open_session(connect=[connect], **who):
                 return True
-        except NothingThere as error:
+        except NodeNotFound as error:
             if not told:
                 out.print(f"{error}; waiting for it, Ctrl-C ends it", markup=False, soft_wrap=True)
             told = True

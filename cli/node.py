@@ -16,7 +16,7 @@ from bridge.transport.session import DEFAULT_ENDPOINT, default_endpoint, exposur
 from cli import statistics
 from cli.console import out, progress
 from cli.options import CertificateName, Keys
-from topics.errors import EndpointTaken, InvalidConfig, NothingThere
+from topics.errors import AddressInUse, InvalidConfig, NodeNotFound
 from topics.messages import Mode, Policy, State
 
 if TYPE_CHECKING:
@@ -154,14 +154,14 @@ def _start(stack: ExitStack, config: NodeConfig, watch: Observer, *, chosen: boo
 
     try:
         return stack.enter_context(Node(config, observer=watch, program=True))
-    except EndpointTaken as taken:
+    except AddressInUse as taken:
         if chosen:
             raise
         where = config.connect or config.listen
         joined = config.model_copy(update={"listen": [], "connect": where})
         try:
             running = stack.enter_context(Node(joined, observer=watch, program=True))
-        except NothingThere:
+        except NodeNotFound:
             raise taken from None
     say(
         f"another program listens on {', '.join(config.listen)}, so {config.name} does not listen; it is connected to "

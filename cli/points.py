@@ -11,7 +11,7 @@ import typer
 
 from cli.console import err, say_error
 from cli.tables import show, show_json
-from topics.errors import near
+from topics.errors import did_you_mean
 
 if TYPE_CHECKING:
     from models.points.discovery import Survey
@@ -83,7 +83,7 @@ def _matching(listed: Sequence[Listed], match: str, nothing: str) -> list[Listed
     found = [row for row in listed if any(text in part.casefold() for part in _parts(row))]
     if match and not found:
         names = [part for row in listed for part in _parts(row) if part]
-        say_error(f"{nothing} matches {match!r}; {near(match, names)}")
+        say_error(f"{nothing} matches {match!r}; {did_you_mean(match, names)}")
         raise typer.Exit(1)
     return found
 

@@ -12,7 +12,7 @@ import typer
 from cli.console import out, progress
 from cli.run import read_parameters
 from cli.tables import show, show_json
-from topics.errors import Faults, InvalidConfig
+from topics.errors import ErrorCollector, InvalidConfig
 
 if TYPE_CHECKING:
     from agent_sdk.evaluation.probe import Probed, Progress
@@ -49,10 +49,10 @@ def probe(
 
     Example: `zenostat probe ref-small-office-USA_CO_Denver-continuous-v1 --begin 07-03 --end 07-07 --hours 2`
     """
-    faults = Faults()
-    sides = [faults.catch(lambda o=o, t=t: _numbers(o, t)) for o, t in (("--low", low), ("--high", high))]  # type: ignore[misc]
-    settings = faults.catch(lambda: read_parameters(given or [])) or {}
-    faults.raise_all()
+    faults = ErrorCollector()
+    sides = [faults.collect(lambda o=o, t=t: _numbers(o, t)) for o, t in (("--low", low), ("--high", high))]  # type: ignore[misc]
+    settings = faults.collect(lambda: read_parameters(given or [])) or {}
+    faults.raise_if_any()
     settings |= {name: day for name, day in (("begin", begin), ("end", end)) if day is not None}
     from agent_sdk.evaluation.probe import probe as run
 

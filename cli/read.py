@@ -12,7 +12,7 @@ import typer
 from bridge.transport.session import default_endpoint
 from cli.options import CertificateName, Connect, Keys
 from cli.tables import show, show_json
-from topics.errors import UnknownName, near
+from topics.errors import UnknownName, did_you_mean
 from topics.keys import Role
 from topics.messages import Manifest, Meter, Sensor
 
@@ -75,7 +75,7 @@ def read(
 def check_points(manifest: Manifest, names: Sequence[str]) -> None:
     """Raises `UnknownName` for all names that the node does not have, with near ones."""
     known = [*manifest.names, *(a.name for a in manifest.actuators)]
-    unknown = [f"node {manifest.node!r} has no point {n!r}; {near(n, known)}" for n in names if n not in known]
+    unknown = [f"node {manifest.node!r} has no point {n!r}; {did_you_mean(n, known)}" for n in names if n not in known]
     if unknown:
         raise UnknownName("\n".join(unknown))
 

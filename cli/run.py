@@ -14,7 +14,7 @@ from cli.console import out, progress
 from cli.options import CertificateName, Connect, Keys
 from cli.results import show_results
 from topics.errors import InvalidConfig
-from topics.keys import safe
+from topics.keys import safe_name
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -58,7 +58,7 @@ def run(
 
     made_by = load_controller(controller)
     given = _seeded(made_by, read_parameters(parameters or []), seed, begins=reset or episodes > 1, name=controller)
-    name = safe(controller.rpartition(":")[2])
+    name = safe_name(controller.rpartition(":")[2])
     with connect_bus(connect or default_endpoint(keys), keys=keys, certificate=certificate) as bus:
         agent = Agent(create(made_by, bus.manifest(node), given))
         results: dict[str, tuple[Result, float]] = {}

@@ -11,7 +11,7 @@ import typer
 
 from cli.console import err, out
 from cli.tables import show as show_table
-from topics.errors import Faults, InvalidConfig, UnknownName
+from topics.errors import ErrorCollector, InvalidConfig, UnknownName
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -116,16 +116,16 @@ def check(file: Annotated[Path, typer.Argument(help="A scenario file.")]) -> Non
     from eplus_node.config import plan, read_config
     from models.scenario.schema import load_scenario
 
-    faults = Faults()
+    faults = ErrorCollector()
     if not file.is_file():
         raise UnknownName(f"there is no file {file.absolute()}")
     with err.status(f"checking {file}"):
-        read = faults.catch(lambda: load_scenario(file))
+        read = faults.collect(lambda: load_scenario(file))
         reward = read.reward if read is not None else None
         if reward is not None:
-            faults.catch(lambda: read_reward(reward))
-        planned = faults.catch(lambda: plan(read_config({"scenario": str(file)}))) if read is not None else None
-    faults.raise_all()
+            faults.collect(lambda: read_reward(reward))
+        planned = faults.collect(lambda: plan(read_config({"scenario": str(file)}))) if read is not None else None
+    faults.raise_if_any()
     if planned is None:
         raise InvalidConfig(f"{file} could not be read")
     points = planned.points

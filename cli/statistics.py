@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from rich.table import Table
 
-from topics.messages import ControllerStatus, Spread, Statistics
+from topics.messages import ControllerStatus, LatencySummary, Statistics
 
 
 def table(statistics: Statistics, controllers: Sequence[ControllerStatus]) -> Table:
@@ -22,11 +22,11 @@ def table(statistics: Statistics, controllers: Sequence[ControllerStatus]) -> Ta
     return made
 
 
-def _cells(spread: Spread) -> tuple[str, ...]:
+def _cells(spread: LatencySummary) -> tuple[str, ...]:
     return str(spread.count), *milliseconds(spread)
 
 
-def milliseconds(spread: Spread) -> tuple[str, str, str]:
+def milliseconds(spread: LatencySummary) -> tuple[str, str, str]:
     """Median, 99th percentile and maximum, to three digits; dashes where nothing was counted."""
     if not spread.count:
         return "-", "-", "-"
@@ -38,6 +38,6 @@ def milliseconds(spread: Spread) -> tuple[str, str, str]:
 
 def _counts(statistics: Statistics) -> str:
     names = ("late", "rejected", "duplicate", "flooded", "missed", "overruns")
-    behind = f" ({statistics.behind_s:.3g} s behind at worst)" if statistics.overruns else ""
+    behind = f" ({statistics.max_lag_s:.3g} s behind at worst)" if statistics.overruns else ""
     taken = f", {statistics.accepted_late} accepted late" if statistics.accepted_late else ""
     return ", ".join(f"{getattr(statistics, name)} {name}" for name in names) + behind + taken

@@ -9,7 +9,7 @@ from cli.console import out
 from cli.options import CertificateName, Connect, Keys
 from cli.statistics import milliseconds
 from cli.tables import show
-from topics.errors import NothingThere
+from topics.errors import NodeNotFound
 from topics.keys import Role
 from topics.messages import ControllerStatus, Mode, Status
 
@@ -29,7 +29,7 @@ def status(
     with connect_bus(connect, keys=keys, role=Role.MONITOR, certificate=certificate) as bus:
         nodes = []
         for name in bus.nodes():
-            with suppress(NothingThere):  # branches come and go
+            with suppress(NodeNotFound):  # branches come and go
                 nodes.append(bus.status(name, memory=True))
     if not nodes:
         out.print(f"no nodes on {connect}")
@@ -46,7 +46,7 @@ def _print_node(node: Status) -> None:
     """A node's state, a line each."""
     shared = f"node {_mb(node.node_rss_bytes)}, engines {_mb(node.engine_rss_bytes)}"
     messages = f"{node.accepted} accepted, {node.rejected} rejected, {node.late} late, {node.duplicate} duplicate"
-    messages += f", {node.statistics.flooded} passed over" if node.statistics.flooded else ""
+    messages += f", {node.statistics.rate_limited} passed over" if node.statistics.rate_limited else ""
     rows = {
         "state": f"{node.state} ({_pace(node)})",
         "without a controller": _policy(node),
@@ -91,7 +91,7 @@ def _print_controllers(nodes: list[Status]) -> None:
     who, did = [], []
     for node in nodes:
         for c in node.controllers:
-            who.append((c.controller, node.node, str(c.level), str(c.actuators), _yes(c.required), _presence(c)))
+            who.append((c.controller, node.node, str(c.priority), str(c.actuators), _yes(c.required), _presence(c)))
             counts = (c.accepted, c.late, c.rejected, c.duplicate, c.missed)
             did.append((c.controller, *map(str, counts), *milliseconds(c.response)))
     if not who:
@@ -109,8 +109,8 @@ def _yes(holds: bool) -> str:
 
 
 def _presence(controller: ControllerStatus) -> str:
-    if controller.waived:
+    if controller.bypassed:
         return "gone, waived"
-    if not controller.present:
+    if not controller.connected:
         return "gone"
-    return "silent" if controller.silent else "present"
+    return "silent" if controller.unresponsive else "present"

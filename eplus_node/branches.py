@@ -25,11 +25,11 @@ from eplus_node.fault_injection import State as Faulty
 from eplus_node.server import Runner
 from models.scenario.episode import Source
 from topics import keys
-from topics.errors import ForkFailed, Refused, near
+from topics.errors import ForkFailed, RequestRejected, did_you_mean
 from topics.messages import (
+    CreateBranch,
     DropSnapshot,
     ForkStatus,
-    MakeBranch,
     Manifest,
     Message,
     Mode,
@@ -43,7 +43,7 @@ _NOT_OF_A_BRANCH = (
     (keys.RESET, Reset),
     (keys.SNAPSHOT, TakeSnapshot),
     (keys.DROP, DropSnapshot),
-    (keys.BRANCH, MakeBranch),
+    (keys.BRANCH, CreateBranch),
 )
 _NEVER = "there is nothing to fork: the episode is {}; reset it first"
 
@@ -170,7 +170,9 @@ class Forks:
     def find(self, name: str) -> Snapshot:
         """A snapshot by its name; `Refused` lists those that are there."""
         if name not in self.snapshots:
-            raise Refused(f"no snapshot {name!r} on node {self._runner.manifest.node!r}; {near(name, self.snapshots)}")
+            raise RequestRejected(
+                f"no snapshot {name!r} on node {self._runner.manifest.node!r}; {did_you_mean(name, self.snapshots)}"
+            )
         return self.snapshots[name]
 
     def drop(self, name: str) -> None:
@@ -178,7 +180,7 @@ class Forks:
         self.find(name)
         self.snapshots.pop(name).drop()
 
-    def branch(self, asked: MakeBranch, supplies: Sequence[Supply]) -> Branch:
+    def branch(self, asked: CreateBranch, supplies: Sequence[Supply]) -> Branch:
         """Has the node go on twice.
 
         Args:
@@ -216,7 +218,7 @@ class Forks:
             raise ForkFailed(f"no branch of node {self._runner.manifest.node!r}: {error}") from None
         return branch
 
-    def _engines(self, of: Engines, asked: MakeBranch, folder: Path) -> Engines:
+    def _engines(self, of: Engines, asked: CreateBranch, folder: Path) -> Engines:
         link = of.links[asked.slot]
         return of.of_slot(asked.slot, one_for_each(range(asked.slots), lambda _: self._child(link, folder)))
 
@@ -239,7 +241,7 @@ class Forks:
         )
 
     def _branch_runner(
-        self, manifest: Manifest, engines: Engines, asked: MakeBranch, snapshot: Snapshot | None, weather: Path
+        self, manifest: Manifest, engines: Engines, asked: CreateBranch, snapshot: Snapshot | None, weather: Path
     ) -> Runner:
         parent, slots = self._runner, asked.slots
         of = snapshot or parent.exchange
@@ -248,7 +250,7 @@ class Forks:
             slots=slots,
             episode=[of.episode[asked.slot]] * slots,
         )
-        if not asked.released:
+        if not asked.relinquished:
             exchange.hold((snapshot.held if snapshot else parent.exchange.held()).of_slot(asked.slot, slots))
         exchange.ready(dict.fromkeys(range(slots), of.step[asked.slot]))
         runner = Runner(parent.session, parent.plan, manifest, exchange, engines, lambda _: weather)
@@ -271,16 +273,18 @@ class Forks:
 
     def _refuse(self, _: object) -> Message:
         of = self._runner.manifest.node
-        raise Refused(f"a branch has one episode, and no snapshots and branches of its own; ask its node {of!r}")
+        raise RequestRejected(
+            f"a branch has one episode, and no snapshots and branches of its own; ask its node {of!r}"
+        )
 
     def _place(self, kind: str, *, waits: bool = False) -> tuple[str, Path]:
         """A name and a folder for a fork, if there may be one now."""
         state, limit = self._runner.exchange.state, self._limit
         if not waits and (state is not State.WAITING or any(self._runner.exchange.ended)):
-            raise Refused(_NEVER.format(state if state in (State.STARTING, State.FAILED) else "over"))
+            raise RequestRejected(_NEVER.format(state if state in (State.STARTING, State.FAILED) else "over"))
         live = len(self.snapshots) + sum(not branch.runner.stopping for branch in self.branches.values())
         if live >= limit:
-            raise Refused(
+            raise RequestRejected(
                 f"{live} snapshots and branches are there, and the node allows {limit} (branches={limit}); "
                 "close some, or start the node with more"
             )

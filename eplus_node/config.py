@@ -27,11 +27,11 @@ from models.scenario.run_period import Period, check_steps_per_hour, parse_day
 from models.scenario.schema import ActuatorSpec, Scenario, load_scenario, read_scenario
 from models.scenario.task import task_of
 from models.weather import design_days, epw, noise
-from topics.codec import explain
-from topics.errors import Faults, InvalidConfig, UnknownName, near
+from topics.codec import describe_validation_errors
+from topics.errors import ErrorCollector, InvalidConfig, UnknownName, did_you_mean
 from topics.fault_plan import FaultPlan, Loss
 from topics.keys import check_name
-from topics.messages import Mode, Policy, Reading, Task
+from topics.messages import Aggregation, Mode, Policy, Task
 
 
 class NodeConfig(BaseModel):
@@ -115,13 +115,13 @@ def read_config(settings: Mapping[str, Any]) -> NodeConfig:
     own = {name: value for name, value in settings.items() if name in NodeConfig.model_fields}
     what = {name: value for name, value in settings.items() if name in Scenario.model_fields}
     known = [*NodeConfig.model_fields, *Scenario.model_fields]
-    unknown = [f"no setting {name!r}; {near(name, known)}" for name in settings if name not in known]
+    unknown = [f"no setting {name!r}; {did_you_mean(name, known)}" for name in settings if name not in known]
     if unknown:
         raise InvalidConfig("\n".join(unknown))
     try:
         return NodeConfig.model_validate({"what": what, **own})
     except ValidationError as error:
-        raise InvalidConfig(explain(error)) from None
+        raise InvalidConfig(describe_validation_errors(error)) from None
 
 
 def kept_episodes(config: NodeConfig) -> int | None:
@@ -133,7 +133,7 @@ def kept_episodes(config: NodeConfig) -> int | None:
     return of_sinergym(config.config)
 
 
-def read_base(config: NodeConfig, errors: Faults | None = None) -> Scenario | None:
+def read_base(config: NodeConfig, errors: ErrorCollector | None = None) -> Scenario | None:
     """The scenario that the settings name, if they do. `errors`: as in `read_scenario`."""
     if config.config is not None:
         from models.sinergym.scenarios import scenario_of as of_sinergym  # few need it, and it takes a while
@@ -148,7 +148,7 @@ def read_base(config: NodeConfig, errors: Faults | None = None) -> Scenario | No
     return load_scenario(path, errors) if path.suffix in (".yaml", ".yml") else find_scenario(config.scenario)
 
 
-def scenario_of(config: NodeConfig, errors: Faults | None = None) -> Scenario:
+def scenario_of(config: NodeConfig, errors: ErrorCollector | None = None) -> Scenario:
     """The scenario with all that the settings say over it. `errors`: as in `read_scenario`.
 
     Raises:
@@ -179,30 +179,30 @@ def plan(config: NodeConfig) -> Plan:
         ModelRefused: a model that EnergyPlus cannot read.
     """
     check_name(config.name, "the node's name")
-    faults = Faults()
+    faults = ErrorCollector()
     scenario = scenario_of(config, faults)
     named = scenario.building or None  # what was missing or wrong is told already
-    plain = faults.catch(lambda: building.read_building(catalog.find_building(named))) if named else None
+    plain = faults.collect(lambda: building.read_building(catalog.find_building(named))) if named else None
     # What cannot be changed in the model is no reason not to look at the rest.
-    model = faults.catch(lambda: building.varied(plain, scenario.changes)) or plain if plain is not None else None
-    sources = tuple(faults.catch(lambda name=name: _source(name, scenario)) for name in scenario.weather if name)  # type: ignore[misc]
-    faults.catch(lambda: noise.checked(scenario.variability))
+    model = faults.collect(lambda: building.varied(plain, scenario.changes)) or plain if plain is not None else None
+    sources = tuple(faults.collect(lambda name=name: _source(name, scenario)) for name in scenario.weather if name)  # type: ignore[misc]
+    faults.collect(lambda: noise.checked(scenario.variability))
     if config.keep is not None and config.keep.exists() and not config.keep.is_dir():
         faults.found.append(InvalidConfig(f"keep={config.keep} is a file; name a folder"))
     period = chosen = task = None
     if _dates_are_right(scenario, faults) and model is not None:
-        period = faults.catch(lambda: model.period(scenario.begin, scenario.end, scenario.steps_per_hour))
+        period = faults.collect(lambda: model.period(scenario.begin, scenario.end, scenario.steps_per_hour))
     found = [source for source in sources if source is not None]
     if period is not None:
         for source in found:
-            faults.catch(lambda source=source: epw.check_covers(source.header, period, source.name))  # type: ignore[misc]
+            faults.collect(lambda source=source: epw.check_covers(source.header, period, source.name))  # type: ignore[misc]
     if model is not None and found:
-        chosen = faults.catch(lambda: _points(model, scenario, found[0].path))
+        chosen = faults.collect(lambda: _points(model, scenario, found[0].path))
     if chosen is not None:
-        task = faults.catch(lambda: task_of(scenario, chosen))
+        task = faults.collect(lambda: task_of(scenario, chosen))
     file = config.faults
-    injected = faults.catch(lambda: read_plan(file)) if file is not None else None
-    faults.raise_all()
+    injected = faults.collect(lambda: read_plan(file)) if file is not None else None
+    faults.raise_if_any()
     assert model is not None
     assert period is not None
     assert chosen is not None
@@ -214,15 +214,15 @@ def plan(config: NodeConfig) -> Plan:
     return planned
 
 
-def _dates_are_right(scenario: Scenario, errors: Faults) -> bool:
+def _dates_are_right(scenario: Scenario, errors: ErrorCollector) -> bool:
     """Check what can be known of the run period without the model."""
     before = len(errors.found)
     for what, day in (("begin", scenario.begin), ("end", scenario.end)):
         if day is not None:
-            errors.catch(lambda what=what, day=day: parse_day(day, what))  # type: ignore[misc]
+            errors.collect(lambda what=what, day=day: parse_day(day, what))  # type: ignore[misc]
     steps = scenario.steps_per_hour
     if steps is not None:
-        errors.catch(lambda: check_steps_per_hour(steps))
+        errors.collect(lambda: check_steps_per_hour(steps))
     return len(errors.found) == before
 
 
@@ -262,8 +262,8 @@ def _points(model: Building, scenario: Scenario, any_weather: Path) -> Points:
         summed = {v.name.casefold(): v.summed for v in offered.variables}
         for spec in specs.values():
             if len(spec) == 2:
-                reported = Reading.SUM if summed.get(spec[0].casefold()) else Reading.MEAN
-                spec.append(Reading.INSTANT if scenario.reading is Reading.INSTANT else reported)
+                reported = Aggregation.SUM if summed.get(spec[0].casefold()) else Aggregation.MEAN
+                spec.append(Aggregation.INSTANT if scenario.reading is Aggregation.INSTANT else reported)
     chosen = selection.choose(model, offered, specs, scenario.meters, actuators)
     if actuators is not None:
         return chosen

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bridge.faults import LinkFaults, PointFaults, Turn
-from topics.errors import Faults
+from topics.errors import ErrorCollector
 from topics.fault_plan import FaultPlan
 
 if TYPE_CHECKING:
@@ -40,10 +40,10 @@ class Injection:
         self._commands = (slots, len(points.actuators))
         when = {"step_s": period.step_s, "begin": period.time(0), "end": period.time(period.steps)}
         names = [*(sensor.name for sensor in points.sensors), *(meter.name for meter in points.meters)]
-        gathered = Faults()
-        found = gathered.catch(lambda: PointFaults(faults, names, points.actuators, slots=slots, **when))  # type: ignore[arg-type]
-        link = gathered.catch(lambda: LinkFaults(faults, **when))  # type: ignore[arg-type]
-        gathered.raise_all()
+        gathered = ErrorCollector()
+        found = gathered.collect(lambda: PointFaults(faults, names, points.actuators, slots=slots, **when))  # type: ignore[arg-type]
+        link = gathered.collect(lambda: LinkFaults(faults, **when))  # type: ignore[arg-type]
+        gathered.raise_if_any()
         assert found is not None
         assert link is not None
         self._points, self.link = found, link

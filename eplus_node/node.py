@@ -27,20 +27,20 @@ from eplus_node.server import Observer, Runner, Stopped
 from eplus_node.shutdown import LIMIT_S, Ending
 from models import energyplus
 from topics import VERSION, codec, errors, keys
-from topics.errors import NameTaken, SimulatorError
+from topics.errors import NameInUse, SimulatorError
 from topics.messages import (
-    Accepted,
-    Ask,
-    Begun,
-    Branched,
+    Ack,
+    BranchCreated,
+    CreateBranch,
     DropSnapshot,
+    EngineStart,
+    EpisodeStart,
     EventKind,
-    MakeBranch,
     Manifest,
     Message,
+    Query,
     Reset,
     SnapshotTaken,
-    Start,
     State,
     TakeSnapshot,
     Versions,
@@ -137,12 +137,12 @@ class Node:
 
     def _tokens(self) -> list[str]:
         replies = self.session.liveliness().get(keys.NODE_TOKEN.at(self.config.name, name="*"))
-        return [keys.last_of(str(reply.ok.key_expr)) for reply in replies if reply.ok]
+        return [keys.last_chunk(str(reply.ok.key_expr)) for reply in replies if reply.ok]
 
     def _refuse_second(self, name: str) -> None:
         others = [token for token in self._tokens() if token != self.instance]
         if others:
-            raise NameTaken(f"a node named {name!r} is on this bus already (instance {others[0]}); name this one else")
+            raise NameInUse(f"a node named {name!r} is on this bus already (instance {others[0]}); name this one else")
 
     def _make_folder(self) -> None:
         sweep()
@@ -218,7 +218,7 @@ class Node:
         inlets.request(keys.RESET, Reset, self._reset)
         inlets.request(keys.SNAPSHOT, TakeSnapshot, self._snapshot)
         inlets.request(keys.DROP, DropSnapshot, self._drop)
-        inlets.request(keys.BRANCH, MakeBranch, self._branch)
+        inlets.request(keys.BRANCH, CreateBranch, self._branch)
         self._close.callback(signal.signal, signal.SIGCHLD, signal.getsignal(signal.SIGCHLD))
         signal.signal(signal.SIGCHLD, self._on_child)
         runner.exchange.ready()
@@ -329,7 +329,7 @@ class Node:
             return self._go_back(reset, slots)
         exchange = self.exchange
         if exchange.state is State.FAILED and len(slots) < self.config.slots:
-            raise errors.Refused("the engines have ended; reset all slots")
+            raise errors.RequestRejected("the engines have ended; reset all slots")
         untouched = [exchange.state is State.WAITING and not exchange.touched[slot] for slot in slots]
         exchange.reset(slots)
         try:
@@ -347,27 +347,34 @@ class Node:
     def _seeds(self, reset: Reset, slots: list[int]) -> list[int | None]:
         if isinstance(reset.seed, list):
             if len(reset.seed) != len(slots):
-                raise errors.Refused(f"{len(reset.seed)} seeds for {len(slots)} slots; one each, or a single one")
+                raise errors.RequestRejected(
+                    f"{len(reset.seed)} seeds for {len(slots)} slots; one each, or a single one"
+                )
             return reset.seed
         return [None if reset.seed is None else reset.seed + place for place in range(len(slots))]
 
-    def _accepted(self, slots: list[int], starts: list[Start]) -> Accepted:
+    def _accepted(self, slots: list[int], starts: list[EngineStart]) -> Ack:
         begun = [
-            Begun(start=start, weather=supply.source.name, drawn=supply.files.drawn, outputs=supply.outputs)
+            EpisodeStart(
+                engine_start=start,
+                weather=supply.source.name,
+                noise_parameters=supply.files.drawn,
+                output_dir=supply.outputs,
+            )
             for start, supply in zip(starts, [self._supplies[slot] for slot in slots], strict=True)
         ]
-        return Accepted(episode=self.exchange.episode, begun=begun)
+        return Ack(episode=self.exchange.episode, episode_starts=begun)
 
-    def _restart(self, slots: list[int], starts: list[Start], seeds: list[int | None], source: str) -> None:
+    def _restart(self, slots: list[int], starts: list[EngineStart], seeds: list[int | None], source: str) -> None:
         runner, engines = self.runner, self.runner.engines
         fresh = [
             slot
             for slot, start in zip(slots, starts, strict=True)
-            if start is not Start.READY or not engines.links[slot].alive
+            if start is not EngineStart.REUSED or not engines.links[slot].alive
         ]
         former = [engines.links[slot] for slot in fresh]
         # The former engines' end, which takes as long as a fork, can wait for these.
-        quick = all(start in (Start.FORKED, Start.AHEAD, Start.READY) for start in starts)
+        quick = all(start in (EngineStart.FORKED, EngineStart.PREFETCHED, EngineStart.REUSED) for start in starts)
         if not quick:
             self._end(former)
         try:
@@ -405,7 +412,7 @@ class Node:
         runner.failure = runner.failure_error = ""
         if told.weather != self._supplies[0].source.name:
             present = runner.manifest
-            kept = {"mode": present.mode, "speed": present.speed, "disturbed": present.disturbed}
+            kept = {"mode": present.mode, "speed": present.speed, "disturbed": present.faults_injected}
             runner.manifest = self._manifest().model_copy(update=kept)
         if runner.manifest != told:
             runner.outlets.manifest(runner.manifest)
@@ -440,18 +447,18 @@ class Node:
 
     def _drop(self, asked: DropSnapshot) -> Message:
         self.forks.drop(asked.snapshot)
-        return Accepted(episode=self.exchange.episode)
+        return Ack(episode=self.exchange.episode)
 
-    def _branch(self, asked: MakeBranch) -> Message:
+    def _branch(self, asked: CreateBranch) -> Message:
         branch = self.forks.branch(asked, self._supplies)
-        self.runner.event(self.exchange.event(EventKind.BRANCHED, f"branch {branch.name}", asked.controller))
-        return Branched(node=branch.name)
+        self.runner.event(self.exchange.event(EventKind.BRANCH_CREATED, f"branch {branch.name}", asked.controller))
+        return BranchCreated(node=branch.name)
 
     def _go_back(self, reset: Reset, slots: list[int]) -> Message:
         """The engines are forked before the present episode ends: if that fails, it goes on."""
         exchange, engines = self.exchange, self.runner.engines
         if len(slots) != self.config.slots:
-            raise errors.Refused("a snapshot is of all slots; reset all of them to it")
+            raise errors.RequestRejected("a snapshot is of all slots; reset all of them to it")
         snapshot = self.forks.find(reset.snapshot)
         episode = [number + 1 for number in exchange.episode]
         held = [
@@ -477,9 +484,9 @@ class Node:
         exchange.hold(snapshot.held)
         self._begin(dict(enumerate(snapshot.step)), reset.controller, [None] * len(slots), snapshot.faults or NO_FAULTS)
         self._end(former)
-        return self._accepted(slots, [Start.SNAPSHOT] * len(slots))
+        return self._accepted(slots, [EngineStart.SNAPSHOT] * len(slots))
 
-    def status(self, asked: Ask) -> bytes:
+    def status(self, asked: Query) -> bytes:
         """Where the node stands; any thread may ask."""
         snapshots, branches = self.forks.status(memory=asked.memory)
         told = self.runner.status(memory=asked.memory)

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 from bridge.exchange.step_schedule import Pace
 from topics import keys
-from topics.errors import EpisodeAborted, Refused
-from topics.messages import Accepted, EventKind, GoSteps, Message, Mode, Pause, Resume, SetPace, State
+from topics.errors import EpisodeAborted, RequestRejected
+from topics.messages import Ack, EventKind, Message, Mode, Pause, Resume, SetPace, State, StepRequest
 
 if TYPE_CHECKING:
     from eplus_node.server import Runner
@@ -42,7 +42,7 @@ class Pacing:
         inlets.request(keys.PACE, SetPace, self._set_pace)
         inlets.request(keys.PAUSE, Pause, self._pause)
         inlets.request(keys.RESUME, Resume, self._resume)
-        inlets.request(keys.STEP, GoSteps, self._go_steps)
+        inlets.request(keys.STEP, StepRequest, self._go_steps)
 
     # A timestep
 
@@ -123,7 +123,7 @@ class Pacing:
 
     def _set_pace(self, asked: SetPace) -> Message:
         if (asked.speed is not None) is not (asked.mode is Mode.PACED):
-            raise Refused("a speed and the mode 'paced' go together; the other modes have none")
+            raise RequestRejected("a speed and the mode 'paced' go together; the other modes have none")
         runner = self._runner
         mode, speed, now_s = asked.mode, asked.speed or runner.manifest.speed, monotonic()
         self.forget()
@@ -155,11 +155,11 @@ class Pacing:
             self.wait(now_s)
         return self._told("goes on", asked.source)
 
-    def _go_steps(self, asked: GoSteps) -> Message:
+    def _go_steps(self, asked: StepRequest) -> Message:
         if not self.paused:
-            raise Refused("the node is not paused; pause it first")
+            raise RequestRejected("the node is not paused; pause it first")
         if self._runner.exchange.state in (State.ENDED, State.FAILED):
-            raise Refused("the episode is over; reset it first")
+            raise RequestRejected("the episode is over; reset it first")
         self.steps_left += asked.steps
         self.wait(monotonic())
         return self._told(f"timesteps to go: {self.steps_left}", asked.source)
@@ -167,4 +167,4 @@ class Pacing:
     def _told(self, text: str, source: str) -> Message:
         runner = self._runner
         runner.event(runner.exchange.event(EventKind.PACE, text, source))
-        return Accepted(episode=runner.exchange.episode)
+        return Ack(episode=runner.exchange.episode)

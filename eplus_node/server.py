@@ -31,12 +31,11 @@ from models.scenario.episode import series
 from models.scenario.schema import dump
 from models.weather.epw import find_column
 from topics import codec, errors, keys
-from topics.errors import EpisodeAborted, Refused, SimulatorError, ZenostatError
+from topics.errors import EpisodeAborted, RequestRejected, SimulatorError, ZenostatError
 from topics.fault_plan import FaultPlan
 from topics.messages import (
     ANONYMOUS,
-    Accepted,
-    Ask,
+    Ack,
     Claim,
     Event,
     EventKind,
@@ -44,6 +43,7 @@ from topics.messages import (
     Manifest,
     Message,
     Mode,
+    Query,
     ScenarioText,
     State,
     Statistics,
@@ -116,7 +116,7 @@ class Runner:
 
     # On the bus
 
-    def declare(self, status: Callable[[Ask], bytes] | None = None) -> None:
+    def declare(self, status: Callable[[Query], bytes] | None = None) -> None:
         """What it answers and hears; `status` in place of its own."""
         inlets = self.inlets = self._close.enter_context(Inlets(self.session, self.manifest.node))
         inlets.listen(keys.ACTUATOR, self._write)
@@ -349,7 +349,7 @@ class Runner:
     def check_slot(self, slot: int) -> None:
         """Whether there is such a slot; `Refused` says how many there are."""
         if slot >= self.manifest.slots:
-            raise Refused(f"no slot {slot} on node {self.manifest.node!r}; it has {self.manifest.slots}")
+            raise RequestRejected(f"no slot {slot} on node {self.manifest.node!r}; it has {self.manifest.slots}")
 
     def _claim(self, claim: Claim) -> Message:
         exchange = self.exchange
@@ -358,7 +358,7 @@ class Runner:
         self.tell(exchange.claim(claim))
         if claim.required and (not waited or len(exchange.claims.by_name) > known):
             self.pacing.wait(exchange.now_s)
-        return Accepted(episode=self.exchange.episode)
+        return Ack(episode=self.exchange.episode)
 
     def inject(self, faults: FaultPlan) -> None:
         """Has these faults, in place of those that were there; none if the plan has none.
@@ -369,7 +369,7 @@ class Runner:
         self.injection = Injection(faults, self.plan, self.manifest.slots) if faults.faults else None
         if self.injection is not None and self._told:
             self.injection.heard(self._told)
-        if self.manifest.disturbed != (self.injection is not None):
+        if self.manifest.faults_injected != (self.injection is not None):
             self.manifest = self.manifest.model_copy(update={"disturbed": self.injection is not None})
 
     def _set_faults(self, faults: FaultPlan) -> Message:
@@ -377,7 +377,7 @@ class Runner:
         self.outlets.manifest(self.manifest)
         named = ", ".join(faults.names) or "none"
         self.event(self.exchange.event(EventKind.FAULT, f"faults are set: {named}"))
-        return Accepted(episode=self.exchange.episode)
+        return Ack(episode=self.exchange.episode)
 
     def _weather(self, query: WeatherQuery) -> Message:
         self.check_slot(query.slot)
@@ -399,7 +399,7 @@ class Runner:
 
     def _stop(self, _: Stop) -> Message:
         self.inlets.shelve(self.leave)
-        return Accepted(episode=self.exchange.episode)
+        return Ack(episode=self.exchange.episode)
 
     def _write(self, name: str, payload: bytes, said: str) -> None:
         try:
@@ -425,12 +425,12 @@ class Runner:
             step=self._step_took.spread(),
             cycle=self._cycle.spread(),
             overruns=self.pacing.pace.overruns,
-            behind_s=self.pacing.pace.behind_s,
+            max_lag_s=self.pacing.pace.behind_s,
             missed=counts.missed,
             late=counts.late,
             rejected=counts.rejected,
             duplicate=counts.duplicate,
-            flooded=counts.flooded + self.inlets.flooded,
+            rate_limited=counts.flooded + self.inlets.flooded,
             accepted_late=counts.accepted_late,
         )
 

@@ -21,7 +21,7 @@ from zenoh.handlers import Callback, FifoChannel
 from bridge.transport.wakeup import Wake
 from topics import codec, errors, keys
 from topics.errors import BadMessage, ZenostatError
-from topics.messages import Ask, Denied, Message
+from topics.messages import ErrorReply, Message, Query
 
 INBOX = 256
 """Commands that may wait for the node's own thread; their senders wait with those beyond."""
@@ -161,7 +161,11 @@ class Inlets:
             if len(waiting) >= MOST_SHELVED:
                 self.flooded += 1
                 return
-            name, payload, said = keys.last_of(str(message.key_expr)), message.payload.to_bytes(), str(message.encoding)
+            name, payload, said = (
+                keys.last_chunk(str(message.key_expr)),
+                message.payload.to_bytes(),
+                str(message.encoding),
+            )
             waiting.append(lambda: take(name, payload, said))
             self.shelve(lambda: waiting.popleft()())  # noqa: PLW0108  # which is first is seen then
 
@@ -173,7 +177,7 @@ class Inlets:
 
         def on_token(token: zenoh.Sample) -> None:
             if token.kind == zenoh.SampleKind.DELETE:
-                name = keys.last_of(str(token.key_expr))
+                name = keys.last_chunk(str(token.key_expr))
                 self.shelve(lambda: gone(name))
 
         tokens = topic.at(self._node, name="*")
@@ -190,12 +194,12 @@ class Inlets:
 
         self._answer(topic, answer)
 
-    def answer(self, topic: keys.Topic, answer: Callable[[Ask], bytes]) -> None:
+    def answer(self, topic: keys.Topic, answer: Callable[[Query], bytes]) -> None:
         """A question that is answered by the thread that hears it, and may come without a payload; only reads."""
-        self._answer(topic, lambda payload, said: answer(codec.decode(Ask, payload or _NO_FIELDS, said)))
+        self._answer(topic, lambda payload, said: answer(codec.decode(Query, payload or _NO_FIELDS, said)))
 
     def _answer(self, topic: keys.Topic, answer: Callable[[bytes, str], bytes]) -> None:
-        key, kind = topic.at(self._node), topic.reply or Denied
+        key, kind = topic.at(self._node), topic.reply or ErrorReply
 
         def on_query(query: zenoh.Query) -> None:
             with query:
@@ -203,7 +207,7 @@ class Inlets:
                 try:
                     payload = answer(*_asked(query))
                 except ZenostatError as error:
-                    said, payload = Denied, codec.encode(Denied(**errors.to_wire(error)))
+                    said, payload = ErrorReply, codec.encode(ErrorReply(**errors.to_wire(error)))
                 query.reply(key, payload, encoding=zenoh.Encoding(codec.encoding(said)))
 
         answers = self._session.declare_queryable(key, Callback(on_query, indirect=False), complete=True)
@@ -222,9 +226,11 @@ class Inlets:
         waiting: deque[Callable[[], None]] = deque()
 
         def refuse(query: zenoh.Query) -> None:
-            busy = Denied(error="Refused", message=f"the node has {MOST_SHELVED} requests to answer; ask again later")
+            busy = ErrorReply(
+                error="Refused", message=f"the node has {MOST_SHELVED} requests to answer; ask again later"
+            )
             with query:
-                query.reply(key, codec.encode(busy), encoding=zenoh.Encoding(codec.encoding(Denied)))
+                query.reply(key, codec.encode(busy), encoding=zenoh.Encoding(codec.encoding(ErrorReply)))
 
         def decoded(query: zenoh.Query) -> Any:
             return codec.decode(kind, *_asked(query))
@@ -241,7 +247,7 @@ class Inlets:
                 try:
                     reply = take(decoded(query))
                 except ZenostatError as error:
-                    reply = Denied(**errors.to_wire(error))
+                    reply = ErrorReply(**errors.to_wire(error))
                 query.reply(key, codec.encode(reply), encoding=zenoh.Encoding(codec.encoding(type(reply))))
 
         def on_query(query: zenoh.Query) -> None:

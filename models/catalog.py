@@ -14,7 +14,7 @@ from functools import cache
 from pathlib import Path
 
 from models import data_packs
-from topics.errors import InvalidConfig, UnknownName, near
+from topics.errors import InvalidConfig, UnknownName, did_you_mean
 
 MODEL_SUFFIXES = (".epjson", ".idf")
 WEATHER_SUFFIXES = (".epw",)
@@ -182,7 +182,7 @@ def _named(
                 raise UnknownName(f"{kind.what} {said!r} is in the data pack {pack.name!r}: {command}")
     names = [e.name for shelf in shelves for e in shelf]
     names = names or [f"{pack.name}/{kind.short(stem)}" for pack in missing for stem in kind.promised(pack)]
-    raise UnknownName(f"no {kind.what} {said!r}; {near(said, names)}")
+    raise UnknownName(f"no {kind.what} {said!r}; {did_you_mean(said, names)}")
 
 
 def _is_whole(text: str, names: tuple[str, str]) -> bool:

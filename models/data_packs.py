@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from models.cache import drop_folder, made_folder, stored_folder
-from topics.errors import InvalidConfig, UnknownName, near
+from topics.errors import InvalidConfig, UnknownName, did_you_mean
 from topics.scenario_ids import pack_ids
 
 MAX_UNPACKED_BYTES = 500_000_000
@@ -114,7 +114,7 @@ PACKS = {
 def find_pack(name: str) -> Pack:
     """The pack of that name; `UnknownName` lists those that there are."""
     if name not in PACKS:
-        raise UnknownName(f"no data pack {name!r}; {near(name, PACKS)}")
+        raise UnknownName(f"no data pack {name!r}; {did_you_mean(name, PACKS)}")
     return PACKS[name]
 
 

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from models.err_file import explain
-from topics.errors import ModelRefused
+from topics.errors import ModelError
 
 ISOLATED = (sys.executable, "-P", "-m")
 """How a room's program is started: `-P` keeps the caller's folder (and its `models.py`) out of sight."""
@@ -43,7 +43,7 @@ def call(verb: str, *arguments: str | Path, file: str | Path | None = None) -> N
     if not Path(arguments[-1]).exists():
         said = (done.stdout or "").strip().splitlines()[-5:]
         fallback = "\n  ".join([f"it ended with {done.returncode} and said:", *said])
-        raise ModelRefused(f"EnergyPlus could not {verb} {file or arguments[0]}. {explain(folder, fallback)}")
+        raise ModelError(f"EnergyPlus could not {verb} {file or arguments[0]}. {explain(folder, fallback)}")
 
 
 @cache

@@ -11,15 +11,15 @@ from topics import codec
 from topics.messages import (
     Action,
     Actuator,
+    Aggregation,
     Claim,
     Command,
+    CommandOp,
     Event,
     Manifest,
-    Mask,
     Meter,
     Mode,
     Policy,
-    Reading,
     Sensor,
     Task,
     Versions,
@@ -38,7 +38,7 @@ def actuator(name: str, low: float | None = None, high: float | None = None) -> 
 
 def sensor(name: str, variable: str = "Zone Air Temperature", key: str = "", unit: str = "degC") -> Sensor:
     """A sensor of the state of something."""
-    return Sensor(name=name, variable=variable, key=key or name, unit=unit, reading=Reading.INSTANT)
+    return Sensor(name=name, variable=variable, key=key or name, unit=unit, aggregation=Aggregation.INSTANT)
 
 
 def meter(name: str, energyplus: str = "Electricity:Facility") -> Meter:
@@ -92,7 +92,7 @@ def claim(
     at: Exchange, controller: str, level: int = 10, *, actuators: list[str] | None = None, required: bool = True
 ) -> list[Event]:
     """A controller claims actuators."""
-    return at.claim(Claim(controller=controller, level=level, actuators=actuators, required=required))
+    return at.claim(Claim(controller=controller, priority=level, actuators=actuators, required=required))
 
 
 def command(
@@ -100,18 +100,20 @@ def command(
     *,
     step: int | Sequence[int] = 0,
     episode: int | Sequence[int] = 0,
-    mask: Sequence[Mask] | None = None,
+    mask: Sequence[CommandOp] | None = None,
 ) -> Command:
     """A command of slot 0, or of all slots where `step` and `episode` are lists."""
     return Command(
         episode=[episode] if isinstance(episode, int) else list(episode),
         step=[step] if isinstance(step, int) else list(step),
-        mask=None if mask is None else bytes(mask),
+        operations=None if mask is None else bytes(mask),
         values=np.array(values, "<f8").tobytes(),
     )
 
 
-def answer(at: Exchange, controller: str, values: Sequence[float], mask: Sequence[Mask] | None = None) -> Event | None:
+def answer(
+    at: Exchange, controller: str, values: Sequence[float], mask: Sequence[CommandOp] | None = None
+) -> Event | None:
     """The controller answers the present sample."""
     return at.command(controller, command(values, step=at.step, episode=at.episode, mask=mask))
 

@@ -16,15 +16,20 @@ import msgpack
 from topics import asyncapi, codec, errors, yaml12
 from topics.errors import ZenostatError
 from topics.keys import PREFIX, TOPICS, Delivery, Topic
-from topics.messages import Command, Flag, Mask, Sample
+from topics.messages import Command, CommandOp, Flag, Sample
 
 ROOT = Path(__file__).parent.parent
 PAGE = ROOT / "docs" / "contract.md"
 DOCUMENT = ROOT / "docs" / "asyncapi.yaml"
 
 SETPOINTS = (20.0, 26.0)
-COMMAND = Command(episode=[0], step=[3], mask=None, values=struct.pack("<2d", *SETPOINTS))
-MASKED = Command(episode=[0], step=[3], mask=bytes([Mask.KEEP, Mask.SET]), values=struct.pack("<2d", 0.0, SETPOINTS[1]))
+COMMAND = Command(episode=[0], step=[3], operations=None, values=struct.pack("<2d", *SETPOINTS))
+MASKED = Command(
+    episode=[0],
+    step=[3],
+    operations=bytes([CommandOp.KEEP, CommandOp.SET]),
+    values=struct.pack("<2d", 0.0, SETPOINTS[1]),
+)
 SAMPLE = Sample(
     episode=[0],
     step=[3],
@@ -32,9 +37,9 @@ SAMPLE = Sample(
     elapsed_s=[2700.0],
     flags=[Flag.NONE],
     values=struct.pack("<3d", 17.3, 23.5, 1.8e6),
-    applied=struct.pack("<2d", *SETPOINTS),
-    ruler=struct.pack("<2H", 1, 0),
-    rulers=["", "mine"],
+    effective=struct.pack("<2d", *SETPOINTS),
+    source_index=struct.pack("<2H", 1, 0),
+    sources=["", "mine"],
 )
 """Two sensors and a meter, two actuators of which the first is set by `mine`."""
 

@@ -22,7 +22,7 @@ from models.building.model import prepared, read_building, write
 from models.catalog import find_building, find_weather
 from models.weather import design_days
 from models.weather.epw import read_header
-from topics.messages import Meter, Reading, Sensor
+from topics.messages import Aggregation, Meter, Sensor
 
 _RUN = """
 import sys
@@ -72,7 +72,7 @@ class Alone:
             }
             for s in sensors
             for frequency in ("Timestep", "Detailed")
-            if frequency == ("Detailed" if s.reading is Reading.INSTANT else "Timestep")
+            if frequency == ("Detailed" if s.aggregation is Aggregation.INSTANT else "Timestep")
         }
         objects["Output:Meter"] = {m.name: {"key_name": m.meter, "reporting_frequency": "Timestep"} for m in meters}
         (silent,) = objects["OutputControl:Files"].values()
@@ -106,7 +106,7 @@ class Alone:
     def _columns(self, found: dict[tuple[str, str, str], str]) -> dict[str, int]:
         """ESO id to column; each point has an id of its own."""
         wanted = [
-            (s.key.casefold(), s.variable.casefold(), _EACH if s.reading is Reading.INSTANT else _STEP)
+            (s.key.casefold(), s.variable.casefold(), _EACH if s.aggregation is Aggregation.INSTANT else _STEP)
             for s in self.sensors
         ]
         wanted += [("", m.meter.casefold(), _STEP) for m in self.meters]

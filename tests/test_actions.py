@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from agent_sdk.envs.actions import Actions
 from topics.errors import InvalidAction
-from topics.messages import Action, Actuator, Choice, Mask, Task
+from topics.messages import Action, Actuator, CommandOp, DiscreteAction, Task
 
 HEAT_A, COOL_A = actuator("heat_a", 15.0, 22.5), actuator("cool_a", 22.5, 30.0)
 HEAT_B, COOL_B = actuator("heat_b", 15.0, 22.5), actuator("cool_b", 22.5, 30.0)
@@ -22,8 +22,8 @@ HEAT = Action(name="heat", unit="degC", low=15.0, high=22.5, actuators=("heat_a"
 COOL = Action(name="cool", unit="degC", low=22.5, high=30.0, actuators=("cool_a", "cool_b"))
 
 
-def actions(actuators: tuple[Actuator, ...], *of: Action, choices: tuple[Choice, ...] = ()) -> Actions:
-    return Actions(manifest(actuators=actuators, task=Task(actions=of, choices=choices)))
+def actions(actuators: tuple[Actuator, ...], *of: Action, choices: tuple[DiscreteAction, ...] = ()) -> Actions:
+    return Actions(manifest(actuators=actuators, task=Task(actions=of, discrete_actions=choices)))
 
 
 def one(low: float | None, high: float | None) -> Actions:
@@ -31,15 +31,15 @@ def one(low: float | None, high: float | None) -> Actions:
     return Actions(manifest(actuators=[actuator("a", low, high)]))
 
 
-PAIRS = Choice(actions=("heat", "cool"), values=((15.0, 30.0), (18.0, 26.0), (22.5, 22.5)))
+PAIRS = DiscreteAction(actions=("heat", "cool"), values=((15.0, 30.0), (18.0, 26.0), (22.5, 22.5)))
 PICKED = actions(FOUR, HEAT, COOL, choices=(PAIRS,))
 BOTH = actions(
     FOUR,
     HEAT,
     COOL,
     choices=(
-        Choice(actions=("cool",), values=((30.0,), (24.0,))),
-        Choice(actions=("heat",), values=((15.0,), (17.0,), (20.0,))),
+        DiscreteAction(actions=("cool",), values=((30.0,), (24.0,))),
+        DiscreteAction(actions=("heat",), values=((15.0,), (17.0,), (20.0,))),
     ),
 )
 
@@ -82,7 +82,7 @@ def test_whatever_is_joined_each_actuator_gets_its_actions_value(data: st.DataOb
     if len(set_here) == count:
         assert made.mask is None
     else:
-        assert list(made.mask or b"") == [Mask.KEEP if o == -1 else Mask.SET for o in owner]
+        assert list(made.mask or b"") == [CommandOp.KEEP if o == -1 else CommandOp.SET for o in owner]
 
 
 # Actuators that no action sets
@@ -90,7 +90,7 @@ def test_whatever_is_joined_each_actuator_gets_its_actions_value(data: st.DataOb
 
 def test_what_no_action_sets_is_kept() -> None:
     some = actions(FOUR, COOL)
-    assert list(some.mask or b"") == [Mask.KEEP, Mask.SET, Mask.KEEP, Mask.SET]
+    assert list(some.mask or b"") == [CommandOp.KEEP, CommandOp.SET, CommandOp.KEEP, CommandOp.SET]
     values = some.values([25.0])
     assert values.shape == (4,)
     assert np.isfinite(values).all()
@@ -99,7 +99,7 @@ def test_what_no_action_sets_is_kept() -> None:
 
 def test_without_actions_all_is_kept() -> None:
     none = actions(FOUR)
-    assert (none.space.shape, list(none.mask or b"")) == ((0,), [Mask.KEEP] * 4)
+    assert (none.space.shape, list(none.mask or b"")) == ((0,), [CommandOp.KEEP] * 4)
     assert none.values([]).shape == (4,)
 
 
@@ -260,7 +260,7 @@ def test_choices_of_several_dimensions_each_set_their_own_actions(form: Any) -> 
 
 
 def test_a_row_names_its_values_in_the_choices_own_order() -> None:
-    turned = Choice(actions=("cool", "heat"), values=((30.0, 15.0), (26.0, 18.0)))
+    turned = DiscreteAction(actions=("cool", "heat"), values=((30.0, 15.0), (26.0, 18.0)))
     assert actions(FOUR, HEAT, COOL, choices=(turned,)).values(1).tolist() == [18.0, 26.0, 18.0, 26.0]
 
 
@@ -301,9 +301,9 @@ def test_several_dimensions_take_an_integer_each(wrong: Any) -> None:
 
 
 def test_choices_leave_alone_what_no_action_sets() -> None:
-    some = actions(FOUR, COOL, choices=(Choice(actions=("cool",), values=((30.0,), (24.0,))),))
+    some = actions(FOUR, COOL, choices=(DiscreteAction(actions=("cool",), values=((30.0,), (24.0,))),))
     assert some.values(1)[[1, 3]].tolist() == [24.0, 24.0]
-    assert list(some.mask or b"") == [Mask.KEEP, Mask.SET, Mask.KEEP, Mask.SET]
+    assert list(some.mask or b"") == [CommandOp.KEEP, CommandOp.SET, CommandOp.KEEP, CommandOp.SET]
 
 
 def test_an_action_rescaled_in_float32_means_the_bound() -> None:

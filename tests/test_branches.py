@@ -37,7 +37,7 @@ from topics.errors import (
     EngineDied,
     EpisodeChanged,
     ForkFailed,
-    Refused,
+    RequestRejected,
     SimulatorError,
 )
 from topics.messages import State
@@ -252,7 +252,7 @@ def test_without_an_engine_nothing_is_forked(scratch: Path) -> None:
     go(env, plan(env, 1, 3))
     kill(engine)
     for fork in (env.branch, env.snapshot):
-        with pytest.raises((EngineDied, Refused)) as raised:
+        with pytest.raises((EngineDied, RequestRejected)) as raised:
             fork()
         assert "SIGKILL" in str(raised.value) or "failed" in str(raised.value)
     env.reset()
@@ -567,7 +567,7 @@ def test_a_branch_of_a_time_without_faults_is_undisturbed(scratch: Path) -> None
     bias = {"kind": "bias", "points": "core_zn_air_temperature", "offset": 5.0}
     env.link.bus.faults("building", {"seed": 1, "faults": [bias]})
     with env.branch(snapshot=snapshot) as before, env.branch() as after:
-        assert (before.manifest.disturbed, after.manifest.disturbed) == (False, True)
+        assert (before.manifest.faults_injected, after.manifest.faults_injected) == (False, True)
         for branch, changed in ((before, False), (after, True)):
             info = branch.step([20.0, 25.0])[-1]
             assert ("undisturbed" in info) is changed

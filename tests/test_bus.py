@@ -16,7 +16,7 @@ from zenoh.handlers import FifoChannel
 import agent_sdk
 from bridge.transport.session import MOST_BYTES
 from topics import codec, keys
-from topics.errors import NothingThere, Refused
+from topics.errors import NodeNotFound, RequestRejected
 from topics.messages import Claim, Event, EventKind, State
 
 DAY = {**SMALL, "name": "office"}
@@ -221,7 +221,7 @@ def test_two_controllers_are_both_waited_for(bus: agent_sdk.Bus, second_bus: age
             core.send({name: value["heating" in name] for name in names[:half]})
             until(lambda before=accepted: bus.status("office").accepted == before + 1, "the node has the one command")
             # A request goes through the node's own loop: had it gone on, it would be at the next step now.
-            with pytest.raises(Refused, match=f"level 10 of {names[0]!r} is claimed by '{core.name}'"):
+            with pytest.raises(RequestRejected, match=f"level 10 of {names[0]!r} is claimed by '{core.name}'"):
                 bus.claim("office", Claim(controller="third", actuators=names[:1]))
             status = bus.status("office")
             assert (status.state, status.step) == (State.WAITING, [step])
@@ -255,13 +255,13 @@ def test_a_higher_level_rules_until_it_is_released(bus: agent_sdk.Bus, second_bu
 def test_a_second_claim_of_a_level_names_the_holder(bus: agent_sdk.Bus, second_bus: agent_sdk.Bus) -> None:
     until(lambda: bus.controllers() == [], "those of other tests have gone")
     with bus.controller("office", name="holder") as holder:
-        with pytest.raises(Refused, match=f"level 10 of .* is claimed by '{holder.name}'; claim another level"):
+        with pytest.raises(RequestRejected, match=f"level 10 of .* is claimed by '{holder.name}'; claim another level"):
             second_bus.controller("office", name="late")
         until(lambda: bus.controllers() == [("office", holder.name)], "the holder alone is there")
         with second_bus.controller("office", name="late", level=11) as late:
             both = sorted([("office", holder.name), ("office", late.name)])
             until(lambda: bus.controllers() == both, "both are there")
-    with pytest.raises(Refused, match="no actuator 'core_zn_heating'; near names: 'core_zn_heating_setpoint'"):
+    with pytest.raises(RequestRejected, match="no actuator 'core_zn_heating'; near names: 'core_zn_heating_setpoint'"):
         bus.controller("office", actuators=["core_zn_heating"])
 
 
@@ -279,12 +279,12 @@ def test_nodes_controllers_and_status(bus: agent_sdk.Bus) -> None:
         assert status.episode == [sample.episode]
         assert status.time == [sample.time.isoformat()]
         (controller,) = [c for c in status.controllers if c.controller == link.name]
-        assert (controller.level, controller.actuators, controller.required) == (10, 10, True)
-        assert (controller.present, controller.accepted) == (True, 1)
+        assert (controller.priority, controller.actuators, controller.required) == (10, 10, True)
+        assert (controller.connected, controller.accepted) == (True, 1)
         assert status.node_rss_bytes > 0
         assert status.engine_rss_bytes > 0
         assert bus.latest("office") == sample.wire
-    with pytest.raises(NothingThere, match=r"no node 'offise' on .*; near names: 'office'"):
+    with pytest.raises(NodeNotFound, match=r"no node 'offise' on .*; near names: 'office'"):
         bus.manifest("offise")
 
 
@@ -297,13 +297,13 @@ def test_another_takes_over_from_one_that_vanished(endpoint: str, bus: agent_sdk
     with events_of(bus) as events, Program(TAKES_THREE_STEPS, endpoint) as program:
         first = program.line()
         program.process.kill()
-        left = next_event(events, EventKind.LEFT)
+        left = next_event(events, EventKind.DISCONNECTED)
         while left.source != first:  # "takes over from" of its own claim
-            left = next_event(events, EventKind.LEFT)
+            left = next_event(events, EventKind.DISCONNECTED)
         assert left.text == f"{first} has gone, the node waits for it"
         assert left.step == 3
         with bus.controller("office", name="second") as second:
-            over = next_event(events, EventKind.LEFT)
+            over = next_event(events, EventKind.DISCONNECTED)
             assert (over.source, over.text) == (first, f"{second.name} takes over from {first}")
             sample = second.current()
             assert sample.step == 3

@@ -13,7 +13,7 @@ from zenoh.handlers import RingChannel
 import agent_sdk
 from topics import codec, keys
 from topics.keys import Topic
-from topics.messages import Denied, Event, EventKind, Write
+from topics.messages import ErrorReply, Event, EventKind, Write
 
 POINT = "core_zn_cooling_setpoint"
 OWN = codec.encoding(Write)
@@ -68,7 +68,7 @@ def test_queries_are_checked_like_any_other_request(bus: agent_sdk.Bus, topic: T
     assert ask(None)[0] == codec.encoding(topic.reply)
     for payload in (b"rubbish", msgpack.packb({"colour": "red"}), msgpack.packb([]), BIG):
         encoding, denied = ask(payload)
-        assert (encoding, denied["error"]) == (codec.encoding(Denied), "BadMessage")
+        assert (encoding, denied["error"]) == (codec.encoding(ErrorReply), "BadMessage")
     if topic.message is not None and topic.delivery is keys.Delivery.QUERY:
         assert ask(msgpack.packb({"memory": True}))[0] == codec.encoding(topic.reply)
         assert ask(msgpack.packb({}), "text/plain")[1]["error"] == "BadMessage"

@@ -10,7 +10,7 @@ from models import catalog
 from models.catalog import Entry, building_name, find_building, find_weather, weather_name
 from models.weather.epw import read_header
 from topics.errors import InvalidConfig, UnknownName
-from topics.keys import safe
+from topics.keys import safe_name
 
 
 def test_the_wheel_has_32_buildings_and_16_weathers() -> None:
@@ -30,7 +30,7 @@ def test_names_are_sorted_unique_and_of_files(entries: tuple[Entry, ...]) -> Non
 
 def test_a_buildings_name_can_be_the_name_of_a_node() -> None:
     for entry in catalog.bundled_buildings():
-        assert entry.name == safe(entry.name)
+        assert entry.name == safe_name(entry.name)
 
 
 @pytest.mark.parametrize("entry", catalog.bundled_buildings(), ids=lambda e: e.name)

@@ -91,9 +91,9 @@ def sample(step: int, *, episode: int = 0, last: int = 3, ruled: str = "", rows:
         elapsed_s=[0.0],
         flags=[flags | (Flag.FIRST if step == 0 else Flag.TRUNCATED if step == last else 0)],
         values=b"",
-        applied=np.array([float(value) for value in values]).tobytes(),
-        ruler=np.array([0 if name == "-" else names.index(name) for name in rulers], "<u2").tobytes(),
-        rulers=names,
+        effective=np.array([float(value) for value in values]).tobytes(),
+        source_index=np.array([0 if name == "-" else names.index(name) for name in rulers], "<u2").tobytes(),
+        sources=names,
     )
 
 
@@ -152,7 +152,7 @@ def event(kind: EventKind, text: str = "", source: str = "") -> Event:
 
 
 BASE, NORTH = "base-1-0", "north-2-0"
-JOINED = [event(EventKind.JOINED, f"{name} controls at level 1", name) for name in (BASE, NORTH)]
+JOINED = [event(EventKind.CONNECTED, f"{name} controls at level 1", name) for name in (BASE, NORTH)]
 STARTED = event(EventKind.STARTED)
 COMMANDS = [
     command(BASE, 0, 20, 21),
@@ -217,8 +217,8 @@ def test_another_takes_over_and_what_was_commanded_holds_until_it_commands() -> 
     second = "north-3-0"
     stream: list[Event | Sample] = [
         sample(1, ruled=BOTH, rows="30 21"),
-        event(EventKind.LEFT, "gone", NORTH),
-        event(EventKind.JOINED, f"{second} controls at level 1", second),
+        event(EventKind.DISCONNECTED, "gone", NORTH),
+        event(EventKind.CONNECTED, f"{second} controls at level 1", second),
         sample(2, ruled=f"{second} {BASE}", rows="33 23"),
     ]
     mine = [one for one in COMMANDS if (one.name, one.step) != (NORTH, 1)]
@@ -241,7 +241,7 @@ def test_nothing_of_an_episode_rules_the_next() -> None:
     def after(next_one: Callable[[], Sample]) -> list[str]:
         return account(
             sample(1, ruled=BOTH, rows="30 21"),
-            event(EventKind.LEFT, "gone", NORTH),
+            event(EventKind.DISCONNECTED, "gone", NORTH),
             Event(kind=EventKind.STARTED, text="", episode=1),
             sample(0, episode=1),
             next_one(),

@@ -20,7 +20,7 @@ from nodes import SMALL, NodeProgram, until
 
 import agent_sdk
 from cli.write import seconds
-from topics.errors import InvalidAction, InvalidConfig, NodeLost, Refused, UnknownName
+from topics.errors import InvalidAction, InvalidConfig, NodeLost, RequestRejected, UnknownName
 from topics.messages import EventKind, Message
 
 ZENOSTAT = [sys.executable, "-P", "-m", "cli.main"]
@@ -170,7 +170,7 @@ def test_each_writer_hears_of_its_own_write(node: NodeProgram, bus: agent_sdk.Bu
                 event = bus.write("office", POINT, value, source="somebody")
                 assert event.kind is EventKind.WRITTEN
                 heard[value].append(event.text)
-            except Refused as refused:
+            except RequestRejected as refused:
                 heard[value].append(str(refused))
 
     threads = [threading.Thread(target=write, args=(value,)) for value in values]

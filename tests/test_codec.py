@@ -17,24 +17,24 @@ from hypothesis import strategies as st
 from topics import codec
 from topics.errors import BadMessage
 from topics.messages import (
-    Accepted,
-    Ask,
-    Begun,
+    Ack,
     Claim,
     Command,
     ControllerStatus,
-    Denied,
+    CreateBranch,
+    EngineStart,
+    EpisodeStart,
+    ErrorReply,
     Event,
     EventKind,
-    MakeBranch,
     Manifest,
     Message,
     Mode,
     PointValue,
+    Query,
     Reset,
     Sample,
     SnapshotTaken,
-    Start,
     State,
     Status,
     Stop,
@@ -42,7 +42,7 @@ from topics.messages import (
 )
 
 TRAVELLING = (
-    Accepted, Ask, Claim, Command, Denied, Event, MakeBranch, Manifest, PointValue, Reset, Sample, SnapshotTaken,
+    Ack, Query, Claim, Command, ErrorReply, Event, CreateBranch, Manifest, PointValue, Reset, Sample, SnapshotTaken,
     Status, Stop, Write,
 )  # fmt: skip
 NUMBERS = {
@@ -60,20 +60,20 @@ levels = st.integers(1, 16)
 
 whatever = st.one_of(
     st.builds(
-        Accepted,
+        Ack,
         episode=lists,
         begun=st.lists(
             st.builds(
-                Begun, start=st.sampled_from(Start), weather=texts, drawn=st.dictionaries(texts, finite), outputs=texts
+                EpisodeStart, start=st.sampled_from(EngineStart), weather=texts, drawn=st.dictionaries(texts, finite), outputs=texts
             )
         ),
     ),
-    st.builds(MakeBranch, controller=texts, snapshot=texts, released=st.booleans(), slot=counts),
+    st.builds(CreateBranch, controller=texts, snapshot=texts, released=st.booleans(), slot=counts),
     st.builds(SnapshotTaken, snapshot=texts, episode=lists, step=lists),
-    st.builds(Ask),
+    st.builds(Query),
     st.builds(Claim, controller=names, level=levels, actuators=st.none() | st.lists(texts), required=st.booleans()),
     st.builds(Command, episode=lists, step=lists, mask=st.none() | st.binary(), values=st.binary()),
-    st.builds(Denied, error=texts, message=texts),
+    st.builds(ErrorReply, error=texts, message=texts),
     st.builds(Event, kind=st.sampled_from(EventKind), text=texts, source=texts, error=texts, episode=counts),
     st.builds(PointValue, value=finite, unit=texts, episode=counts, step=counts, time=texts),
     st.builds(Reset, controller=texts, seed=st.none() | counts | st.lists(st.none() | counts), snapshot=texts),
@@ -138,7 +138,7 @@ def test_arrays_arrive_to_the_last_bit(values: list[float]) -> None:
 
 @given(whatever)
 def test_the_hot_path_packs_what_encode_packs(message: Message) -> None:
-    assume(not isinstance(message, Accepted | Status))  # the hot path has no messages within messages
+    assume(not isinstance(message, Ack | Status))  # the hot path has no messages within messages
     assert codec.pack(**message.__dict__) == codec.encode(message)
 
 
@@ -226,7 +226,7 @@ def test_a_number_that_is_not_finite_is_refused_by_its_path(where: str, bad: flo
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
 def test_a_number_that_is_not_finite_is_refused_in_free_options_too(bad: float) -> None:
     refused(Reset, msgpack.packb({"seed": bad}))
-    refused(Begun, msgpack.packb({"start": "ready", "weather": "", "drawn": {"sigma": bad}}))
+    refused(EpisodeStart, msgpack.packb({"start": "ready", "weather": "", "drawn": {"sigma": bad}}))
 
 
 def test_a_wrong_type_deep_within_is_refused_by_its_path() -> None:
@@ -310,16 +310,16 @@ def test_an_array_has_the_size_of_its_shape_or_is_refused(size: int, slots: int,
         with pytest.raises(BadMessage, match=f"values has {size} bytes; {8 * slots * points} expected"):
             codec.floats(raw, (slots, points), "values")
     if size == slots * points:
-        assert codec.octets(raw, (slots, points), "mask").shape == (slots, points)
+        assert codec.uint8s(raw, (slots, points), "mask").shape == (slots, points)
     else:
         with pytest.raises(BadMessage, match=f"mask has {size} bytes; {slots * points} expected"):
-            codec.octets(raw, (slots, points), "mask")
+            codec.uint8s(raw, (slots, points), "mask")
 
 
 def test_arrays_stand_in_c_order_slots_first() -> None:
     raw = struct.pack("<6d", 0, 1, 2, 10, 11, 12)
     assert codec.floats(raw, (2, 3), "values").tolist() == [[0, 1, 2], [10, 11, 12]]
-    assert codec.octets(bytes([1, 2, 3, 4]), (2, 2), "mask").tolist() == [[1, 2], [3, 4]]
+    assert codec.uint8s(bytes([1, 2, 3, 4]), (2, 2), "mask").tolist() == [[1, 2], [3, 4]]
 
 
 def test_a_message_cannot_be_changed_through_its_arrays() -> None:

@@ -26,7 +26,7 @@ from topics.asyncapi import channel_name, document, travelling
 from topics.errors import ZenostatError
 from topics.fault_plan import FaultPlan
 from topics.keys import TOPICS, Delivery, Role, Topic
-from topics.messages import Denied, Message
+from topics.messages import ErrorReply, Message
 
 MADE = document()
 CLASSES = sorted(travelling(), key=lambda kind: kind.__name__)
@@ -159,7 +159,7 @@ def test_a_row_has_an_operation_with_its_messages_and_replies(topic: Topic) -> N
     assert (asked is not None) == (topic.reply is not None)
     if asked is not None and topic.reply is not None:
         assert asked["action"] == "receive"
-        denied = [Denied.__name__] if topic.delivery is Delivery.QUERY else []
+        denied = [ErrorReply.__name__] if topic.delivery is Delivery.QUERY else []
         assert _named(asked["reply"]["messages"]) == [topic.reply.__name__, *denied]
 
 

@@ -38,7 +38,7 @@ from agent_sdk.controllers.loader import _beside
 from agent_sdk.controllers.setback import weekdays
 from agent_sdk.envs.spaces import action_space
 from topics.errors import InvalidAction, InvalidConfig, UnknownName
-from topics.messages import Action, Actuator, Choice, Manifest, Sample, Task
+from topics.messages import Action, Actuator, DiscreteAction, Manifest, Sample, Task
 
 WINTER = datetime(2017, 1, 16, 12)  # a Monday
 SUMMER = datetime(2017, 7, 17, 12)
@@ -58,9 +58,9 @@ def view(of: Manifest, at: datetime = WINTER, *, step: int = 0, episode: int = 0
         elapsed_s=[0.0],
         flags=[0],
         values=row.tobytes(),
-        applied=np.full(len(of.actuators), np.nan).tobytes(),
-        ruler=bytes(2 * len(of.actuators)),
-        rulers=[""],
+        effective=np.full(len(of.actuators), np.nan).tobytes(),
+        source_index=bytes(2 * len(of.actuators)),
+        sources=[""],
     )
     return SampleView(wire, of, {name: i for i, name in enumerate(of.names)})
 
@@ -300,7 +300,7 @@ def test_random_is_uniform_repeats_by_its_seed_and_goes_on_after_a_begin() -> No
 
 def test_random_draws_rows_of_choices() -> None:
     rows = ((15.0, 30.0), (20.0, 25.0), (22.0, 23.0))
-    of = node(task=discrete(Choice(actions=(HEAT.name, COOL.name), values=rows)))
+    of = node(task=discrete(DiscreteAction(actions=(HEAT.name, COOL.name), values=rows)))
     control = RandomControl(of, seed=0)
     drawn = {(values[HEAT.name], values[COOL.name]) for values in (control.act(view(of)) for _ in range(100))}
     assert drawn == set(rows)
@@ -578,8 +578,8 @@ def test_pid_needs_a_setpoint() -> None:
 # As an agent
 
 
-def discrete(*choices: Choice) -> Task:
-    return Task(actions=node().task.actions, choices=choices)
+def discrete(*choices: DiscreteAction) -> Task:
+    return Task(actions=node().task.actions, discrete_actions=choices)
 
 
 def test_values_as_an_action() -> None:
@@ -615,13 +615,13 @@ def test_one_action_says_one_value() -> None:
 
 def test_the_nearest_choice() -> None:
     rows = ((15.0, 30.0), (20.0, 25.0), (22.0, 23.0))
-    one = node(task=discrete(Choice(actions=(HEAT.name, COOL.name), values=rows)))
+    one = node(task=discrete(DiscreteAction(actions=(HEAT.name, COOL.name), values=rows)))
     assert action_of(one, {HEAT.name: 20.3, COOL.name: 24.0}) == 1  # 0.09 + 1 against 2.89 + 1
     assert action_of(one, {HEAT.name: 21.0, COOL.name: 24.0}) == 1  # the first of equals
     two = node(
         task=discrete(
-            Choice(actions=(HEAT.name,), values=((16.0,), (20.0,))),
-            Choice(actions=(COOL.name,), values=((24.0,), (27.0,), (30.0,))),
+            DiscreteAction(actions=(HEAT.name,), values=((16.0,), (20.0,))),
+            DiscreteAction(actions=(COOL.name,), values=((24.0,), (27.0,), (30.0,))),
         )
     )
     action = action_of(two, {HEAT.name: 21.0, COOL.name: 28.0})
@@ -633,7 +633,9 @@ def test_room_setpoints_go_first_among_choices() -> None:
     actions = node(cooling, water).task.actions
     rows = ((27.0, 6.0), (27.0, 7.0), (29.0, 10.0))
     of = node(
-        cooling, water, task=Task(actions=actions, choices=(Choice(actions=(cooling.name, water.name), values=rows),))
+        cooling,
+        water,
+        task=Task(actions=actions, discrete_actions=(DiscreteAction(actions=(cooling.name, water.name), values=rows),)),
     )
     assert action_of(of, {cooling.name: 26.7, water.name: 10.0}) == 1
 

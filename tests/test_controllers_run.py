@@ -51,9 +51,9 @@ def made_up(of: Manifest, at: str, temperature: float, people: float) -> SampleV
         elapsed_s=[0.0],
         flags=[0],
         values=np.array(row, "<f8").tobytes(),
-        applied=bytes(8 * len(of.actuators)),
-        ruler=bytes(2 * len(of.actuators)),
-        rulers=[""],
+        effective=bytes(8 * len(of.actuators)),
+        source_index=bytes(2 * len(of.actuators)),
+        sources=[""],
     )
     return SampleView(wire, of, {name: i for i, name in enumerate(of.names)})
 
@@ -144,7 +144,7 @@ def test_zenostat_run_with_parameters_seeds_and_classes_of_anybodys(scratch: Pat
             assert done.returncode == 0, done.stderr
             latest = bus.latest("office")
             assert latest.step == [96]
-            return np.frombuffer(latest.applied, "<f8").tolist()
+            return np.frombuffer(latest.effective, "<f8").tolist()
 
         fixed = ruled(
             "--controller", "fixed", "--set", "core_zn_cooling_setpoint=27", "--set", "core_zn_heating_setpoint=19.5"

@@ -124,10 +124,10 @@ def test_a_ddy_that_lacks_something_is_not_taken_and_the_source_says_so(folder: 
 
 def test_a_ddy_that_energyplus_cannot_convert_is_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from models.weather import design_days
-    from topics.errors import ModelRefused
+    from topics.errors import ModelError
 
     def refuse(*_: object, **__: object) -> None:
-        raise ModelRefused("EnergyPlus could not convert it")
+        raise ModelError("EnergyPlus could not convert it")
 
     monkeypatch.setenv("ZENOSTAT_CACHE", str(folder / "cache"))
     monkeypatch.setattr(design_days.energyplus, "call", refuse)

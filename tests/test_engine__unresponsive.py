@@ -16,7 +16,7 @@ import agent_sdk
 from bridge.runtime.idle_watch import IdleWatch
 from topics import codec, keys
 from topics.errors import EngineUnresponsive, InvalidConfig
-from topics.messages import Event, EventKind, Start
+from topics.messages import EngineStart, Event, EventKind
 
 pytestmark = pytest.mark.usefixtures("scratch")
 
@@ -90,11 +90,11 @@ def test_an_event_says_so(folder: Path) -> None:
 
 @pytest.mark.parametrize(
     ("name", "given", "place", "start"),
-    [("zenostat/Building-v1", SMALL, 0, Start.FORKED), (NOISE, DAY, 1, Start.AHEAD)],
+    [("zenostat/Building-v1", SMALL, 0, EngineStart.FORKED), (NOISE, DAY, 1, EngineStart.PREFETCHED)],
     ids=["waiting", "started ahead"],
 )
 def test_one_that_waits_for_the_next_episode_is_replaced_with_a_warning(
-    name: str, given: dict[str, Any], place: int, start: Start
+    name: str, given: dict[str, Any], place: int, start: EngineStart
 ) -> None:
     """And harms no episode."""
     with gym.make(name, **given, **SOON) as env:

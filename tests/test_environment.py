@@ -23,7 +23,7 @@ from agent_sdk.rewards import LinearReward
 from models.building.model import read_building
 from models.catalog import find_building
 from topics.errors import EpisodeChanged, InvalidConfig
-from topics.messages import Reading
+from topics.messages import Aggregation
 
 N = 96
 """Timesteps of the day that most of these tests simulate."""
@@ -263,10 +263,10 @@ def test_sensors_meters_and_actuators_of_the_users() -> None:
         assert manifest.names == ("outside", "inside", "cooled", "power", "lights", "all")
         readings = {sensor.name: sensor.reading for sensor in manifest.sensors}
         assert readings == {
-            "outside": Reading.INSTANT,
-            "inside": Reading.MEAN,
-            "cooled": Reading.SUM,
-            "power": Reading.MEAN,
+            "outside": Aggregation.INSTANT,
+            "inside": Aggregation.MEAN,
+            "cooled": Aggregation.SUM,
+            "power": Aggregation.MEAN,
         }
         assert [actuator.name for actuator in manifest.actuators] == ["cooling"]
         chosen.reset(seed=1)

@@ -17,7 +17,7 @@ from nodes import command_of, until
 from agent_sdk.envs.building_env import BuildingEnv
 from agent_sdk.envs.termination import Limits
 from topics.errors import EpisodeChanged, InvalidConfig
-from topics.messages import Limit, Task
+from topics.messages import Task, TerminationLimit
 
 NAME = "zenostat/ref-small-office-USA_CO_Denver-continuous-v1"
 DAY = {"begin": "07-03", "end": "07-03", "steps_per_hour": 4, "affinity": "off"}
@@ -29,7 +29,7 @@ def make(**given: Any) -> BuildingEnv:
     return env
 
 
-def limits(*of: Limit) -> Limits:
+def limits(*of: TerminationLimit) -> Limits:
     """Of a node with the sensors north and south, four timesteps an hour."""
     return Limits(manifest(sensors=[sensor("north"), sensor("south")], task=Task(terminate=of)))
 
@@ -40,18 +40,18 @@ def broken_at(watch: Limits, rows: list[tuple[float, float]]) -> list[int]:
 
 def test_a_limit_without_patience_ends_at_once() -> None:
     rows = [(20.0, 20.0), (26.0, 20.0), (26.1, 20.0), (20.0, 17.9)]
-    assert broken_at(limits(Limit(points=("north", "south"), low=18.0, high=26.0)), rows) == [2, 3]
+    assert broken_at(limits(TerminationLimit(points=("north", "south"), low=18.0, high=26.0)), rows) == [2, 3]
 
 
 def test_a_limit_with_patience_counts_hours_without_a_break() -> None:
     """Half an hour is two timesteps of a quarter; a break begins anew; each point counts for itself."""
-    watch = limits(Limit(points=("north", "south"), high=26.0, for_s=1800.0))
+    watch = limits(TerminationLimit(points=("north", "south"), high=26.0, duration_s=1800.0))
     rows = [(27.0, 20.0), (20.0, 27.0), (27.0, 20.0), (27.0, 20.0), (20.0, 20.0)]
     assert broken_at(watch, rows) == [3]
 
 
 def test_a_new_episode_forgets_what_was_outside() -> None:
-    watch = limits(Limit(points=("north",), high=26.0, for_s=1800.0))
+    watch = limits(TerminationLimit(points=("north",), high=26.0, duration_s=1800.0))
     assert not watch.broken(np.array([27.0, 0.0]))
     watch.reset()
     assert not watch.broken(np.array([27.0, 0.0]))

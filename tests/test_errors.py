@@ -13,13 +13,13 @@ from hypothesis import strategies as st
 from bridge.transport.session import DEFAULT_ENDPOINT, check_endpoint, open_session
 from topics import errors
 from topics.errors import (
-    EndpointTaken,
+    AddressInUse,
     InvalidConfig,
-    Refused,
+    RequestRejected,
     UsageError,
     ZenostatError,
+    did_you_mean,
     from_wire,
-    near,
     to_wire,
 )
 
@@ -74,7 +74,7 @@ def test_no_class_of_the_interpreter_can_be_asked_for() -> None:
 
 def test_one_except_catches_all() -> None:
     with pytest.raises(ZenostatError):
-        raise Refused("no")
+        raise RequestRejected("no")
 
 
 # Near names
@@ -83,30 +83,30 @@ SETPOINTS = ["core_zn_cooling_setpoint", "core_zn_heating_setpoint", "attic_cool
 
 
 def test_names_that_contain_the_text_come_first() -> None:
-    said = near("cooling", [*SETPOINTS, "coolings", "coling"])
+    said = did_you_mean("cooling", [*SETPOINTS, "coolings", "coling"])
     assert said.startswith("near names: 'core_zn_cooling_setpoint', 'attic_cooling_setpoint', 'coolings'")
     assert said.endswith("'coling'")
 
 
 def test_names_that_are_spelled_alike_are_near() -> None:
-    assert near("ligths", SETPOINTS) == "near names: 'lights'"
-    assert near("LIGHTS", SETPOINTS) == "near names: 'lights'"
+    assert did_you_mean("ligths", SETPOINTS) == "near names: 'lights'"
+    assert did_you_mean("LIGHTS", SETPOINTS) == "near names: 'lights'"
 
 
 def test_where_nothing_is_near_some_are_shown() -> None:
-    assert near("qqq", SETPOINTS, most=2) == (
+    assert did_you_mean("qqq", SETPOINTS, most=2) == (
         "there are: 'core_zn_cooling_setpoint', 'core_zn_heating_setpoint' and 2 more"
     )
-    assert near("", ["a", "b"]) == "there are: 'a', 'b'"
+    assert did_you_mean("", ["a", "b"]) == "there are: 'a', 'b'"
 
 
 def test_where_there_is_nothing_it_says_so() -> None:
-    assert near("x", []) == "there are none"
+    assert did_you_mean("x", []) == "there are none"
 
 
 @given(st.text(max_size=8), st.lists(st.text(max_size=8), max_size=12), st.integers(1, 5))
 def test_only_known_names_are_offered_and_never_too_many(name: str, known: list[str], most: int) -> None:
-    said = near(name, iter(known), most=most)
+    said = did_you_mean(name, iter(known), most=most)
     if not known:
         assert said == "there are none"
         return
@@ -126,7 +126,7 @@ def test_only_known_names_are_offered_and_never_too_many(name: str, known: list[
 
 @given(st.sampled_from(SETPOINTS))
 def test_a_name_is_nearest_to_itself(name: str) -> None:
-    assert near(name, SETPOINTS).startswith(f"near names: {name!r}")
+    assert did_you_mean(name, SETPOINTS).startswith(f"near names: {name!r}")
 
 
 # Mistakes of this side are told before anything is started
@@ -161,5 +161,5 @@ def test_listening_beyond_this_machine_must_be_asked_for(endpoint: str) -> None:
 def test_the_path_of_a_unix_socket_is_not_taken_over(tmp_path: Path) -> None:
     path = tmp_path / "bus"
     path.write_text("")
-    with pytest.raises(EndpointTaken, match="exists already"):
+    with pytest.raises(AddressInUse, match="exists already"):
         open_session(listen=[f"unixsock-stream/{path}"])

@@ -20,7 +20,7 @@ from agent_sdk.evaluation.metrics import Result, Tally
 from agent_sdk.rewards import LinearReward, MultiZoneReward, OccupiedReward, read_reward
 from agent_sdk.testing import Climate, FakeBuilding, FakeLink
 from topics.errors import InvalidConfig, UnknownName
-from topics.messages import Manifest, Reading, Sample, Task
+from topics.messages import Aggregation, Manifest, Sample, Task
 
 BEGIN = datetime(2017, 7, 1)
 KWH = 3.6e6
@@ -36,9 +36,9 @@ def view(of: Manifest, step: int, values: list[float], *, late: int = 0, rejecte
         elapsed_s=[900.0 * step],
         flags=[0],
         values=np.array(values, "<f8").tobytes(),
-        applied=bytes(8 * len(of.actuators)),
-        ruler=bytes(2 * len(of.actuators)),
-        rulers=[""],
+        effective=bytes(8 * len(of.actuators)),
+        source_index=bytes(2 * len(of.actuators)),
+        sources=[""],
         late=late,
         rejected=rejected,
     )
@@ -111,8 +111,8 @@ def test_an_episode_by_hand() -> None:
     }
 
 
-@pytest.mark.parametrize("reading", [Reading.INSTANT, Reading.MEAN])
-def test_without_meters_power_times_the_timestep_counts_and_is_called_so(reading: Reading) -> None:
+@pytest.mark.parametrize("reading", [Aggregation.INSTANT, Aggregation.MEAN])
+def test_without_meters_power_times_the_timestep_counts_and_is_called_so(reading: Aggregation) -> None:
     power = sensor("demand", "Facility Total HVAC Electricity Demand Rate", "Whole Building", "W")
     of = manifest(sensors=[sensor("core"), power.model_copy(update={"reading": reading})])
     found = tallied(of, [24.0, 1000.0], [24.0, 3000.0])
@@ -122,7 +122,7 @@ def test_without_meters_power_times_the_timestep_counts_and_is_called_so(reading
     assert (found.mean_power_w, found.peak_kw) == (pytest.approx(2000.0), pytest.approx(3.0))
     said = Tally(of).sources["mean_power_w"]
     assert said.startswith("sensor demand, W times the timestep")
-    assert ("approximation" in said) == (reading is Reading.INSTANT)
+    assert ("approximation" in said) == (reading is Aggregation.INSTANT)
 
 
 def test_what_a_scenario_does_not_tell_is_absent() -> None:

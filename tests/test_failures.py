@@ -28,15 +28,15 @@ import agent_sdk
 from models.building.model import read_building
 from models.catalog import find_building
 from topics.errors import (
-    EndpointTaken,
+    AddressInUse,
     EngineDied,
     EpisodeChanged,
     InvalidAction,
     InvalidConfig,
-    ModelRefused,
-    NameTaken,
+    ModelError,
+    NameInUse,
     NodeLost,
-    NothingThere,
+    NodeNotFound,
     SimulatorError,
     UnknownName,
     ZenostatError,
@@ -181,7 +181,7 @@ def test_a_model_that_energyplus_refuses(scratch: Path) -> None:
     def break_(objects: dict[str, Any]) -> None:
         next(iter(objects["Construction"].values()))["outside_layer"] = "Unobtainium 20cm"
 
-    with pytest.raises(ModelRefused) as raised:
+    with pytest.raises(ModelError) as raised:
         make(building=_broken(scratch, break_))
     said = str(raised.value)
     assert "EnergyPlus says:" in said
@@ -367,14 +367,14 @@ def test_faulty_values_of_a_controller(folder: Path) -> None:
 def test_a_port_that_is_taken(folder: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as other:
         endpoint = f"tcp/127.0.0.1:{other.getsockname()[1]}"
-        with pytest.raises(EndpointTaken, match=f"another program listens on {endpoint}; name another port"):
+        with pytest.raises(AddressInUse, match=f"another program listens on {endpoint}; name another port"):
             NodeProgram(folder / "node", **SMALL, listen=[endpoint])
 
 
 def test_a_port_that_a_node_has_taken(folder: Path) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     with NodeProgram(folder / "one", **SMALL, listen=[endpoint]) as node:
-        with pytest.raises(EndpointTaken, match=f"another program listens on {endpoint}"):
+        with pytest.raises(AddressInUse, match=f"another program listens on {endpoint}"):
             NodeProgram(folder / "two", **SMALL, name="other", listen=[endpoint])
         with agent_sdk.connect(endpoint, affinity="off") as bus:
             assert bus.nodes() == ["office"]
@@ -383,7 +383,7 @@ def test_a_port_that_a_node_has_taken(folder: Path) -> None:
 
 def test_a_socket_that_is_taken(folder: Path) -> None:
     with NodeProgram(folder / "one", **SMALL) as node:
-        with pytest.raises(EndpointTaken, match="exists already; name another path"):
+        with pytest.raises(AddressInUse, match="exists already; name another path"):
             NodeProgram(folder / "two", **SMALL, name="other", listen=[node.endpoint])
         with agent_sdk.connect(node.endpoint, affinity="off") as bus:
             assert bus.nodes() == ["office"]
@@ -391,7 +391,7 @@ def test_a_socket_that_is_taken(folder: Path) -> None:
 
 def test_two_nodes_of_one_name(folder: Path) -> None:
     with NodeProgram(folder / "one", **SMALL) as first:
-        with pytest.raises(NameTaken, match=r"a node named 'office' is on this bus already \(instance [0-9a-f]+\)"):
+        with pytest.raises(NameInUse, match=r"a node named 'office' is on this bus already \(instance [0-9a-f]+\)"):
             NodeProgram(folder / "two", **SMALL, connect=[first.endpoint])
         with agent_sdk.connect(first.endpoint, affinity="off") as bus, bus.controller("office") as link:
             link.reset().send()
@@ -400,11 +400,11 @@ def test_two_nodes_of_one_name(folder: Path) -> None:
 
 def test_nobody_there(folder: Path) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
-    with pytest.raises(NothingThere, match=f"nobody listens on {endpoint}; start a node there"):
+    with pytest.raises(NodeNotFound, match=f"nobody listens on {endpoint}; start a node there"):
         agent_sdk.connect(endpoint)
     with (
         NodeProgram(folder / "node", **SMALL) as node,
-        pytest.raises(NothingThere, match=r"no node 'ofice' on .*; near names: 'office'"),
+        pytest.raises(NodeNotFound, match=r"no node 'ofice' on .*; near names: 'office'"),
     ):
         gym.make("zenostat/Building-v1", connect=node.endpoint, node="ofice")
 

@@ -18,7 +18,7 @@ import agent_sdk
 from models.building.model import read_building
 from models.catalog import find_building, find_weather
 from models.points import discovery, selection
-from topics.messages import Manifest, Reading
+from topics.messages import Aggregation, Manifest
 
 ZONE = {"office-small": "Core_ZN", "office-medium": "Core_mid", "ref-small-office": "Core_ZN"}
 """A zone of each building."""
@@ -98,7 +98,7 @@ def _check_equal(manifest: Manifest, got: NDArray[np.float64], expected: NDArray
 
 def _check_kinds(manifest: Manifest) -> None:
     """The comparison covers each reading, and the meters."""
-    assert {sensor.reading for sensor in manifest.sensors} == set(Reading)
+    assert {sensor.aggregation for sensor in manifest.sensors} == set(Aggregation)
     assert {"Electricity:Facility", "Electricity:HVAC"} <= {meter.meter for meter in manifest.meters}
 
 
@@ -140,7 +140,7 @@ def test_state_and_mean_are_told_apart(divided) -> None:
     state = next(
         s.name
         for s in manifest.sensors
-        if s.key == zone and s.variable == "Zone Air Temperature" and s.reading is Reading.INSTANT
+        if s.key == zone and s.variable == "Zone Air Temperature" and s.reading is Aggregation.INSTANT
     )
     pairs = [
         (state, "zone_mean"),

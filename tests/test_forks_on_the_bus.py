@@ -14,8 +14,8 @@ from nodes import SMALL, NodeProgram, Program, until
 
 import agent_sdk
 from agent_sdk.bus.bus import Bus
-from topics.errors import InvalidConfig, NodeLost, NothingThere, Refused
-from topics.messages import MakeBranch, Reset
+from topics.errors import InvalidConfig, NodeLost, NodeNotFound, RequestRejected
+from topics.messages import CreateBranch, Reset
 
 OWNER = """
 import sys
@@ -58,7 +58,7 @@ def test_a_plain_controller_drives_a_branch_as_any_node(bus: Bus) -> None:
         for _ in range(40):
             sample.send({"core_zn_cooling_setpoint": 24.0})
             sample = link.receive()
-        one, other = (bus.branch("office", MakeBranch(controller=link.name)) for _ in range(2))
+        one, other = (bus.branch("office", CreateBranch(controller=link.name)) for _ in range(2))
         assert bus.nodes() == ["office", one, other]
         manifest = bus.manifest(one)
         assert (manifest.branch_of, manifest.node, manifest.slots) == ("office", one, 1)
@@ -82,7 +82,7 @@ def test_a_plain_controller_drives_a_branch_as_any_node(bus: Bus) -> None:
 def test_the_status_command_shows_forks_with_their_memory(bus: Bus) -> None:
     with bus.controller("office") as link:
         link.reset()
-        branch, snapshot = bus.branch("office", MakeBranch(controller=link.name)), bus.snapshot("office", link.name)
+        branch, snapshot = bus.branch("office", CreateBranch(controller=link.name)), bus.snapshot("office", link.name)
         said = subprocess.run(
             [sys.executable, "-P", "-m", "cli.main", "status", "--connect", bus.endpoint],
             capture_output=True, text=True, check=True, env=os.environ | {"COLUMNS": "200"},
@@ -94,14 +94,14 @@ def test_the_status_command_shows_forks_with_their_memory(bus: Bus) -> None:
 def test_a_stop_ends_a_branch_alone(bus: Bus) -> None:
     with bus.controller("office") as link:
         link.reset()
-        one, other = (bus.branch("office", MakeBranch(controller=link.name)) for _ in range(2))
+        one, other = (bus.branch("office", CreateBranch(controller=link.name)) for _ in range(2))
         hold = bus.controller(one)
         hold.current()
         bus.stop(one)
         with pytest.raises(NodeLost):
             hold.receive()
         until(lambda: bus.nodes() == ["office", other], "it has ended")
-        with pytest.raises(NothingThere, match=other):
+        with pytest.raises(NodeNotFound, match=other):
             bus.stop(one)
         bus.stop(other)
         until(lambda: not bus.status("office").branches, "both have ended")
@@ -111,7 +111,7 @@ def test_a_branch_that_nobody_owns_ends_with_its_parent(bus: Bus) -> None:
     """Also one that outlives the controller of the episode, its reset and its end."""
     with bus.controller("office") as link:
         link.reset()
-        name = bus.branch("office", MakeBranch())
+        name = bus.branch("office", CreateBranch())
         bus.reset("office", Reset())
     hold = bus.controller(name)
     sample = hold.current()
@@ -127,11 +127,11 @@ def test_who_leaves_takes_along_what_it_asked_for(bus: Bus) -> None:
         link.reset()
         mine = bus.snapshot("office").snapshot
         with bus.controller("office", name="passer-by", level=12, required=False) as other:
-            theirs = bus.branch("office", MakeBranch(controller=other.name, snapshot=mine))
+            theirs = bus.branch("office", CreateBranch(controller=other.name, snapshot=mine))
             bus.snapshot("office", other.name)
         until(lambda: not bus.status("office").branches, "its branch has ended")
         assert [s.name for s in bus.status("office").snapshots] == [mine]
-        with pytest.raises(Refused, match=mine):
+        with pytest.raises(RequestRejected, match=mine):
             bus.drop("office", theirs)
         bus.drop("office", mine)
 
@@ -163,7 +163,7 @@ def test_a_killed_node_takes_its_branches_along(scratch: Path) -> None:
     node = NodeProgram(scratch / "node", **SMALL)
     with agent_sdk.connect(node.endpoint, affinity="off") as bus, bus.controller("office") as link:
         link.reset()
-        hold = bus.controller(bus.branch("office", MakeBranch(controller=link.name)))
+        hold = bus.controller(bus.branch("office", CreateBranch(controller=link.name)))
         hold.current().send()
         hold.receive()
         node.kill()
@@ -181,7 +181,7 @@ def test_a_branch_whose_name_would_be_too_long_is_refused(scratch: Path) -> None
     ):
         link.reset()
         with pytest.raises(InvalidConfig, match="at most 128"):
-            bus.branch(name, MakeBranch(controller=link.name))
+            bus.branch(name, CreateBranch(controller=link.name))
         bus.snapshot(name, link.name)
         assert cooling_of(link, 2) == 2
 
@@ -191,7 +191,7 @@ def test_several_engines_in_a_branch_stand_where_their_one_parent_stood(bus: Bus
         link.reset()
         cooling_of(link, 5)
         before = bus.latest("office")
-        name = bus.branch("office", MakeBranch(controller=link.name, slots=3))
+        name = bus.branch("office", CreateBranch(controller=link.name, slots=3))
         with bus.controller(name) as hold:
             sample = hold.current()
             assert sample.wire.values == before.values * 3

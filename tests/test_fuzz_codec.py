@@ -148,11 +148,11 @@ def test_a_list_of_a_million_is_refused_before_it_is_looked_at(kind: type[Messag
 def test_entries_are_counted_in_all_lists_together(outer: int, inner: int) -> None:
     said = refused(Command, msgpack.packb({"episode": [[0] * inner] * outer, "step": [], "values": bytes(9000)}))
     # The map, the outer list, the inner ones.
-    assert ("entries" in said) == (3 + outer + outer * inner > codec.MOST_ENTRIES)
+    assert ("entries" in said) == (3 + outer + outer * inner > codec.MAX_ENTRIES)
 
 
 def test_as_many_entries_as_are_allowed_are_a_message() -> None:
-    most = codec.MOST_OF[Claim]
+    most = codec.MAX_ITEMS[Claim]
     claim = Claim(controller="c", actuators=[f"a{i}" for i in range(most - 4)])
     assert codec.decode(Claim, codec.encode(claim)) == claim
     longer = claim.model_copy(update={"actuators": [*claim.actuators, "b"]})
@@ -221,7 +221,7 @@ def test_the_limits_in_the_documentation_are_those_of_the_code() -> None:
     page = (Path(__file__).parent.parent / "docs" / "security.md").read_text()
     section = page.split("## What a stranger can send", 1)[1].split("\n## ", 1)[0]
     numbers = (
-        codec.MAX_BYTES // 2**20, session.MOST_BYTES // 2**20, codec.MOST_ENTRIES, codec.MOST_OF[Claim],
+        codec.MAX_BYTES // 2**20, session.MOST_BYTES // 2**20, codec.MAX_ENTRIES, codec.MAX_ITEMS[Claim],
         episode.MOST_A_STEP, episode.MOST_NAME,
         subscriptions.INBOX, subscriptions.MOST_SHELVED, publications.EVENTS_A_STEP, publications.WRITTEN_A_STEP,
     )  # fmt: skip

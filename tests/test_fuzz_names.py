@@ -19,8 +19,8 @@ from models.points.discovery import ActuatorPoint, Survey, Variable
 from models.points.selection import default_actuators, default_sensors, find_actuator, thermostat_zones
 from topics import codec
 from topics.errors import BadMessage, InvalidConfig, UnknownName
-from topics.keys import check_name, safe
-from topics.messages import EventKind, Mask, Write
+from topics.keys import check_name, safe_name
+from topics.messages import CommandOp, EventKind, Write
 
 MANY = 10_000
 ODD = [
@@ -78,7 +78,7 @@ def test_zones_of_any_names_have_safe_names_of_their_own(zones: list[str]) -> No
 
 @given(st.text(max_size=300))
 def test_any_text_has_a_safe_name(text: str) -> None:
-    assert check_name(safe(text), "the name") == safe(text)
+    assert check_name(safe_name(text), "the name") == safe_name(text)
 
 
 @pytest.mark.parametrize("name", ["a/b", "a*", "#", "ü", "", "a b", "x" * 129, "@a", "-a"])
@@ -98,7 +98,7 @@ def test_ten_thousand_actuators_are_ruled_as_two_are() -> None:
     claim(at, "low", 12)
     claim(at, "high", 5, actuators=[f"a{i}" for i in range(0, MANY, 2)])
     values = np.arange(MANY) % 100
-    mask = [Mask.SET if i % 2 == 0 else Mask.KEEP for i in range(MANY)]
+    mask = [CommandOp.SET if i % 2 == 0 else CommandOp.KEEP for i in range(MANY)]
     assert at.command("low", command(values)) is None
     assert at.command("high", command(np.full(MANY, 50.0), mask=mask)) is None
     assert at.write("a1", Write(value=7.0, source="somebody"), 0.0).kind is EventKind.WRITTEN

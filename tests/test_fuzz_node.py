@@ -243,7 +243,7 @@ def test_a_flood_is_bounded_and_others_are_served(scratch: Path, kind: str) -> N
             assert flood.line() == "floods"
             assert day(link) == quiet
             status = bus.status("office")
-            assert status.statistics.flooded > 0
+            assert status.statistics.rate_limited > 0
         # In each of 97 steps 100 of the controller and 100 of strangers; others are bounded by their queue.
         if kind in ("malformed", "duplicates"):
             assert status.rejected + status.late + status.duplicate <= 2 * 97 * 100

@@ -100,7 +100,9 @@ def same(one: Sequence[Sample], other: Sequence[Sample], *names: str) -> bool:
 
 def true(samples: Sequence[Sample], clean: Sequence[Sample]) -> bool:
     """Whether the building went as it does without faults, to the bit."""
-    return [s.undisturbed for s in samples] == [s.values for s in clean] and same(samples, clean, "applied", "ruler")
+    return [s.fault_free_values for s in samples] == [s.values for s in clean] and same(
+        samples, clean, "applied", "ruler"
+    )
 
 
 # The undisturbed run
@@ -113,10 +115,10 @@ def test_an_empty_plan_leaves_all_as_it_is(scratch: Path, stage: Stage) -> None:
         agent_sdk.connect(node.endpoint, affinity="off") as bus,
         bus.controller("office") as link,
     ):
-        assert not link.manifest.disturbed
+        assert not link.manifest.faults_injected
         ran = day(link, seed=1)
     assert same(ran, stage.clean)
-    assert {s.undisturbed for s in ran} == {b""}
+    assert {s.fault_free_values for s in ran} == {b""}
 
 
 NEVER = {"probability": 1e-300}
@@ -131,15 +133,15 @@ def test_windows_that_never_come_leave_all_as_it_is(stage: Stage) -> None:
         {"kind": "loss", "samples": True, "commands": "*", "probability": 1.0, "when": NEVER},
     )
     assert same(ran, stage.clean)
-    assert [s.undisturbed for s in ran] == [s.values for s in ran]
+    assert [s.fault_free_values for s in ran] == [s.values for s in ran]
 
 
 def test_without_faults_again_nothing_is_left_of_them(stage: Stage) -> None:
     stage.faulty({"kind": "bias", "points": "*", "offset": 1.0})
-    assert not stage.bus.manifest("office").disturbed
+    assert not stage.bus.manifest("office").faults_injected
     ran = day(stage.link, seed=1)
     assert same(ran, stage.clean)
-    assert {s.undisturbed for s in ran} == {b""}
+    assert {s.fault_free_values for s in ran} == {b""}
 
 
 # Sensors and meters
@@ -201,7 +203,7 @@ def test_a_disturbed_command_is_what_the_building_gets(stage: Stage) -> None:
     got = stage.column(ran, SETPOINT, "applied")[1:]
     # The command that answers sample k rules timestep k + 1.
     assert got.tolist() == [command(k) + (0.5 if 40 <= k < 60 else 0.0) for k in range(LAST)]
-    truth = [s.undisturbed for s in ran]
+    truth = [s.fault_free_values for s in ran]
     assert truth[:41] == [s.values for s in stage.clean[:41]]
     assert truth[41:] != [s.values for s in stage.clean[41:]]
     assert [s.values for s in ran] == truth  # no sensor is disturbed
@@ -255,7 +257,7 @@ def test_faults_are_set_and_ended_while_it_runs(stage: Stage) -> None:
     def change(step: int) -> None:
         if step == 10:
             stage.bus.faults("office", {"faults": [{"kind": "stuck", "points": CORE, "value": 50.0}]})
-            seen["manifest"] = stage.bus.manifest("office").disturbed
+            seen["manifest"] = stage.bus.manifest("office").faults_injected
         elif step == 15:
             seen["on"] = stage.bus.status("office").faults
             stage.bus.faults("office", None)
@@ -263,7 +265,7 @@ def test_faults_are_set_and_ended_while_it_runs(stage: Stage) -> None:
     ran = day(stage.link, between=change, seed=1)
     assert seen == {"manifest": True, "on": ["stuck 1"]}
     assert np.flatnonzero(stage.column(ran, CORE) == 50.0).tolist() == [*range(11, 16)]
-    assert [bool(s.undisturbed) for s in ran] == [11 <= k < 16 for k in range(LAST + 1)]
+    assert [bool(s.fault_free_values) for s in ran] == [11 <= k < 16 for k in range(LAST + 1)]
     assert same(ran, stage.clean, "applied", "ruler")
 
 
@@ -439,7 +441,7 @@ def test_lockstep_with_lost_commands_goes_on_by_its_deadline(scratch: Path) -> N
     fell = [k for k, s in enumerate(ran) if s.flags[0] & Flag.FALLBACK]
     assert set(range(21, 31)) <= set(fell)
     assert missed == len(fell)
-    got = [np.frombuffer(s.applied)[index] for s in ran[1:]]
+    got = [np.frombuffer(s.effective)[index] for s in ran[1:]]
     assert got[20:30] == [command(19)] * 10
     assert [s.step for s in ran] == [[k] for k in range(LAST + 1)]
 

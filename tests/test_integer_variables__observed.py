@@ -18,7 +18,7 @@ from models.catalog import find_building, find_weather
 from models.points.discovery import Survey, survey
 from models.points.selection import default_reading, find_variable
 from models.scenario.run_period import Period
-from topics.messages import Reading
+from topics.messages import Aggregation
 
 CASE = Case("ref-small-office", "USA_CO_Denver", "04-06", "04-09", 4)
 """A Saturday to a Tuesday; the HVAC divides most timesteps. Daylight saving time begins on the second day of April."""
@@ -64,7 +64,7 @@ def test_they_have_a_kind_and_a_unit(found: Survey) -> None:
     for name, key in (SYSTEM | ZONE).items():
         variable = find_variable(found, "x", name, key)
         assert (variable.system, variable.summed, variable.unit) == (name in SYSTEM, name.endswith("Count"), "1")
-        assert default_reading(variable) is (Reading.SUM if variable.summed else Reading.INSTANT)
+        assert default_reading(variable) is (Aggregation.SUM if variable.summed else Aggregation.INSTANT)
 
 
 def test_they_equal_energyplus_alone_to_the_bit(folder: Path) -> None:
@@ -80,8 +80,11 @@ def test_they_equal_energyplus_alone_to_the_bit(folder: Path) -> None:
                 got.append(sample.values)
                 sample.send()
         expected = alone.values()
-    columns = {s.name: (s.variable, s.reading) for s in link.manifest.sensors}
+    columns = {s.name: (s.variable, s.aggregation) for s in link.manifest.sensors}
     for column, about in enumerate(columns.values()):
         assert np.array_equal(np.array(got)[1:, column], expected[:, column]), about
     lively = {about for column, about in enumerate(columns.values()) if len(np.unique(expected[:, column])) > 1}
-    assert {("Site Day Type Index", Reading.INSTANT), ("Air System Solver Iteration Count", Reading.SUM)} <= lively
+    assert {
+        ("Site Day Type Index", Aggregation.INSTANT),
+        ("Air System Solver Iteration Count", Aggregation.SUM),
+    } <= lively

@@ -17,7 +17,7 @@ from topics import codec, keys, messages
 from topics.errors import InvalidConfig
 from topics.fault_plan import FaultPlan
 from topics.keys import TOPICS, Delivery, Role, Topic
-from topics.messages import Denied, Message
+from topics.messages import ErrorReply, Message
 
 ROOT = Path(__file__).parent.parent
 PACKAGES = ("agent_sdk", "bench", "bridge", "cli", "eplus_node", "examples", "models")
@@ -55,7 +55,7 @@ def test_a_key_lies_below_the_root_of_its_node(topic: Topic) -> None:
 
 @rows
 def test_the_last_chunk_is_the_name_where_the_row_has_one(topic: Topic) -> None:
-    last = keys.last_of(topic.at("office", name="one"))
+    last = keys.last_chunk(topic.at("office", name="one"))
     assert (last == "one") == topic.key.endswith("{name}")
 
 
@@ -126,7 +126,7 @@ def test_an_encoding_names_the_class_and_the_version_and_survives_zenoh(message:
 def test_every_message_that_travels_is_in_the_table() -> None:
     nested = set().union(*(nested_in(message) for message in all_messages()))
     in_table = {kind for t in TOPICS for kind in (t.message, t.reply) if kind is not None}
-    assert all_messages() - nested - {Denied} == in_table  # any request may be answered by Denied
+    assert all_messages() - nested - {ErrorReply} == in_table  # any request may be answered by Denied
 
 
 def test_the_table_has_every_row_that_the_module_defines() -> None:
@@ -150,9 +150,9 @@ def test_no_key_is_spelled_outside_of_the_table() -> None:
 
 @given(st.text() | st.text(string.printable))
 def test_any_text_can_be_made_a_name(text: str) -> None:
-    name = keys.safe(text)
+    name = keys.safe_name(text)
     assert keys.check_name(name, "the name") == name
-    assert keys.safe(name) == name
+    assert keys.safe_name(name) == name
     assert name == name.lower()
     KeyExpr(keys.SENSOR.at("office", name=name))
 
@@ -171,7 +171,7 @@ def test_any_text_can_be_made_a_name(text: str) -> None:
     ],
 )
 def test_names_are_made_safe(text: str, name: str) -> None:
-    assert keys.safe(text) == name
+    assert keys.safe_name(text) == name
 
 
 @pytest.mark.parametrize("name", ["", "a/b", "*", "a b", "-a", ".a", "@live", "a$", "ä", "a\n", "a" * 129])
@@ -180,7 +180,7 @@ def test_an_unfit_name_is_refused_with_a_fit_one(name: str) -> None:
         keys.check_name(name, "the node name")
     assert "the node name" in str(raised.value)
     assert repr(name) in str(raised.value)
-    assert repr(keys.safe(name)) in str(raised.value)
+    assert repr(keys.safe_name(name)) in str(raised.value)
 
 
 @pytest.mark.parametrize("name", ["a", "_a", "Core_ZN.1-b", "0", "a" * 128])

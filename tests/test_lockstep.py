@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 
 from bridge.exchange.episode import TRANSITIONS, Exchange, IllegalInput, Input
 from topics import codec
-from topics.errors import Refused
-from topics.messages import Command, Event, EventKind, Mask, Mode, State, Write
+from topics.errors import RequestRejected
+from topics.messages import Command, CommandOp, Event, EventKind, Mode, State, Write
 
-KEEP, SET, RELEASE = Mask.KEEP, Mask.SET, Mask.RELEASE
+KEEP, SET, RELEASE = CommandOp.KEEP, CommandOp.SET, CommandOp.RELINQUISH
 
 
 def said(event: Event | None, kind: EventKind, *words: str) -> None:
@@ -386,7 +386,7 @@ def both_paths_agree(bounds: str, controller: str, sent: Command, *, times: int)
     again=st.booleans(),
 )
 def test_the_fast_path_does_what_the_decoded_path_does(
-    bounds: str, wrong: set[str], values: list[float], step: int, mask: list[Mask], controller: str, again: bool
+    bounds: str, wrong: set[str], values: list[float], step: int, mask: list[CommandOp], controller: str, again: bool
 ) -> None:
     sent = command(
         values if "values" in wrong else inside(bounds),
@@ -462,7 +462,7 @@ def test_the_fast_path_is_closed_before_the_sample_is_published() -> None:
 def test_a_second_claim_on_a_level_is_refused_by_name() -> None:
     at = exchange()
     claim(at, "first", 10, actuators=["cool"])
-    with pytest.raises(Refused) as raised:
+    with pytest.raises(RequestRejected) as raised:
         claim(at, "second", 10)
     assert "level 10 of 'cool' is claimed by 'first'" in str(raised.value)
     assert [c.controller for c in at.controllers()] == ["first"]
@@ -474,13 +474,13 @@ def test_claims_that_do_not_meet_are_both_taken(level: int, actuators: list[str]
     at = exchange()
     claim(at, "first", 10, actuators=["cool"])
     (event,) = claim(at, "second", level, actuators=actuators)
-    said(event, EventKind.JOINED, "second")
+    said(event, EventKind.CONNECTED, "second")
     assert at.missing() == ["first", "second"]
 
 
 def test_an_unknown_actuator_is_refused_with_near_names() -> None:
     at = exchange()
-    with pytest.raises(Refused, match=r"no actuator 'coool'; near names: 'cool'"):
+    with pytest.raises(RequestRejected, match=r"no actuator 'coool'; near names: 'cool'"):
         claim(at, "a", actuators=["coool"])
     assert at.controllers() == []
 
@@ -504,13 +504,13 @@ def test_one_that_has_gone_is_waited_for_until_it_is_back() -> None:
     answer(at, "agent", [20.0, 25.0])
     advance(at)
     (event,) = at.left("agent")
-    said(event, EventKind.LEFT, "agent", "waits")
+    said(event, EventKind.DISCONNECTED, "agent", "waits")
     assert not at.due()
     assert at.missing() == ["agent"]
-    assert [c.present for c in at.controllers()] == [False]
+    assert [c.connected for c in at.controllers()] == [False]
     assert at.left("agent") == []
     claim(at, "agent")
-    assert [(c.present, c.accepted) for c in at.controllers()] == [(True, 1)]
+    assert [(c.connected, c.accepted) for c in at.controllers()] == [(True, 1)]
     assert not at.due()
     answer(at, "agent", [21.0, 26.0])
     assert advance(at) == ([21.0, 26.0], ["agent", "agent"])
@@ -529,12 +529,12 @@ def test_one_that_has_gone_is_replaced_at_its_level() -> None:
     advance(at)
     at.left("agent")
     gone, joined = claim(at, "other")
-    said(gone, EventKind.LEFT, "other takes over from agent")
-    said(joined, EventKind.JOINED, "other")
+    said(gone, EventKind.DISCONNECTED, "other takes over from agent")
+    said(joined, EventKind.CONNECTED, "other")
     assert at.missing() == ["other"]
     assert answer(at, "other", [16.0, 29.0]) is None
     assert advance(at) == ([16.0, 29.0], ["other", "other"])
-    with pytest.raises(Refused, match="claimed by 'other'"):
+    with pytest.raises(RequestRejected, match="claimed by 'other'"):
         claim(at, "agent")
     said(answer(at, "agent", [20.0, 25.0]), EventKind.REJECTED, "'agent' has claimed nothing")
 
@@ -581,7 +581,7 @@ def test_one_that_claims_again_answers_again() -> None:
     claim(at, "agent")
     answer(at, "agent", [20.0, 25.0])
     (event,) = claim(at, "agent")
-    said(event, EventKind.JOINED, "again")
+    said(event, EventKind.CONNECTED, "again")
     assert not at.due()
     assert answer(at, "agent", [21.0, 26.0]) is None
     assert advance(at) == ([21.0, 26.0], ["agent", "agent"])
@@ -597,7 +597,7 @@ def test_one_that_joins_within_an_episode_is_waited_for_at_once() -> None:
 
 def test_the_status_tells_of_each_claim() -> None:
     at = running()
-    rows = [(c.controller, c.level, c.actuators, c.required, c.present, c.accepted) for c in at.controllers()]
+    rows = [(c.controller, c.priority, c.actuators, c.required, c.connected, c.accepted) for c in at.controllers()]
     assert rows == [("agent", 10, 2, True, True, 2), ("helper", 9, 1, False, True, 0)]
 
 
@@ -646,7 +646,7 @@ def test_a_write_reaches_all_slots() -> None:
 @pytest.mark.parametrize("priority", [8, 12])
 def test_a_write_for_1800_s_rules_two_timesteps_of_900_s(priority: int) -> None:
     at = exchange(mode=Mode.FREE)
-    at.write("cool", Write(value=28.0, for_s=1800.0, priority=priority, source="wall"), 0.0)
+    at.write("cool", Write(value=28.0, duration_s=1800.0, priority=priority, source="wall"), 0.0)
     ruled, told_of = [], []
     for k in range(4):
         told_of += [(k, e.kind, e.source) for e in at.expire(k * 900.0)]
@@ -671,17 +671,17 @@ def test_a_write_once_the_episode_is_over_is_refused() -> None:
 @pytest.mark.parametrize("for_s", [600.0, 2700.0], ids=["shorter", "longer"])
 def test_a_later_write_has_its_own_time(for_s: float) -> None:
     at = exchange(mode=Mode.FREE)
-    at.write("cool", Write(value=28.0, for_s=1800.0), 0.0)
-    at.write("cool", Write(value=27.0, for_s=for_s), 0.0)
+    at.write("cool", Write(value=28.0, duration_s=1800.0), 0.0)
+    at.write("cool", Write(value=27.0, duration_s=for_s), 0.0)
     over = [k for k in range(5) if at.expire(k * 900.0)]
     assert over == [math.ceil(for_s / 900.0)]
 
 
 def test_each_write_has_a_time_of_its_own() -> None:
     at = exchange(mode=Mode.FREE)
-    at.write("cool", Write(value=28.0, for_s=900.0), 0.0)
-    at.write("heat", Write(value=16.0, for_s=1800.0), 0.0)
-    at.write("cool", Write(value=27.0, for_s=2700.0, priority=9), 0.0)
+    at.write("cool", Write(value=28.0, duration_s=900.0), 0.0)
+    at.write("heat", Write(value=16.0, duration_s=1800.0), 0.0)
+    at.write("cool", Write(value=27.0, duration_s=2700.0, priority=9), 0.0)
     assert [(k, e.text) for k in range(5) for e in at.expire(k * 900.0)] == [
         (1, "cool released at priority 8"),
         (2, "heat released at priority 8"),
@@ -691,7 +691,7 @@ def test_each_write_has_a_time_of_its_own() -> None:
 
 def test_a_write_without_a_time_after_one_with_a_time_stays() -> None:
     at = exchange(mode=Mode.FREE)
-    at.write("cool", Write(value=28.0, for_s=900.0), 0.0)
+    at.write("cool", Write(value=28.0, duration_s=900.0), 0.0)
     at.write("cool", Write(value=27.0, source="wall"), 0.0)
     assert at.expire(1e9) == []
     assert ruling(at)[1] == ["", "wall"]
@@ -699,7 +699,7 @@ def test_a_write_without_a_time_after_one_with_a_time_stays() -> None:
 
 def test_a_release_takes_the_expiry_with_it() -> None:
     at = exchange(mode=Mode.FREE)
-    at.write("cool", Write(value=28.0, for_s=900.0), 0.0)
+    at.write("cool", Write(value=28.0, duration_s=900.0), 0.0)
     at.write("cool", Write(value=None), 0.0)
     assert not at.commanded.expiring
     assert at.expire(1e9) == []
@@ -708,7 +708,7 @@ def test_a_release_takes_the_expiry_with_it() -> None:
 def test_an_expiry_releases_what_was_written_and_nothing_else() -> None:
     # The wall writes at 10 for half an hour, then an agent claims that very level.
     at = exchange()
-    at.write("cool", Write(value=28.0, for_s=1800.0, priority=10, source="wall"), 0.0)
+    at.write("cool", Write(value=28.0, duration_s=1800.0, priority=10, source="wall"), 0.0)
     claim(at, "agent", 10)
     answer(at, "agent", [20.0, 25.0])
     advance(at)
@@ -767,7 +767,7 @@ def test_in_free_mode_the_end_is_the_end() -> None:
 def test_a_reset_releases_everything_and_keeps_the_claims(ended: bool) -> None:
     at = exchange()
     claim(at, "agent")
-    at.write("cool", Write(value=28.0, for_s=3600.0, source="wall"), 0.0)
+    at.write("cool", Write(value=28.0, duration_s=3600.0, source="wall"), 0.0)
     answer(at, "agent", [20.0, 25.0])
     assert advance(at, last=ended)[1] == ["agent", "wall"]
     at.reset()

@@ -8,8 +8,8 @@ from builders import actuator, advance, claim, command, exchange, ruling
 
 from bridge.exchange.claims import MAX_CLAIMS
 from bridge.exchange.priority_array import MAX_SOURCES
-from topics.errors import Refused
-from topics.messages import EventKind, Mask, Write
+from topics.errors import RequestRejected
+from topics.messages import CommandOp, EventKind, Write
 
 IDLE = 300
 
@@ -27,7 +27,7 @@ def test_300_controllers_of_300_actuators_are_each_told_by_name() -> None:
     for number in range(IDLE):
         claim(at, f"c{number}", 10, actuators=[f"a{number}"])
     for number in range(IDLE):
-        mask = [Mask.SET if i == number else Mask.KEEP for i in range(IDLE)]
+        mask = [CommandOp.SET if i == number else CommandOp.KEEP for i in range(IDLE)]
         assert at.command(f"c{number}", command(np.full(IDLE, float(number)), mask=mask)) is None
     assert at.write("a7", Write(value=70.0, source="panel"), 0.0).kind is EventKind.WRITTEN
     values, rulers = advance(at)
@@ -41,7 +41,7 @@ def test_too_many_claims_are_refused_until_some_have_gone() -> None:
     at = exchange(*(actuator(f"a{i}", 0.0, 1.0) for i in range(MAX_CLAIMS + 1)))
     for number in range(MAX_CLAIMS):
         claim(at, f"c{number}", actuators=[f"a{number}"])
-    with pytest.raises(Refused, match=rf"^{MAX_CLAIMS} controllers have claimed something, which is the most"):
+    with pytest.raises(RequestRejected, match=rf"^{MAX_CLAIMS} controllers have claimed something, which is the most"):
         claim(at, "another", actuators=[f"a{MAX_CLAIMS}"])
     assert "another" not in at.claims.by_name
     claim(at, "c5", actuators=["a5"])  # again

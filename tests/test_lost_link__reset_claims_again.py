@@ -17,7 +17,7 @@ from links import CuttableLink
 from nodes import SMALL, NodeProgram, free_port, until
 
 import agent_sdk
-from topics.errors import BusError, EpisodeChanged, NodeLost, NothingThere, PeerError
+from topics.errors import BusError, EpisodeChanged, NodeLost, NodeNotFound, PeerError
 
 pytestmark = pytest.mark.usefixtures("scratch")
 
@@ -81,7 +81,7 @@ def test_a_link_that_is_down(scratch: Path) -> None:
         env.reset(seed=0)
         link.down()
         step_until_lost(env)
-        with pytest.raises(NothingThere, match="no node 'office'"):
+        with pytest.raises(NodeNotFound, match="no node 'office'"):
             env.reset()
         link.up()
         steps_again(env)
@@ -181,7 +181,7 @@ def test_a_node_elsewhere_that_was_restarted(scratch: Path) -> None:
         instance = env.unwrapped.manifest.instance
         node.kill()
         step_until_lost(env)
-        with pytest.raises(NothingThere, match="no node 'office'"):
+        with pytest.raises(NodeNotFound, match="no node 'office'"):
             env.reset()
         settings = {**SMALL, "listen": [f"tcp/127.0.0.1:{port}"]}
         with NodeProgram(scratch / "again", **settings):

@@ -56,7 +56,7 @@ def test_a_number_that_is_not_finite_is_refused(bad: float) -> None:
     with pytest.raises(ValidationError):
         Write(value=bad)
     with pytest.raises(ValidationError):
-        Write(value=1.0, for_s=bad)
+        Write(value=1.0, duration_s=bad)
     with pytest.raises(ValidationError):
         actuator("heat", low=bad)
 
@@ -64,7 +64,7 @@ def test_a_number_that_is_not_finite_is_refused(bad: float) -> None:
 @pytest.mark.parametrize("level", [1, 8, 16])
 def test_bacnet_has_sixteen_levels(level: int) -> None:
     assert Write(value=1.0, priority=level).priority == level
-    assert Claim(controller="a", level=level).level == level
+    assert Claim(controller="a", priority=level).priority == level
 
 
 @pytest.mark.parametrize("level", [0, 17, -1])
@@ -72,13 +72,13 @@ def test_there_is_no_other_level(level: int) -> None:
     with pytest.raises(ValidationError):
         Write(value=1.0, priority=level)
     with pytest.raises(ValidationError):
-        Claim(controller="a", level=level)
+        Claim(controller="a", priority=level)
 
 
 def test_a_person_writes_above_a_controller() -> None:
     # BACnet (ASHRAE 135, table 19-1): level 8 is the manual operator's; a lower number rules a higher one.
     assert Write(value=1.0).priority == 8
-    assert Claim(controller="a").level > 8
+    assert Claim(controller="a").priority > 8
 
 
 def test_a_claim_asks_for_all_and_is_waited_for_unless_it_says_else() -> None:
@@ -90,8 +90,8 @@ def test_a_claim_asks_for_all_and_is_waited_for_unless_it_says_else() -> None:
 @pytest.mark.parametrize("seconds", [0.0, -1.0])
 def test_a_write_lasts_some_time_or_for_good(seconds: float) -> None:
     with pytest.raises(ValidationError):
-        Write(value=1.0, for_s=seconds)
-    assert Write(value=1.0).for_s is None
+        Write(value=1.0, duration_s=seconds)
+    assert Write(value=1.0).duration_s is None
 
 
 @pytest.mark.parametrize("name", ["", "a/b", "*", "a b", "@a", "-a", "a\n", "ä", "a" * 129])
@@ -128,7 +128,7 @@ def test_the_hour_has_one_to_sixty_timesteps(steps: int) -> None:
 
 def test_kinds_and_flags_travel_as_plain_text_and_numbers() -> None:
     assert Event(kind="late", text="").kind is EventKind.LATE
-    assert Sensor(name="a", variable="v", key="k", unit="W", reading="mean").reading == "mean"
+    assert Sensor(name="a", variable="v", key="k", unit="W", aggregation="mean").aggregation == "mean"
     assert int(Flag.FIRST) & int(Flag.TRUNCATED) == 0
 
 
@@ -147,9 +147,9 @@ WIRE = Sample(
     elapsed_s=[0.0, 86400.0],
     flags=[int(Flag.FIRST), int(Flag.TRUNCATED)],
     values=np.array([21.5, -5.0, 0.0, 25.25, 30.0, 9.0e5], "<f8").tobytes(),
-    applied=np.array([20.0, NAN, 15.0, 26.0], "<f8").tobytes(),
-    ruler=np.array([1, 0, 0, 2], "<u2").tobytes(),
-    rulers=["", "agent", "wall"],
+    effective=np.array([20.0, NAN, 15.0, 26.0], "<f8").tobytes(),
+    source_index=np.array([1, 0, 0, 2], "<u2").tobytes(),
+    sources=["", "agent", "wall"],
 )
 
 

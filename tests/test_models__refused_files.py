@@ -16,7 +16,7 @@ from models.catalog import bundled_weathers, find_building
 from models.points.discovery import survey
 from models.weather.design_days import site
 from models.weather.epw import read_header
-from topics.errors import InvalidConfig, ModelRefused
+from topics.errors import InvalidConfig, ModelError
 
 OFFICE = find_building("office-small")
 
@@ -39,7 +39,7 @@ def test_an_unknown_object_of_an_idf_is_named_with_its_file_and_line(idf: Callab
     text = OFFICE.path.read_text("latin-1")
     begin = text.index("  Zone,")
     path = idf(text[:begin] + "  Zonne," + text[begin + len("  Zone,") :])
-    with pytest.raises(ModelRefused) as caught:
+    with pytest.raises(ModelError) as caught:
         read(path)
     line = text[:begin].count("\n") + 1
     for words in (str(path), f"Line: {line} ", '"Zonne" is not a valid Object Type', "near names: 'Zone'"):
@@ -50,7 +50,7 @@ def test_an_object_that_the_converter_leaves_out_is_an_error(idf: Callable[[str]
     text = OFFICE.path.read_text("latin-1")
     begin = text.index("  Zone,")
     zone = text[begin : text.index(";", begin) + 1]
-    with pytest.raises(ModelRefused, match=r"mine\.idf is not a valid model:(?s:.*)Zone: \d+ of \d+ objects"):
+    with pytest.raises(ModelError, match=r"mine\.idf is not a valid model:(?s:.*)Zone: \d+ of \d+ objects"):
         read(idf(text + zone))
 
 
@@ -101,7 +101,7 @@ def test_an_error_of_energyplus_names_the_users_file(tmp_path: Path, monkeypatch
     lights = read_building(OFFICE).objects["Lights"]
     name, fields = next(iter(lights.items()))
     lost = _office_with({"Lights": {name: fields | {"zone_or_zonelist_or_space_or_spacelist_name": "Nowhere"}}})
-    with pytest.raises(ModelRefused, match=r"could not survey /home/me/mine\.epJSON\.(?s:.*)NOWHERE") as caught:
+    with pytest.raises(ModelError, match=r"could not survey /home/me/mine\.epJSON\.(?s:.*)NOWHERE") as caught:
         survey(lost, bundled_weathers()[0].path)
     assert "making-" not in str(caught.value)
 

@@ -19,7 +19,7 @@ from nodes import SMALL, NodeProgram, Program, engines_of, programs_of, remains,
 import agent_sdk
 from bridge.runtime.scratch import Scratch, sweep
 from topics.errors import ZenostatError
-from topics.messages import MakeBranch, Reset, State
+from topics.messages import CreateBranch, Reset, State
 
 pytestmark = pytest.mark.usefixtures("scratch")
 
@@ -127,7 +127,7 @@ def test_with_a_branch_and_a_snapshot_whose_engines_stand_still(folder: Path) ->
         link.reset().send()
         link.receive()
         bus.snapshot("office", "mine")
-        branch = bus.branch("office", MakeBranch(controller="mine"))
+        branch = bus.branch("office", CreateBranch(controller="mine"))
         with bus.controller(branch, name="other") as other:
             sample = other.current()
             engines = freeze(node)

@@ -11,7 +11,7 @@ import pytest
 from nodes import SMALL
 
 import agent_sdk  # noqa: F401  # registers the environments
-from topics.errors import EpisodeChanged, InvalidConfig, NodeLost, NothingThere
+from topics.errors import EpisodeChanged, InvalidConfig, NodeLost, NodeNotFound
 
 pytestmark = pytest.mark.usefixtures("scratch")
 
@@ -78,7 +78,7 @@ def test_a_node_of_somebody_elses_is_not_started_again() -> None:
     psutil.Process(node.pid).kill()
     with pytest.raises(NodeLost, match="is gone"):
         step_for_ever(env)
-    with pytest.raises(NothingThere, match="no node 'building'"):
+    with pytest.raises(NodeNotFound, match="no node 'building'"):
         env.reset()
     env.close()
     own.close()

@@ -25,7 +25,7 @@ from agent_sdk.bus.controller_link import ControlLink
 from agent_sdk.bus.sample import SampleView
 from bridge.exchange.step_schedule import Pace
 from cli.pace import read_pace
-from topics.errors import InvalidConfig, Refused
+from topics.errors import InvalidConfig, RequestRejected
 from topics.messages import EventKind, Mode, Sample, State
 
 ZENOSTAT = [sys.executable, "-P", "-m", "cli.main"]
@@ -157,7 +157,7 @@ def held(link: ControlLink) -> None:
 
 def trajectory(samples: list[Sample]) -> list[tuple[list[int], bytes, bytes]]:
     """What must agree to the bit."""
-    return [(sample.step, sample.values, sample.applied) for sample in samples]
+    return [(sample.step, sample.values, sample.effective) for sample in samples]
 
 
 def rest(samples: Iterator[SampleView]) -> list[Sample]:
@@ -211,7 +211,7 @@ def test_what_was_commanded_holds_when_paced(bus: Bus, reference: list[Sample]) 
             bus.pace("office", 10 * FAST)
             came = rest(samples)
         index = [a.name for a in link.manifest.actuators].index(SETPOINT)
-        assert all(sample.rulers[np.frombuffer(sample.ruler, "<u2")[index]] == link.name for sample in came)
+        assert all(sample.sources[np.frombuffer(sample.source_index, "<u2")[index]] == link.name for sample in came)
     assert trajectory(came) == trajectory(reference[1:])
 
 
@@ -226,7 +226,7 @@ def test_an_impossible_speed_is_counted_and_loses_nothing(bus: Bus, reference: l
     round_trips(bus, 1)  # by the node's own thread, which has counted by then
     told = bus.status("office").statistics
     assert told.overruns == DAY_STEPS - 1
-    assert told.behind_s > 0
+    assert told.max_lag_s > 0
     assert told.step.count == DAY_STEPS
     assert bus.manifest("office").statistics.overruns == told.overruns
 
@@ -402,9 +402,9 @@ def test_the_node_says_what_its_pace_is(bus: Bus) -> None:
         (lambda bus: bus.pace("office", float("nan")), InvalidConfig, "speed.*finite"),
         (lambda bus: bus.pace("office", 2e9), InvalidConfig, "speed.*less than or equal to 1000000000"),
         (lambda bus: bus.pace("office", mode="quick"), InvalidConfig, "mode.*'lockstep', 'paced' or 'free'"),
-        (lambda bus: bus.pace("office"), Refused, "a speed and the mode 'paced' go together"),
-        (lambda bus: bus.pace("office", 60, mode="free"), Refused, "a speed and the mode 'paced' go together"),
-        (lambda bus: bus.step("office", 4), Refused, "not paused; pause it first"),
+        (lambda bus: bus.pace("office"), RequestRejected, "a speed and the mode 'paced' go together"),
+        (lambda bus: bus.pace("office", 60, mode="free"), RequestRejected, "a speed and the mode 'paced' go together"),
+        (lambda bus: bus.step("office", 4), RequestRejected, "not paused; pause it first"),
         (lambda bus: bus.step("office", 0), InvalidConfig, "steps.*greater than or equal to 1"),
     ],
 )
@@ -419,9 +419,9 @@ def test_an_episode_that_is_over_takes_no_steps_and_no_writes(scratch: Path) -> 
     with NodeProgram(scratch / "n", **SMALL, mode="free") as node, agent_sdk.connect(node.endpoint) as bus:
         until(lambda: bus.status("office").state is State.ENDED, "the day is over")
         bus.pause("office")
-        with pytest.raises(Refused, match="the episode is over; reset it first"):
+        with pytest.raises(RequestRejected, match="the episode is over; reset it first"):
             bus.step("office", 1)
-        with pytest.raises(Refused, match="the episode is over"):
+        with pytest.raises(RequestRejected, match="the episode is over"):
             bus.write("office", "core_zn_cooling_setpoint", 26.0)
         assert bus.status("office").step == [96]
 
@@ -484,7 +484,7 @@ def test_a_paced_node_tells_in_the_end_how_it_kept_up(scratch: Path) -> None:
         with agent_sdk.connect(endpoint, affinity="off") as bus:
             until(lambda: bus.status("office").state == "ended", "the day is over")
             assert bus.status("office").faults == ["drop 1"]
-            assert bus.manifest("office").disturbed
+            assert bus.manifest("office").faults_injected
     finally:
         program.send_signal(signal.SIGINT)
         said, _ = program.communicate(timeout=60)

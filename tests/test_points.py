@@ -18,7 +18,7 @@ from models.points.discovery import ActuatorPoint, InternalVariable, MeterPoint,
 from models.points.selection import Listed, MeterSpec, Points, Spec, choose, default_reading, listing, sensor_bounds
 from models.scenario.run_period import Period
 from topics.errors import InvalidConfig, UnknownName
-from topics.messages import Reading
+from topics.messages import Aggregation
 from topics.units import limits, unit_name
 
 THERMOSTAT = "Zone Temperature Control"
@@ -117,19 +117,19 @@ def test_none_asked_is_none_given() -> None:
 @pytest.mark.parametrize(
     ("unit", "summed", "reading"),
     [
-        ("W", False, Reading.MEAN),
-        ("kg/s", False, Reading.MEAN),
-        ("m3/s", False, Reading.MEAN),
-        ("W/m2", False, Reading.MEAN),
-        ("degC", False, Reading.INSTANT),
-        ("percent", False, Reading.INSTANT),
-        ("1", False, Reading.INSTANT),
-        ("J", True, Reading.SUM),
-        ("m3", True, Reading.SUM),
-        ("W", True, Reading.SUM),
+        ("W", False, Aggregation.MEAN),
+        ("kg/s", False, Aggregation.MEAN),
+        ("m3/s", False, Aggregation.MEAN),
+        ("W/m2", False, Aggregation.MEAN),
+        ("degC", False, Aggregation.INSTANT),
+        ("percent", False, Aggregation.INSTANT),
+        ("1", False, Aggregation.INSTANT),
+        ("J", True, Aggregation.SUM),
+        ("m3", True, Aggregation.SUM),
+        ("W", True, Aggregation.SUM),
     ],
 )
-def test_rates_are_means_states_are_instants_and_sums_are_sums(unit: str, summed: bool, reading: Reading) -> None:
+def test_rates_are_means_states_are_instants_and_sums_are_sums(unit: str, summed: bool, reading: Aggregation) -> None:
     assert default_reading(Variable("v", "k", unit, system=True, summed=summed)) is reading
 
 
@@ -145,7 +145,7 @@ TEMPERATURE, ENERGY, POWER = (
     [
         (TEMPERATURE, "instant"),
         ((*TEMPERATURE, "mean"), "mean"),
-        ((*TEMPERATURE, Reading.INSTANT), "instant"),
+        ((*TEMPERATURE, Aggregation.INSTANT), "instant"),
         (POWER, "mean"),
         ((*POWER, "instant"), "instant"),
         (ENERGY, "sum"),
@@ -154,7 +154,7 @@ TEMPERATURE, ENERGY, POWER = (
 )
 def test_a_reading_is_that_asked_or_the_usual_one(spec: tuple[str, ...], reading: str) -> None:
     (sensor,) = chosen(sensors={"s": spec}).sensors
-    assert sensor.reading == reading
+    assert sensor.aggregation == reading
 
 
 @pytest.mark.parametrize(

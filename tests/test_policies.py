@@ -119,13 +119,13 @@ def test_a_killed_controller_is_noticed_and_the_policy_follows(scratch: Path, po
         told_steps(agent, [26.0, 27.0])
         with bus.listen("office") as samples:
             agent.process.kill()
-            left = next_event(events, EventKind.LEFT)
+            left = next_event(events, EventKind.DISCONNECTED)
             assert (left.source, left.step) == (name, 2)
             if policy == "wait":
                 assert "waits for it" in left.text
                 status = bus.status("office")
                 assert (status.state, status.step) == (State.WAITING, [2])
-                assert [(c.present, c.waived) for c in status.controllers] == [(False, False)]
+                assert [(c.connected, c.bypassed) for c in status.controllers] == [(False, False)]
                 return
             assert next_event(events, EventKind.FALLBACK).source == name
             rest = to_the_end(samples)
@@ -137,7 +137,7 @@ def test_a_killed_controller_is_noticed_and_the_policy_follows(scratch: Path, po
             assert {s.ruled_by[POINT] for s in rest} == {""}
             assert {applied(s) for s in rest} == {24.0, 26.7}  # the building's own: at work, and set back
         agent_ = status_of(bus, name)
-        assert (agent_.accepted, agent_.missed, agent_.waived) == (2, STEPS - 2, True)
+        assert (agent_.accepted, agent_.missed, agent_.bypassed) == (2, STEPS - 2, True)
         assert bus.status("office").statistics.missed == STEPS - 2
 
 
@@ -196,10 +196,10 @@ def test_a_frozen_controller_s_late_command_says_how_late_and_rules_nothing(scra
         frozen = [next(samples)]
         went_s = time.monotonic()
         frozen += [next(samples) for _ in range(2)]
-        assert status_of(bus, name).silent
+        assert status_of(bus, name).unresponsive
         woken_s = time.monotonic()
         os.kill(agent.pid, signal.SIGCONT)
-        late = next_event(events, EventKind.LATE, EventKind.LEFT, EventKind.JOINED)
+        late = next_event(events, EventKind.LATE, EventKind.DISCONNECTED, EventKind.CONNECTED)
         told_s = time.monotonic()
         assert (late.kind, late.source) == (EventKind.LATE, name)
         assert "step [1]" in late.text
@@ -208,7 +208,7 @@ def test_a_frozen_controller_s_late_command_says_how_late_and_rules_nothing(scra
         # From now on it answers whatever is on its way to it, until it has caught up.
         agent.line()
         agent.tell("24 on")
-        again = next_event(events, EventKind.JOINED)
+        again = next_event(events, EventKind.CONNECTED)
         assert (again.source, "answers again" in again.text) == (name, True)
         while not (sample := next(samples)).step > again.step + 3:
             frozen += [sample] if sample.step <= again.step else []
@@ -326,7 +326,7 @@ def test_two_controllers_and_a_supervisor_are_as_one_to_the_bit(scratch: Path) -
             single.append(one.receive())
     for together, alone in zip(many, single, strict=True):
         assert together.wire.values == alone.wire.values
-        assert together.wire.applied == alone.wire.applied
+        assert together.wire.effective == alone.wire.effective
     assert np.isfinite(single[-1].values).all()
     assert {applied(sample) for sample in many[9:13]} == {28.0}
 

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 
 from bridge.exchange.episode import MOST_A_STEP, Exchange, Input
 from topics.errors import EpisodeAborted
-from topics.messages import ControllerStatus, Event, EventKind, Mask, Mode, Policy, State
+from topics.messages import CommandOp, ControllerStatus, Event, EventKind, Mode, Policy, State
 
-KEEP, SET = Mask.KEEP, Mask.SET
-GO_ON = [Policy.HOLD, Policy.RELEASE]
+KEEP, SET = CommandOp.KEEP, CommandOp.SET
+GO_ON = [Policy.HOLD, Policy.RELINQUISH]
 
 
 def node(
@@ -80,7 +80,7 @@ def test_the_policy_begins_when_the_time_of_grace_is_over(policy: Policy) -> Non
     at = with_agent(policy)
     at.now_s = 2.0
     (event,) = at.left("agent")
-    assert event.kind is EventKind.LEFT
+    assert event.kind is EventKind.DISCONNECTED
     assert ("waits for it" in event.text) == (policy is Policy.WAIT)
     at.now_s = 6.9
     assert at.waive("agent", 5.0) == []
@@ -91,11 +91,11 @@ def test_the_policy_begins_when_the_time_of_grace_is_over(policy: Policy) -> Non
         assert events == []
         assert not at.due()
         assert at.missing() == ["agent"]
-        assert not status(at, "agent").waived
+        assert not status(at, "agent").bypassed
         return
     assert told(events) == [(EventKind.FALLBACK, "agent")]
     assert ("holds" if policy is Policy.HOLD else "is released") in events[0].text
-    assert (status(at, "agent").waived, status(at, "agent").present) == (True, False)
+    assert (status(at, "agent").bypassed, status(at, "agent").connected) == (True, False)
     for _ in range(3):
         check_ruled(at, ruled(policy))
         assert at.fallback
@@ -119,7 +119,7 @@ def test_one_that_is_back_within_the_time_of_grace_goes_on_as_if_nothing_was(pol
     at.now_s = 2.0
     at.left("agent")
     at.now_s = 4.0
-    assert told(claim(at, "agent")) == [(EventKind.JOINED, "agent")]
+    assert told(claim(at, "agent")) == [(EventKind.CONNECTED, "agent")]
     at.now_s = 7.0
     assert at.waive("agent", 5.0) == []
     assert at.missing() == ["agent"]
@@ -162,7 +162,7 @@ def test_one_that_is_back_later_resumes_at_the_present_step(policy: Policy) -> N
         flags.append(at.fallback)
     claim(at, "agent")
     assert not at.due()
-    assert not status(at, "agent").waived
+    assert not status(at, "agent").bypassed
     assert answer(at, "agent", [21.0, 26.0]) is None
     check_ruled(at, ([21.0, 26.0], ["agent", "agent"]))
     flags.append(at.fallback)
@@ -206,7 +206,7 @@ def test_one_that_leaves_after_its_answer(policy: Policy) -> None:
 
 def test_released_falls_to_the_next_level() -> None:
     """agent@10 over guard@12: the agent goes, and the guard's command rules."""
-    at = node(Policy.RELEASE)
+    at = node(Policy.RELINQUISH)
     claim(at, "agent", 10)
     claim(at, "guard", 12)
     answer(at, "agent", [20.0, 25.0])
@@ -294,10 +294,10 @@ def test_a_new_episode_forgets_who_was_waived_and_who_was_silent() -> None:
     at.waive("heater")
     at.overdue()
     advance(at)
-    assert status(at, "cooler").silent
+    assert status(at, "cooler").unresponsive
     at.reset()
     at.ready()
-    assert [(c.controller, c.silent, c.waived) for c in at.controllers()] == [("cooler", False, False)]
+    assert [(c.controller, c.unresponsive, c.bypassed) for c in at.controllers()] == [("cooler", False, False)]
     assert answer(at, "cooler", [0.0, 26.0], [KEEP, SET]) is None
     check_ruled(at, ([NAN, 26.0], ["", "cooler"]))
     assert not at.fallback
@@ -330,7 +330,7 @@ def test_one_that_is_silent_beyond_the_deadline(policy: Policy) -> None:
     events = at.overdue()
     assert told(events) == [(EventKind.FALLBACK, "agent")]
     assert "no command within 2 s" in events[0].text
-    assert status(at, "agent").silent
+    assert status(at, "agent").unresponsive
     check_ruled(at, ruled(policy))
     assert at.fallback
     assert not at.due()
@@ -351,10 +351,10 @@ def test_one_that_was_silent_and_answers_again(policy: Policy) -> None:
     assert not at.take_usual("agent", payload)  # its return is told
     event = at.hear("agent", payload)
     assert event is not None
-    assert (event.kind, event.source, event.late_s) == (EventKind.JOINED, "agent", None)
+    assert (event.kind, event.source, event.late_s) == (EventKind.CONNECTED, "agent", None)
     check_ruled(at, ([21.0, 26.0], ["agent", "agent"]))
     assert not at.fallback
-    assert not status(at, "agent").silent
+    assert not status(at, "agent").unresponsive
     assert at.take_usual("agent", wire(command([21.5, 26.5], step=3)))
 
 
@@ -415,7 +415,7 @@ def test_of_two_the_one_that_answered_is_not_blamed(policy: Policy) -> None:
     check_ruled(at, ([20.0 if held else NAN, 26.0], ["heater" if held else "", "cooler"]))
     assert at.fallback
     assert at.missing() == ["cooler", "heater"]
-    assert [(c.controller, c.silent, c.missed) for c in at.controllers()] == [
+    assert [(c.controller, c.unresponsive, c.missed) for c in at.controllers()] == [
         ("heater", True, 1),
         ("cooler", False, 0),
     ]
@@ -436,7 +436,7 @@ def test_a_late_command_says_how_late_and_rules_nothing() -> None:
     assert (event.kind, event.source, event.step, event.late_s) == (EventKind.LATE, "agent", 2, 4.5)
     assert "step [1]" in event.text
     assert at.missing() == ["agent"]  # it has not answered sample 2 by that
-    assert (at.counts.late, status(at, "agent").late, status(at, "agent").silent) == (1, 1, True)
+    assert (at.counts.late, status(at, "agent").late, status(at, "agent").unresponsive) == (1, 1, True)
     at.overdue()
     check_ruled(at, ruled(Policy.HOLD))
 
@@ -498,7 +498,7 @@ def test_another_program_takes_over_within_the_time_of_grace(policy: Policy, dea
     at = with_agent(policy, deadline_s)
     at.now_s = 1.5
     at.left("agent")
-    assert told(claim(at, "other")) == [(EventKind.LEFT, "agent"), (EventKind.JOINED, "other")]
+    assert told(claim(at, "other")) == [(EventKind.DISCONNECTED, "agent"), (EventKind.CONNECTED, "other")]
     at.now_s = 2.0
     assert at.waive("agent", 0.1) == []
     assert not at.due()
@@ -552,7 +552,7 @@ def test_one_that_is_not_required_stops_nothing_by_leaving(policy: Policy) -> No
     events = at.waive("helper")
     assert told(events) == ([] if policy is Policy.WAIT else [(EventKind.FALLBACK, "helper")])
     answer(at, "agent", [20.0, 25.0])
-    released = policy is Policy.RELEASE
+    released = policy is Policy.RELINQUISH
     check_ruled(at, ([20.0, 25.0 if released else 28.0], ["agent", "agent" if released else "helper"]))
     assert not at.fallback
     assert at.counts.missed == status(at, "helper").missed == 0
@@ -740,7 +740,7 @@ def value(name: str, step: int) -> float:
 
 
 @settings(max_examples=300)
-@given(policy=st.sampled_from([Policy.WAIT, Policy.HOLD, Policy.RELEASE]), has_deadline=st.booleans(), moves=MOVES)
+@given(policy=st.sampled_from([Policy.WAIT, Policy.HOLD, Policy.RELINQUISH]), has_deadline=st.booleans(), moves=MOVES)
 def test_whatever_happens_a_command_rules_its_own_step_and_every_message_is_counted_once(
     policy: Policy, has_deadline: bool, moves: list[tuple[str, str, int]]
 ) -> None:
@@ -798,11 +798,11 @@ def goes_on(at: Exchange, policy: Policy, taken: dict[str, list[int]]) -> bool:
         if ruler:
             assert ruling == value(name, max(taken[name]))
         else:
-            assert policy is Policy.RELEASE or not taken[name]
+            assert policy is Policy.RELINQUISH or not taken[name]
     return at.fallback
 
 
-@pytest.mark.parametrize("policy", [Policy.HOLD, Policy.RELEASE])
+@pytest.mark.parametrize("policy", [Policy.HOLD, Policy.RELINQUISH])
 def test_who_comes_does_not_wait_for_one_that_has_gone(policy: Policy) -> None:
     at = exchange()
     at.policy, at.deadline_s = policy, 5.0

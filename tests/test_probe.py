@@ -20,7 +20,7 @@ from agent_sdk.envs.building_env import BuildingEnv
 from agent_sdk.evaluation.probe import Asked, Probed, probe
 from agent_sdk.evaluation.probe_effects import Held, Ranges, effect_of
 from topics.errors import InvalidConfig, UnknownName
-from topics.messages import Actuator, Manifest, Meter, Mode, Policy, Reading, Sensor, Versions
+from topics.messages import Actuator, Aggregation, Manifest, Meter, Mode, Policy, Sensor, Versions
 
 ZENOSTAT = [sys.executable, "-P", "-m", "cli.main", "probe"]
 BEGIN = datetime(2017, 7, 3, 7)
@@ -168,9 +168,9 @@ def test_only_the_points_that_are_asked_for_count(scratch: Path) -> None:
 
 def _manifest(**given: Any) -> Manifest:
     sensors = (
-        Sensor(name="air", variable="Zone Air Temperature", key="Z", unit="degC", reading=Reading.MEAN),
-        Sensor(name="asked", variable="Schedule Value", key="S", unit="", reading=Reading.INSTANT),
-        Sensor(name="lamp", variable="Lights Electricity Rate", key="L", unit="W", reading=Reading.MEAN),
+        Sensor(name="air", variable="Zone Air Temperature", key="Z", unit="degC", aggregation=Aggregation.MEAN),
+        Sensor(name="asked", variable="Schedule Value", key="S", unit="", aggregation=Aggregation.INSTANT),
+        Sensor(name="lamp", variable="Lights Electricity Rate", key="L", unit="W", aggregation=Aggregation.MEAN),
     )
     actuator = Actuator(
         name="setpoint", component_type="Schedule:Constant", control_type="Schedule Value", key="S", unit="1",

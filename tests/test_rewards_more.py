@@ -43,7 +43,7 @@ from agent_sdk.rewards import (
 from agent_sdk.rewards.thermal_sensation import dissatisfied
 from topics import yaml12
 from topics.errors import InvalidConfig, UnknownName
-from topics.messages import Manifest, Meter, Reading, Sensor
+from topics.messages import Aggregation, Manifest, Meter, Sensor
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 WINTER, SUMMER = datetime(2017, 1, 16, 12), datetime(2017, 7, 17, 12)  # Mondays
@@ -555,11 +555,11 @@ def test_the_energy_that_is_taken_where_none_is_named() -> None:
 
 def test_a_sensor_of_energy_has_to_read_the_sum() -> None:
     fan = {"name": "fan", "variable": "Fan Electricity Energy", "key": "Fan", "unit": "J"}
-    summed = node_of(SENSORS[1], Sensor(**fan, reading=Reading.SUM))
+    summed = node_of(SENSORS[1], Sensor(**fan, aggregation=Aggregation.SUM))
     got = PeakReward(energy="fan").bind(summed)(np.array([22.0, 2 * KWH]), WINTER)
     assert got.measures["energy_kwh"] == pytest.approx(2.0)
     with pytest.raises(InvalidConfig, match=r"\('Fan Electricity Energy', 'Fan', 'sum'\) in sensors="):
-        PeakReward(energy="fan").bind(node_of(SENSORS[1], Sensor(**fan, reading=Reading.INSTANT)))
+        PeakReward(energy="fan").bind(node_of(SENSORS[1], Sensor(**fan, aggregation=Aggregation.INSTANT)))
 
 
 # Seasons

@@ -25,7 +25,7 @@ from bridge.transport.certificates import add, make
 from bridge.transport.session import open_session
 from eplus_node.config import read_config
 from topics import codec, keys
-from topics.errors import InvalidConfig, NameTaken
+from topics.errors import InvalidConfig, NameInUse
 from topics.keys import Role
 from topics.messages import Claim
 
@@ -207,7 +207,7 @@ def test_a_day_through_a_router(place: Place, scratch: Path) -> None:
         assert here["controllers"] == [["office", here["name"]]]
         day = said()
         assert (day["heard"], day["step"], day["accepted"]) == (97, 96, 96)
-        with pytest.raises(NameTaken, match="a node named 'office' is on this bus already"):
+        with pytest.raises(NameInUse, match="a node named 'office' is on this bus already"):
             FarNode(scratch / "second", place)
         node.kill()
         lost = said()

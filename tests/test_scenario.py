@@ -32,7 +32,7 @@ from models.scenario.schema import (
 )
 from models.weather.noise import Noise
 from topics.errors import InvalidConfig, UnknownName, UsageError
-from topics.messages import Reading
+from topics.messages import Aggregation
 
 BASE: dict[str, Any] = {"building": "b", "weather": "w"}
 SCHEMA = Draft202012Validator(scenario_schema())
@@ -255,7 +255,7 @@ actuators:
     assert listed == by_field
     assert by_field.sensors is not None
     assert by_field.actuators is not None
-    assert [spec.reading for spec in by_field.sensors.values()] == [None, Reading.MEAN]
+    assert [spec.reading for spec in by_field.sensors.values()] == [None, Aggregation.MEAN]
     assert [(spec.low, spec.high) for spec in by_field.actuators.values()] == [(None, None), (0.0, 2.5), (None, 2.5)]
 
 
@@ -280,7 +280,7 @@ def test_parts_may_be_given_as_they_are() -> None:
         building="b",
         weather=("w",),
         variability={"dry_bulb_temperature": Noise(sigma=(1.0, 2.0))},
-        sensors={"a": SensorSpec(variable="Zone Air Temperature", key="Core_ZN", reading=Reading.MEAN)},
+        sensors={"a": SensorSpec(variable="Zone Air Temperature", key="Core_ZN", reading=Aggregation.MEAN)},
         actuators={"c": ActuatorSpec(component_type="Fan", control_type="Flow", key="FAN 1", low=0.0, high=2.0)},
         actions={"f": ActionSpec(actuators=("c",))},
         discrete=(ChoiceSpec(actions=("f",), values=((0.0,), (2.0,))),),

@@ -21,7 +21,7 @@ from eplus_node.config import plan, read_config
 from models.catalog import find_weather
 from models.weather.epw import read
 from topics import codec
-from topics.errors import InvalidConfig, ModelRefused, UnknownName, UsageError
+from topics.errors import InvalidConfig, ModelError, UnknownName, UsageError
 
 DAY = {"begin": "07-03", "end": "07-03", "affinity": "off"}
 SMALL = "zenostat/ref-small-office-USA_CO_Denver"
@@ -77,7 +77,9 @@ def test_a_shown_scenario_simulates_the_same(scratch: Path) -> None:
     (scratch / "mine.yaml").write_text(text)
     results = []
     for env in (make(f"zenostat/{name}"), make("zenostat/Scenario-v1", file=scratch / "mine.yaml")):
-        results.append((env.manifest.task.choices, env.manifest.sensors, env.manifest.actuators, play(env, 1)[0]))
+        results.append(
+            (env.manifest.task.discrete_actions, env.manifest.sensors, env.manifest.actuators, play(env, 1)[0])
+        )
         env.close()
     assert results[0][:3] == results[1][:3]
     np.testing.assert_array_equal(results[0][3], results[1][3])
@@ -304,7 +306,7 @@ def test_a_fault_of_a_file_is_one_clear_error(fault: str, scratch: Path) -> None
 @pytest.mark.parametrize(
     ("broken", "field", "kind", "words"),
     [
-        (broken_idf, "building", ModelRefused, "EnergyPlus"),
+        (broken_idf, "building", ModelError, "EnergyPlus"),
         (other_version, "building", InvalidConfig, r"9\.4.*25\.2"),
         (cut_epw, "weather", InvalidConfig, r"cut\.epw"),
     ],

@@ -29,9 +29,9 @@ from bridge.transport.certificates import Identity, add, make
 from bridge.transport.session import check_endpoint, exposure, open_session
 from bridge.transport.tls_diagnosis import why_refused
 from topics import codec, keys
-from topics.errors import EndpointTaken, InvalidConfig, NothingThere, UsageError
+from topics.errors import AddressInUse, InvalidConfig, NodeNotFound, UsageError
 from topics.keys import TOPICS, Role
-from topics.messages import Accepted, Claim, Command, Event, EventKind, Reset, State, Stop, Write
+from topics.messages import Ack, Claim, Command, Event, EventKind, Reset, State, Stop, Write
 
 ZENOSTAT = [sys.executable, "-P", "-m", "cli.main"]
 POINT = "core_zn_cooling_setpoint"
@@ -224,7 +224,7 @@ def test_a_monitor_s_attacks_leave_the_day_as_it_is(
             attacker.put(keys.ACTUATOR.at("office", name=POINT), codec.encode(Write(value=29.0, priority=1)))
             attacker.delete(keys.ACTUATOR.at("office", name=POINT))
             if sample.step % 24 == 0:
-                replies.extend(ask(attacker, keys.CLAIM, Claim(controller="thief", level=1)))
+                replies.extend(ask(attacker, keys.CLAIM, Claim(controller="thief", priority=1)))
                 replies.extend(ask(attacker, keys.RESET, Reset(controller="thief")))
                 replies.extend(ask(attacker, keys.STOP, Stop(source="thief")))
             assert ask(attacker, keys.STATUS), "the attacker is there, and what it sent before has been dropped"
@@ -239,7 +239,7 @@ def test_a_monitor_s_attacks_leave_the_day_as_it_is(
         fence = 1  # after the day's end
         assert (after.rejected - fence, after.late, after.duplicate) == (before.rejected, before.late, before.duplicate)
         assert {event.kind for event in told} == {EventKind.STARTED, EventKind.ENDED}
-        assert [c.controller for c in after.controllers if c.present] == [link.name]
+        assert [c.controller for c in after.controllers if c.connected] == [link.name]
 
 
 def test_the_same_attacks_work_with_a_controller_s_certificate(
@@ -247,8 +247,8 @@ def test_the_same_attacks_work_with_a_controller_s_certificate(
 ) -> None:
     with raw(node.endpoint, pki, "second") as session, hearing(bus.session, keys.EVENT.at("office")) as events:
         assert ask(bus.session, keys.STATUS), "the node knows of the subscription"
-        codec.decode(Accepted, ask(session, keys.CLAIM, Claim(controller="thief", level=1, required=False))[0])
-        episode = codec.decode(Accepted, ask(session, keys.RESET, Reset(controller="thief"))[0]).episode
+        codec.decode(Ack, ask(session, keys.CLAIM, Claim(controller="thief", priority=1, required=False))[0])
+        episode = codec.decode(Ack, ask(session, keys.RESET, Reset(controller="thief"))[0]).episode
         session.put(keys.ACTUATOR.at("office", name=POINT), codec.encode(Write(value=29.0, source="thief")))
         session.put(keys.COMMAND.at("office", name="thief"), b"not msgpack")
         told = [codec.decode(Event, payload) for payload in before_fence(bus, events, session)]
@@ -353,7 +353,7 @@ def test_a_forged_presence_is_not_seen(
         assert ask(forger, keys.STATUS)
         assert ("office", "fence") in watcher.controllers()
         seen = watcher.session.liveliness().get(keys.NODE_TOKEN.at("*", name="*"))
-        instances = {(keys.node_of(key), keys.last_of(key)) for key in (str(reply.ok.key_expr) for reply in seen)}
+        instances = {(keys.node_of(key), keys.last_chunk(key)) for key in (str(reply.ok.key_expr) for reply in seen)}
         forged = {("ghost", "1f"), ("office", "1f")}
         assert instances & forged == (forged if passes else set())
         assert len(instances - forged) == 1
@@ -394,7 +394,7 @@ def test_a_controller_s_certificate_cannot_be_listened_with(pki: Path) -> None:
             }
         ),
     )
-    with zenoh.open(config), pytest.raises(NothingThere, match="refused: unsuitable certificate purpose"):
+    with zenoh.open(config), pytest.raises(NodeNotFound, match="refused: unsuitable certificate purpose"):
         open_session(connect=[endpoint], keys=pki, role=Role.MONITOR)
 
 
@@ -421,7 +421,7 @@ def test_a_stranger_cannot_connect(
 
 
 def test_without_tls_nobody_gets_in(node: NodeProgram) -> None:
-    with pytest.raises(NothingThere):
+    with pytest.raises(NodeNotFound):
         open_session(connect=[node.endpoint.replace("tls/", "tcp/")])
 
 
@@ -442,7 +442,7 @@ def test_an_expired_certificate_is_refused_by_the_node_and_before(
 
 def test_why_there_is_no_session(node: NodeProgram, pki: Path, strange_pki: Path, tmp_path: Path) -> None:
     def refusal(endpoint: str, folder: Path) -> str:
-        with pytest.raises(NothingThere) as raised:
+        with pytest.raises(NodeNotFound) as raised:
             open_session(connect=[endpoint], keys=folder, role=Role.CONTROLLER)
         return str(raised.value)
 
@@ -468,7 +468,7 @@ def test_a_node_is_reached_under_the_names_in_its_certificate(pki: Path) -> None
         return open_session(listen=[endpoint], keys=pki, role=Role.NODE, certificate=certificate)
 
     endpoint = f"tls/127.0.0.2:{free_port()}"
-    with listening(None), pytest.raises(NothingThere, match=r"mismatch.*'127\.0\.0\.2' among its hosts"):
+    with listening(None), pytest.raises(NodeNotFound, match=r"mismatch.*'127\.0\.0\.2' among its hosts"):
         open_session(connect=[endpoint], keys=pki, role=Role.MONITOR)
     add(pki, Role.NODE, "annex", hosts=["127.0.0.2"])
     with listening("annex"), open_session(connect=[endpoint], keys=pki, role=Role.MONITOR) as session:
@@ -476,7 +476,7 @@ def test_a_node_is_reached_under_the_names_in_its_certificate(pki: Path) -> None
 
 
 def test_a_taken_port(node: NodeProgram, pki: Path) -> None:
-    with pytest.raises(EndpointTaken):
+    with pytest.raises(AddressInUse):
         open_session(listen=[node.endpoint], keys=pki, role=Role.NODE)
 
 

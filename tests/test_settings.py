@@ -13,7 +13,7 @@ from agent_sdk.envs.arguments import OF_A_NODE, OF_THE_SCENARIO, _of_file, check
 from bridge.runtime.affinity import Affinity
 from eplus_node.config import read_config
 from topics.errors import InvalidConfig, UsageError
-from topics.messages import Reading
+from topics.messages import Aggregation
 
 BASE: dict[str, Any] = {"building": "office-small", "weather": "USA_CO_Denver"}
 TEMPERATURE = ("Zone Air Temperature", "Core_ZN")
@@ -135,7 +135,7 @@ def test_points_stand_under_names(kind: str, points: Any) -> None:
 
 def test_points_may_be_tuples_lists_or_by_field() -> None:
     by_field = {"variable": "Zone Air Temperature", "key": "Core_ZN", "reading": "mean"}
-    sensors = {"a": TEMPERATURE, "b": list(TEMPERATURE), "c": (*TEMPERATURE, Reading.MEAN), "d": by_field}
+    sensors = {"a": TEMPERATURE, "b": list(TEMPERATURE), "c": (*TEMPERATURE, Aggregation.MEAN), "d": by_field}
     found = for_node({**BASE, "sensors": sensors}, "b")["sensors"]
     plain = ["Zone Air Temperature", "Core_ZN"]
     assert found == {"a": plain, "b": plain, "c": [*plain, "mean"], "d": by_field}

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from bridge.exchange.episode import Exchange
 from bridge.exchange.priority_array import LEVELS, PriorityArray
-from topics.messages import Command, EventKind, Mask, Mode, State, Write
+from topics.messages import Command, CommandOp, EventKind, Mode, State, Write
 
-KEEP, SET, RELEASE = Mask.KEEP, Mask.SET, Mask.RELEASE
+KEEP, SET, RELEASE = CommandOp.KEEP, CommandOp.SET, CommandOp.RELINQUISH
 
 
 def answers(at: Exchange, controller: str, slots: dict[int, tuple[float, float]]) -> object:
@@ -20,7 +20,7 @@ def answers(at: Exchange, controller: str, slots: dict[int, tuple[float, float]]
     values = [v for slot in range(at.slots) for v in slots.get(slot, (0.0, 0.0))]
     steps = [step if slot in slots else None for slot, step in enumerate(at.step)]
     return at.command(
-        controller, Command(episode=at.episode, step=steps, mask=None, values=np.array(values, "<f8").tobytes())
+        controller, Command(episode=at.episode, step=steps, operations=None, values=np.array(values, "<f8").tobytes())
     )
 
 
@@ -87,10 +87,10 @@ def test_the_slots_that_any_required_controller_answers_move() -> None:
     assert not at.due()
     mask = bytes([KEEP, KEEP, SET, KEEP, SET, KEEP])
     both = np.array([0.0, 0.0, 21.0, 0.0, 22.0, 0.0]).tobytes()
-    assert at.command("second", Command(episode=[0] * 3, step=[None, 0, None], mask=mask, values=both)) is None
+    assert at.command("second", Command(episode=[0] * 3, step=[None, 0, None], operations=mask, values=both)) is None
     at2 = at.due()
     assert at2
-    assert at.command("helper", Command(episode=[0] * 3, step=[None, None, 0], mask=mask, values=both)) is None
+    assert at.command("helper", Command(episode=[0] * 3, step=[None, None, 0], operations=mask, values=both)) is None
     moving, values = go(at)
     assert moving == [0, 1]
     np.testing.assert_array_equal(values, [[20.0, 25.0], [21.0, NAN], [22.0, NAN]])
@@ -204,7 +204,7 @@ def test_when_all_are_over_one_may_begin_anew() -> None:
 def test_all_slots_begin_anew_by_any_name_of_them(slots: list[int] | None) -> None:
     at = three()
     answer(at, "agent", [20.0, 25.0] * 3)
-    at.write("heat", Write(value=18.0, priority=8, for_s=1e6), 0.0)
+    at.write("heat", Write(value=18.0, priority=8, duration_s=1e6), 0.0)
     go(at)
     at.left("agent")
     at.reset(slots)
@@ -230,7 +230,7 @@ def held() -> Exchange:
     at = three()
     answer(at, "agent", [20.0, 25.0] * 3)
     go(at)
-    at.write("cool", Write(value=29.0, priority=8, for_s=1800.0, source="person"), 900.0)
+    at.write("cool", Write(value=29.0, priority=8, duration_s=1800.0, source="person"), 900.0)
     answers(at, "agent", {1: (21.0, 26.0)})
     go(at)
     return at
@@ -295,7 +295,7 @@ def test_what_is_written_for_a_time_holds_so_long_whichever_slot_begins_anew_or_
     for _ in range(4):
         answer(at, "agent", [20.0, 25.0] * 3)
         go(at)
-    at.write("cool", Write(value=29.0, priority=8, for_s=1800.0, source="person"), 900.0 * at.commanded.timesteps)
+    at.write("cool", Write(value=29.0, priority=8, duration_s=1800.0, source="person"), 900.0 * at.commanded.timesteps)
     at.reset([0])
     at.ready({0: 0})
     kept = at.held()

@@ -15,8 +15,8 @@ from nodes import NodeProgram, until, within
 
 from agent_sdk import wrappers as w
 from agent_sdk.envs.building_env import BuildingEnv
-from topics.errors import EngineDied, EpisodeChanged, InvalidConfig, NodeLost, Refused, ZenostatError
-from topics.messages import MakeBranch, Reset, Start
+from topics.errors import EngineDied, EpisodeChanged, InvalidConfig, NodeLost, RequestRejected, ZenostatError
+from topics.messages import CreateBranch, EngineStart, Reset
 
 STOCHASTIC = SMALL.replace("continuous", "continuous-stochastic")
 COLUMNS = ["dry_bulb_temperature", "relative_humidity"]
@@ -46,7 +46,7 @@ def test_going_back_is_exact_any_number_of_times(kind: str, scratch: Path) -> No
     for _ in range(2):
         for at in points:
             for actions, expected in ((mine, straight), (its, other[at])):
-                assert back(env, kept[at])["start"] == Start.SNAPSHOT
+                assert back(env, kept[at])["start"] == EngineStart.SNAPSHOT
                 assert env.sample.step == at
                 np.testing.assert_array_equal(row(env)[:-1], straight[at][:-1])
                 same(go(env, actions[at:]), expected[at + 1 :])
@@ -171,7 +171,7 @@ def test_with_files_kept_an_episode_after_going_back_to_sample_0_has_its_own(scr
     back(env, snapshot)
     assert "outputs" not in go_and_tell(env, mine)
     back(env, snapshot)
-    assert env.reset()[1]["start"] == Start.STARTED
+    assert env.reset()[1]["start"] == EngineStart.STARTED
     same(go(env, mine[:-1]), straight[1:-1])
     *_, info = env.step(mine[-1])
     env.close()
@@ -238,14 +238,14 @@ def test_a_snapshot_that_cannot_be_gone_back_to_is_refused_by_name(scratch: Path
     with pytest.raises(InvalidConfig, match=r"started again|is of node"):
         back(stranger, snapshot)
     bus, node = env.link.bus, env.manifest.node
-    with pytest.raises(Refused, match=snapshot.name):
+    with pytest.raises(RequestRejected, match=snapshot.name):
         bus.reset(node, Reset(snapshot="s99"))
-    with pytest.raises(Refused, match=snapshot.name):
-        bus.branch(node, MakeBranch(snapshot="s99"))
-    with pytest.raises(Refused, match=snapshot.name):
+    with pytest.raises(RequestRejected, match=snapshot.name):
+        bus.branch(node, CreateBranch(snapshot="s99"))
+    with pytest.raises(RequestRejected, match=snapshot.name):
         bus.drop(node, "s99")
-    with pytest.raises(Refused, match="slot"):
-        bus.branch(node, MakeBranch(slot=1))
+    with pytest.raises(RequestRejected, match="slot"):
+        bus.branch(node, CreateBranch(slot=1))
     same(go(env, mine[20:]), straight[21:])
     env.close()
     stranger.close()
@@ -259,7 +259,7 @@ def test_a_branch_has_no_forks_of_its_own(scratch: Path) -> None:
     go(env, mine[:20])
     with env.snapshot() as snapshot, env.branch() as branch:
         for fork in (branch.snapshot, branch.branch):
-            with pytest.raises(Refused, match="ask its node 'building'"):
+            with pytest.raises(RequestRejected, match="ask its node 'building'"):
                 fork()
         with pytest.raises(InvalidConfig, match="is of node 'building'"):
             branch.branch(snapshot=snapshot)
@@ -267,9 +267,9 @@ def test_a_branch_has_no_forks_of_its_own(scratch: Path) -> None:
             with pytest.raises(InvalidConfig, match="a branch"):
                 branch.reset(options=options)
         bus, name = branch.link.bus, branch.manifest.node
-        with pytest.raises(Refused, match="building"):
+        with pytest.raises(RequestRejected, match="building"):
             bus.reset(name, Reset())
-        with pytest.raises(Refused, match="building"):
+        with pytest.raises(RequestRejected, match="building"):
             bus.drop(name, snapshot.name)
         same(go(branch, mine[20:]), straight[21:])
     same(go(env, mine[20:]), straight[21:])
@@ -286,12 +286,12 @@ def test_there_are_no_more_forks_than_allowed(limit: int, scratch: Path) -> None
     made = [env.snapshot(), env.branch()] if limit else []
     for _ in range(3):
         for fork in (env.snapshot, env.branch):
-            with pytest.raises(Refused, match=rf"{limit} snapshots and branches.*branches={limit}"):
+            with pytest.raises(RequestRejected, match=rf"{limit} snapshots and branches.*branches={limit}"):
                 fork()
     if made:
         back(env, made[0])
         made[0].close()
-        with env.snapshot(), pytest.raises(Refused, match="branches=2"):
+        with env.snapshot(), pytest.raises(RequestRejected, match="branches=2"):
             env.branch()
         made[1].close()
         until(lambda: not env.link.bus.status("building").branches, "it has ended")

@@ -20,7 +20,7 @@ from eplus_node.config import plan as read_plan
 from eplus_node.engine.client import EngineLink
 from eplus_node.engine.pool import Supply, Waiting
 from topics.errors import EngineDied, ForkFailed, SimulatorError
-from topics.messages import Start, State
+from topics.messages import EngineStart, State
 
 STOCHASTIC = SMALL.replace("continuous", "continuous-stochastic")
 IN_TURN = {"weather": ["USA_CO_Denver", "USA_FL_Miami"], "weather_order": "sequence"}
@@ -178,7 +178,7 @@ def test_an_engine_that_waits_and_dies_within_a_reset_takes_no_file_of_its_succe
     supply = Supply(small_plan, folder, waiting)
     first = supply.engine(0)
     assert waiting.engine is not None
-    assert supply.turn(None, 1, untouched=False) is Start.FORKED
+    assert supply.turn(None, 1, untouched=False) is EngineStart.FORKED
     ended(waiting.engine)
     second = supply.engine(1)
     assert second.step == 0
@@ -193,7 +193,7 @@ def test_an_engine_that_was_to_be_used_again_and_dies_within_a_reset_takes_no_fi
 ) -> None:
     supply = Supply(noisy_plan, folder, Waiting())
     first = supply.engine(0)
-    assert supply.turn(None, 1, untouched=True) is Start.READY
+    assert supply.turn(None, 1, untouched=True) is EngineStart.REUSED
     ended(first)
     second = supply.engine(1)
     first.close()
@@ -206,9 +206,9 @@ def test_an_engine_that_was_to_be_used_again_and_dies_within_a_reset_takes_no_fi
 def test_an_engine_that_was_started_ahead_and_dies_within_a_reset_is_replaced(folder: Path, noisy_plan: Plan) -> None:
     supply = Supply(noisy_plan, folder, Waiting())
     first = supply.engine(0)
-    assert supply.turn(None, 0, untouched=True) is Start.READY
+    assert supply.turn(None, 0, untouched=True) is EngineStart.REUSED
     supply.look_ahead(0)
-    assert supply.turn(None, 1, untouched=False) is Start.AHEAD
+    assert supply.turn(None, 1, untouched=False) is EngineStart.PREFETCHED
     noise = supply.files.drawn
     ahead = supply._ahead
     assert ahead is not None

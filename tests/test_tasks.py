@@ -15,7 +15,7 @@ from models.scenario.registry import expanded
 from models.scenario.schema import Scenario, read_scenario
 from models.scenario.task import task_of
 from topics.errors import InvalidConfig
-from topics.messages import Action, Actuator, Choice, Task, TimeField
+from topics.messages import Action, Actuator, DiscreteAction, Task, TimeField
 
 THERMOSTAT = "Zone Temperature Control"
 
@@ -76,7 +76,7 @@ def test_each_actuator_has_a_dimension_of_its_own(control: str) -> None:
     made = task(control=control)
     assert plain(made.actions) == [(a.name, a.low, a.high, (a.name,)) for a in ALL]
     assert [a.unit for a in made.actions] == [a.unit for a in ALL]
-    assert made.choices == ()
+    assert made.discrete_actions == ()
 
 
 def test_a_building_has_one_pair_for_all_thermostats_and_the_rest_as_it_is() -> None:
@@ -90,7 +90,7 @@ def test_a_building_has_one_pair_for_all_thermostats_and_the_rest_as_it_is() -> 
 def test_without_actuators_there_is_nothing_to_decide() -> None:
     for control in ("point", "zone", "building"):
         made = task_of(scenario(control=control), points())
-        assert (made.actions, made.choices) == ((), ())
+        assert (made.actions, made.discrete_actions) == ((), ())
 
 
 def test_two_things_of_one_name_are_not_joined() -> None:
@@ -193,7 +193,7 @@ def test_all_that_is_wrong_with_the_actions_is_said_at_once() -> None:
 
 def rows(made: Task) -> list[dict[str, list[float]]]:
     """For each choice dimension: action to its column."""
-    return [dict(zip(c.actions, map(list, zip(*c.values, strict=True)), strict=True)) for c in made.choices]
+    return [dict(zip(c.actions, map(list, zip(*c.values, strict=True)), strict=True)) for c in made.discrete_actions]
 
 
 def test_steps_go_from_the_widest_to_the_tightest_pair() -> None:
@@ -231,7 +231,9 @@ def test_each_point_chooses_on_its_own() -> None:
 def test_steps_are_equal_reach_both_ends_and_set_each_action_once(control: str, count: int) -> None:
     made = task(control=control, discrete=count)
     columns = {name: column for choice in rows(made) for name, column in choice.items()}
-    assert sorted(name for choice in made.choices for name in choice.actions) == sorted(a.name for a in made.actions)
+    assert sorted(name for choice in made.discrete_actions for name in choice.actions) == sorted(
+        a.name for a in made.actions
+    )
     for action in made.actions:
         column = columns[action.name]
         downwards = "cooling" in action.name
@@ -257,12 +259,12 @@ def test_choices_are_those_that_are_named() -> None:
     table = [{"actions": ["cool", "heat"], "values": [[30, 15], [24, 21], [24, 21]]}]
     made = task(actions=PAIRS, discrete=table)
     rows = ((30.0, 15.0), (24.0, 21.0), (24.0, 21.0))
-    assert made.choices == (Choice(actions=("cool", "heat"), values=rows),)
+    assert made.discrete_actions == (DiscreteAction(actions=("cool", "heat"), values=rows),)
 
 
 def test_the_ends_of_an_action_may_be_chosen() -> None:
     table = [{"actions": ["fan"], "values": [[0], [2]]}]
-    assert task(FAN, discrete=table).choices[0].values == ((0.0,), (2.0,))
+    assert task(FAN, discrete=table).discrete_actions[0].values == ((0.0,), (2.0,))
 
 
 CHOICES: dict[str, tuple[list[dict[str, Any]], str]] = {

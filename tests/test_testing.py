@@ -46,9 +46,9 @@ from topics.errors import (
     EpisodeChanged,
     InvalidAction,
     InvalidConfig,
-    ModelRefused,
+    ModelError,
     PeerError,
-    Refused,
+    RequestRejected,
     UnknownName,
 )
 
@@ -216,7 +216,7 @@ def test_a_seed_rules_the_weather_and_without_one_it_goes_on() -> None:
 def test_a_heating_setpoint_above_the_cooling_setpoint_is_refused() -> None:
     building = FakeBuilding(1)
     building.reset(0)
-    with pytest.raises(ModelRefused, match=r"zone 'zone_1': heating setpoint 24 lies above cooling setpoint 23"):
+    with pytest.raises(ModelError, match=r"zone 'zone_1': heating setpoint 24 lies above cooling setpoint 23"):
         building.advance(column(24, 23))
 
 
@@ -288,7 +288,7 @@ def test_what_a_node_refuses_a_fake_refuses() -> None:
     with pytest.raises(InvalidAction, match=r"shape \(1,\); \(2,\) expected"):
         link.send(column(20))
     link.send({"zone_1_heating_setpoint": 23.0})
-    with pytest.raises(Refused, match=r"zone_1_heating_setpoint = 23 degC; its bounds are 15.0 to 22.5"):
+    with pytest.raises(RequestRejected, match=r"zone_1_heating_setpoint = 23 degC; its bounds are 15.0 to 22.5"):
         link.receive()
     link.send({"zone_1_heating_setpoint": 22.5})
     assert link.receive().step == 1

@@ -28,7 +28,7 @@ from topics.errors import (
     EpisodeChanged,
     InvalidAction,
     InvalidConfig,
-    Refused,
+    RequestRejected,
     SimulatorError,
     ZenostatError,
 )
@@ -597,7 +597,7 @@ def test_each_slot_tells_the_weather_that_it_reads(scratch: Path) -> None:
             observations = env.step(env.action_space.sample())[0]
         assert read[0] != read[1]
         assert observations[:, 0].tolist() == pytest.approx(read, abs=0.051), "at 12:00, as the file's row 12 says"
-        with pytest.raises(Refused, match="no slot 2"):
+        with pytest.raises(RequestRejected, match="no slot 2"):
             env.link.weather(["dry_bulb_temperature"], 2)
     finally:
         env.close()

@@ -121,7 +121,7 @@ def answering(sample: Sample, values: np.ndarray, **more: Any) -> dict[str, Any]
 
 def keeping(sample: Sample, **given: Any) -> dict[str, Any]:
     """A command that changes nothing."""
-    count = len(sample.applied) // 8
+    count = len(sample.effective) // 8
     return answering(sample, np.zeros(count), mask=bytes(count)) | given
 
 
@@ -145,12 +145,12 @@ def test_episode_gives_the_same_samples_as_over_zenoh_to_the_bit(node, gateway, 
     direct = []
     with agent_sdk.connect(node.endpoint, affinity="off") as bus, bus.controller("office") as link:
         for sample in link:
-            direct.append((sample.wire.values, sample.wire.applied, sample.wire.time))
+            direct.append((sample.wire.values, sample.wire.effective, sample.wire.time))
             sample.send(plan(link.manifest, sample.step))
     through = []
     with Peer(gateway, getattr(zmq, kind)) as peer:
         peer.listen("sample")
-        until(lambda: not any(c.present for c in agent_status(node).controllers), "the direct one has gone")
+        until(lambda: not any(c.connected for c in agent_status(node).controllers), "the direct one has gone")
         while (last := peer.hear(Sample)).step != [96]:
             pass  # the gateway hears by itself
         manifest = Manifest(**peer.ask("manifest")[1])
@@ -158,7 +158,7 @@ def test_episode_gives_the_same_samples_as_over_zenoh_to_the_bit(node, gateway, 
         assert peer.ask("rpc/reset", controller="c")[1]["episode"] == [1]
         sample = peer.after(last)
         while True:
-            through.append((sample.values, sample.applied, sample.time))
+            through.append((sample.values, sample.effective, sample.time))
             if sample.flags[0] & messages.Flag.TRUNCATED:
                 break
             command = answering(sample, plan(manifest, sample.step[0]))
@@ -169,7 +169,7 @@ def test_episode_gives_the_same_samples_as_over_zenoh_to_the_bit(node, gateway, 
 
 
 def peer_accepted(episode: int) -> dict[str, Any]:
-    return msgpack.unpackb(codec.encode(messages.Accepted(episode=[episode])))
+    return msgpack.unpackb(codec.encode(messages.Ack(episode=[episode])))
 
 
 def test_two_controllers_in_lockstep_each_answered_although_the_other_has_not_spoken(gateway):
@@ -229,7 +229,7 @@ def test_refusals_say_what_the_node_said(gateway):
     with Peer(gateway) as peer, Peer(gateway) as other:
         peer.listen("sample")
         sample = peer.after(None)
-        count = len(sample.applied) // 8
+        count = len(sample.effective) // 8
         assert peer.ask("command/c", **keeping(sample))[1]["message"].startswith("'c' has claimed nothing")
         assert peer.ask("rpc/claim", controller="c", actuators=["chair"])[1]["error"] == "Refused"
         assert peer.ask("rpc/claim", controller="c")[0] == "Accepted"
@@ -260,7 +260,7 @@ def test_writes_are_answered(gateway):
         peer.ask("command/c", **keeping(sample))
         sample = peer.after(sample)
         names = [a["name"] for a in peer.ask("manifest")[1]["actuators"]]
-        assert np.frombuffer(sample.applied)[names.index(SETPOINT)] == 26.5
+        assert np.frombuffer(sample.effective)[names.index(SETPOINT)] == 26.5
 
 
 def test_subscribers_hear_the_latest_at_once_and_only_what_they_asked_for(gateway):
@@ -299,7 +299,7 @@ def test_killed_controller_is_noticed_by_the_node_and_may_come_back(node, gatewa
             with agent_sdk.connect(node.endpoint, affinity="off") as bus:
                 until(lambda: bus.controllers() == [("office", "doomed")], "its token is there")
             program.process.kill()
-            assert peer.event(EventKind.LEFT).source == "doomed"
+            assert peer.event(EventKind.DISCONNECTED).source == "doomed"
         assert back.ask("rpc/claim", controller="doomed")[0] == "Accepted"
         back.listen("sample")
         assert back.ask("command/doomed", **keeping(back.after(None)))[0] == "Accepted"
@@ -311,7 +311,7 @@ def test_frozen_controller_is_gone_after_its_lease(node):
         with Program(KILLED, gateway.command) as program:
             assert program.line().endswith(".Accepted")
             program.process.send_signal(signal.SIGSTOP)
-            assert peer.event(EventKind.LEFT).source == "doomed"
+            assert peer.event(EventKind.DISCONNECTED).source == "doomed"
 
 
 def test_controller_that_comes_back_under_its_name_keeps_it(node, gateway):
@@ -335,7 +335,7 @@ def test_killed_gateway_breaks_nothing_of_the_node(node):
             assert peer.ask("command/c", **keeping(peer.after(None)))[0] == "Accepted"
             gateway.process.kill()
             gateway.process.wait()
-            until(lambda: [c.present for c in bus.status("office").controllers] == [False], "the node misses it")
+            until(lambda: [c.connected for c in bus.status("office").controllers] == [False], "the node misses it")
         with bus.controller("office") as link:
             assert [sample.step for sample in link][-1] == 96
 

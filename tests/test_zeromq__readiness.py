@@ -16,7 +16,7 @@ from zenoh.handlers import Callback
 
 import agent_sdk
 from topics import codec, keys
-from topics.messages import Denied, EventKind, Manifest, Sample
+from topics.messages import ErrorReply, EventKind, Manifest, Sample
 
 __all__ = ["gateway"]
 
@@ -73,7 +73,7 @@ def test_what_is_asked_of_a_node_waits_until_it_has_said_what_it_is(node, gatewa
 
             return Callback(on_query, indirect=False)
 
-        denied = Denied(error="Refused", message="slow has heard it")
+        denied = ErrorReply(error="Refused", message="slow has heard it")
         manifests = session.declare_queryable(keys.MANIFEST.at("slow"), Callback(asked.put, indirect=False))
         samples = session.declare_queryable(keys.SAMPLE.at("slow"), answer(keys.SAMPLE, sample))
         rest = session.declare_queryable(keys.STATUS.at("slow"), answer(keys.STATUS, codec.encode(denied)))

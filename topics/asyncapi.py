@@ -15,7 +15,7 @@ from pydantic.json_schema import models_json_schema
 from topics import codec, errors
 from topics.errors import ZenostatError
 from topics.keys import PREFIX, TOPICS, Delivery, Role, Topic
-from topics.messages import SCHEMA, Denied, Message
+from topics.messages import SCHEMA_VERSION, ErrorReply, Message
 
 ASYNCAPI = "3.0.0"
 QUESTION = "Question"
@@ -45,7 +45,7 @@ def document() -> dict[str, Any]:
     """The AsyncAPI document: a mapping of plain values."""
     return {
         "asyncapi": ASYNCAPI,
-        "info": {"title": "Zenostat node", "version": str(SCHEMA), "description": _ABOUT},
+        "info": {"title": "Zenostat node", "version": str(SCHEMA_VERSION), "description": _ABOUT},
         "defaultContentType": "application/msgpack",
         "channels": {channel_name(topic): _channel(topic) for topic in TOPICS},
         "operations": {name: made for topic in TOPICS for name, made in _operations(topic)},
@@ -61,7 +61,7 @@ def channel_name(topic: Topic) -> str:
 def travelling() -> list[type[Message]]:
     """The classes of all payloads, in the order of the table."""
     found = [kind for topic in TOPICS for kind in (topic.message, topic.reply) if kind is not None]
-    return list(dict.fromkeys([*found, Denied]))
+    return list(dict.fromkeys([*found, ErrorReply]))
 
 
 def _channel(topic: Topic) -> dict[str, Any]:
@@ -90,7 +90,7 @@ def _asked(topic: Topic) -> list[str]:
 def _answers(topic: Topic) -> list[str]:
     if topic.reply is None:
         return []
-    return [topic.reply.__name__] + ([Denied.__name__] if topic.delivery is Delivery.QUERY else [])
+    return [topic.reply.__name__] + ([ErrorReply.__name__] if topic.delivery is Delivery.QUERY else [])
 
 
 def _operations(topic: Topic) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -128,7 +128,7 @@ def _messages() -> dict[str, Any]:
         }
         for kind in travelling()
     }
-    found[Denied.__name__]["x-errors"] = {kind.__name__: inspect.getdoc(kind) for kind in _errors(ZenostatError)}
+    found[ErrorReply.__name__]["x-errors"] = {kind.__name__: inspect.getdoc(kind) for kind in _errors(ZenostatError)}
     return found | {name: {"name": name, "summary": text} for name, text in _NO_PAYLOAD.items()}
 
 

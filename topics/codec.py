@@ -17,21 +17,21 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from topics.errors import BadMessage, near
-from topics.messages import SCHEMA, Batch, Claim, Manifest, Message, Sample, Status
+from topics.errors import BadMessage, did_you_mean
+from topics.messages import SCHEMA_VERSION, Batch, Claim, Manifest, Message, Sample, Status
 
 M = TypeVar("M", bound=Message)
 
 MAX_BYTES = 8 * 1024 * 1024
 """Larger payloads are refused unread."""
 
-MOST_ENTRIES = 4_000
+MAX_ENTRIES = 4_000
 """Entries of all lists and maps of a message together; more are refused before they are looked at."""
 
-MOST_OF = {Batch: 100_000, Claim: 20_000, Manifest: 1_000_000, Sample: 100_000, Status: 100_000}
+MAX_ITEMS = {Batch: 100_000, Claim: 20_000, Manifest: 1_000_000, Sample: 100_000, Status: 100_000}
 """The same, of messages that name points, and of a node's for many slots."""
 
-_MOST_FAULTS = 10
+_MAX_ERRORS = 10
 FLOAT = np.dtype("<f8")
 INDEX = np.dtype("<u2")
 _MEDIA = "application/msgpack"
@@ -43,10 +43,10 @@ _UNNAMED = frozenset(("", "zenoh/bytes", "application/octet-stream", _MEDIA, "ap
 @cache
 def encoding(message: type[Message]) -> str:
     """The encoding of a message class: `application/msgpack;zenostat/1.Sample`."""
-    return f"{_MEDIA}{_SCHEMA_MARK}{SCHEMA}.{message.__name__}"
+    return f"{_MEDIA}{_SCHEMA_MARK}{SCHEMA_VERSION}.{message.__name__}"
 
 
-def names(message: type[Message], said: str) -> bool:
+def encoding_matches(message: type[Message], said: str) -> bool:
     """Whether the encoding `said` is that of a message class and of this version, or names none."""
     return said == encoding(message) or said in _UNNAMED
 
@@ -84,12 +84,12 @@ def decode(message: type[M], payload: bytes, said: str = "") -> M:
     Raises:
         BadMessage: what was wrong, with the path of the bad value.
     """
-    if not names(message, said):
+    if not encoding_matches(message, said):
         raise BadMessage(f"expected encoding {encoding(message)!r}, got {said!r}")
     if len(payload) > MAX_BYTES:
         raise BadMessage(f"{len(payload)} bytes; a {message.__name__} has at most {MAX_BYTES}")
     try:
-        fields = _unpacked(payload, MOST_OF.get(message, MOST_ENTRIES))
+        fields = _unpacked(payload, MAX_ITEMS.get(message, MAX_ENTRIES))
     except Exception as error:  # msgpack raises a dozen unrelated classes on malformed input
         raise BadMessage(f"not msgpack: {type(error).__name__} {error}".rstrip()) from None
     if not isinstance(fields, dict):
@@ -97,7 +97,7 @@ def decode(message: type[M], payload: bytes, said: str = "") -> M:
     try:
         return message.__pydantic_validator__.validate_python(fields)  # type: ignore[no-any-return]
     except ValidationError as error:
-        raise BadMessage(f"{message.__name__}: {explain(error)}") from None
+        raise BadMessage(f"{message.__name__}: {describe_validation_errors(error)}") from None
 
 
 def text_field(payload: bytes, name: str, most: int) -> str:
@@ -105,7 +105,7 @@ def text_field(payload: bytes, name: str, most: int) -> str:
     if len(payload) > MAX_BYTES:
         return ""
     try:
-        fields = _unpacked(payload, MOST_ENTRIES)
+        fields = _unpacked(payload, MAX_ENTRIES)
     except Exception:  # msgpack raises a dozen unrelated classes on malformed input
         return ""
     text = fields.get(name) if isinstance(fields, dict) else None
@@ -127,21 +127,22 @@ def _unpacked(payload: bytes, most: int) -> Any:
     return msgpack.unpackb(payload, max_array_len=most, max_map_len=most, list_hook=count, object_hook=count)
 
 
-def explain(error: ValidationError, known: Iterable[str] = ()) -> str:
+def describe_validation_errors(error: ValidationError, known: Iterable[str] = ()) -> str:
     """The faults that pydantic found, in one line: path, what came, what would be right; of very many the first.
 
     `known`: names of the fields at the top, of which near ones are told.
     """
     faults = []
     found = error.errors(include_url=False)
-    for fault in found[:_MOST_FAULTS]:
+    for fault in found[:_MAX_ERRORS]:
         loc = [str(part) for part in fault["loc"] if not str(part).startswith("@")]
         path = _cut(".".join(loc)) or "(whole)"
         if fault["type"] == "missing":
             faults.append(f"{path}: it is missing")
         elif fault["type"] == "extra_forbidden":
             faults.append(
-                f"{path}: there is no such field" + (f"; {near(loc[0], known)}" if len(loc) == 1 and known else "")
+                f"{path}: there is no such field"
+                + (f"; {did_you_mean(loc[0], known)}" if len(loc) == 1 and known else "")
             )
         else:
             faults.append(f"{path}: {fault['msg'].removeprefix('Value error, ')}, got {_short(fault['input'])}")
@@ -191,7 +192,7 @@ def row(raw: bytes, index: int, rows: int, width: int, what: str) -> NDArray[np.
     return np.frombuffer(raw, FLOAT, width, 8 * width * index)
 
 
-def octets(raw: bytes, shape: tuple[int, ...], what: str) -> NDArray[np.uint8]:
+def uint8s(raw: bytes, shape: tuple[int, ...], what: str) -> NDArray[np.uint8]:
     """A read-only uint8 array over `raw`, or `BadMessage` if the size is not that of `shape`."""
     return _array(raw, np.dtype("u1"), shape, what)
 

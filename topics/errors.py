@@ -33,7 +33,7 @@ from collections.abc import Callable, Iterable
 from typing import TypeVar
 
 T = TypeVar("T")
-_FEW = 4096
+_SMALL = 4096
 
 
 class ZenostatError(Exception):
@@ -68,7 +68,7 @@ class BadMessage(PeerError):
     """A message that is malformed, oversized, or of another schema version."""
 
 
-class Refused(PeerError):
+class RequestRejected(PeerError):
     """A request or command that the node did not take, with its reason."""
 
 
@@ -84,7 +84,7 @@ class SimulatorError(ZenostatError):
     """EnergyPlus did not do its part."""
 
 
-class ModelRefused(SimulatorError):
+class ModelError(SimulatorError):
     """EnergyPlus refused the model or gave up; the text has the lines of eplusout.err that matter."""
 
 
@@ -104,15 +104,15 @@ class BusError(ZenostatError):
     """The way to the other side does not work."""
 
 
-class EndpointTaken(BusError):
+class AddressInUse(BusError):
     """Another program listens at that endpoint."""
 
 
-class NameTaken(BusError):
+class NameInUse(BusError):
     """A node of that name is on the bus already."""
 
 
-class NothingThere(BusError):
+class NodeNotFound(BusError):
     """Nobody answers at that endpoint or under that name."""
 
 
@@ -141,13 +141,13 @@ def from_wire(said: dict[str, str]) -> ZenostatError:
     return _BY_NAME.get(said.get("error", ""), ZenostatError)(said.get("message", "no reason given"))
 
 
-class Faults:
+class ErrorCollector:
     """Gathers mistakes, so that all of them are said at once."""
 
     def __init__(self) -> None:
         self.found: list[ZenostatError] = []
 
-    def catch(self, do: Callable[[], T]) -> T | None:
+    def collect(self, do: Callable[[], T]) -> T | None:
         """What `do` gives, or None and its mistake gathered."""
         try:
             return do()
@@ -155,7 +155,7 @@ class Faults:
             self.found.append(error)
             return None
 
-    def raise_all(self) -> None:
+    def raise_if_any(self) -> None:
         """Raises what was gathered, each on a line of its own; `InvalidConfig` if of several kinds."""
         kinds = {type(error) for error in self.found}
         if self.found:
@@ -165,12 +165,12 @@ class Faults:
 def _candidates(folded: str, names: list[str]) -> list[str]:
     """The names, folded; of very many, which would take half a second to compare, those that begin alike."""
     all_folded = [name.casefold() for name in names]
-    if len(names) <= _FEW:
+    if len(names) <= _SMALL:
         return all_folded
     return [name for name in all_folded if name[:2] == folded[:2] and abs(len(name) - len(folded)) <= 3]
 
 
-def near(name: str, known: Iterable[str], *, most: int = 5) -> str:
+def did_you_mean(name: str, known: Iterable[str], *, most: int = 5) -> str:
     """`name`'s nearest neighbours among `known`, as the end of an error text.
 
     Names that contain the text come first, then those that are spelled alike.

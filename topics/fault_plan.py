@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, TypeAlias, get_args
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, Field, field_validator, model_validator
 
-from topics.errors import near
+from topics.errors import did_you_mean
 from topics.messages import Count, Finite, Message
 
 Weekday = Literal["mon", "tue", "wed", "thu", "fri", "sat", "sun"]
@@ -191,7 +191,7 @@ class Delay(PointFault):
     steps: Annotated[int, Field(ge=1, le=10_000, strict=True)]
 
 
-class Quantise(PointFault):
+class Quantize(PointFault):
     """Is rounded to the nearest multiple of `resolution`."""
 
     kind: Literal["quantise"]
@@ -281,10 +281,11 @@ class Reorder(LinkFault):
     hold_ms: Annotated[float, Field(gt=0, le=3_600_000, strict=True)]
 
 
-OfPoints: TypeAlias = Bias | Gain | Drift | Noise | Freeze | Stuck | Drop | Delay | Quantise | Spike | Clip
-OfTheLink: TypeAlias = Latency | Jitter | Loss | Duplicate | Reorder
+AnyPointFault: TypeAlias = Bias | Gain | Drift | Noise | Freeze | Stuck | Drop | Delay | Quantize | Spike | Clip
+AnyLinkFault: TypeAlias = Latency | Jitter | Loss | Duplicate | Reorder
 KINDS: dict[str, type[AnyFault]] = {
-    get_args(form.model_fields["kind"].annotation)[0]: form for form in (*get_args(OfPoints), *get_args(OfTheLink))
+    get_args(form.model_fields["kind"].annotation)[0]: form
+    for form in (*get_args(AnyPointFault), *get_args(AnyLinkFault))
 }
 """All kinds of faults, by name."""
 
@@ -298,11 +299,11 @@ def _has_a_kind(value: Any) -> Any:
         raise ValueError(f"its kind is missing: one of {', '.join(KINDS)}")
     kind = value["kind"]
     if not isinstance(kind, str) or kind not in KINDS:
-        raise ValueError(f"no kind {kind!r}; {near(str(kind), KINDS, most=len(KINDS))}")
+        raise ValueError(f"no kind {kind!r}; {did_you_mean(str(kind), KINDS, most=len(KINDS))}")
     return value
 
 
-Fault = Annotated[OfPoints | OfTheLink, Field(discriminator="kind"), BeforeValidator(_has_a_kind)]
+Fault = Annotated[AnyPointFault | AnyLinkFault, Field(discriminator="kind"), BeforeValidator(_has_a_kind)]
 
 
 class FaultPlan(Message):
@@ -331,5 +332,5 @@ class FaultPlan(Message):
         return faults
 
 
-def _names(faults: tuple[OfPoints | OfTheLink, ...]) -> tuple[str, ...]:
+def _names(faults: tuple[AnyPointFault | AnyLinkFault, ...]) -> tuple[str, ...]:
     return tuple(fault.name or f"{fault.kind} {number}" for number, fault in enumerate(faults, 1))

@@ -12,21 +12,20 @@ from enum import StrEnum
 from topics.errors import InvalidConfig
 from topics.fault_plan import FaultPlan
 from topics.messages import (
-    SCHEMA,
-    Accepted,
-    Ask,
+    SCHEMA_VERSION,
+    Ack,
     Batch,
-    Branched,
+    BranchCreated,
     Claim,
     Command,
+    CreateBranch,
     DropSnapshot,
     Event,
-    GoSteps,
-    MakeBranch,
     Manifest,
     Message,
     Pause,
     PointValue,
+    Query,
     Reset,
     Resume,
     Sample,
@@ -34,6 +33,7 @@ from topics.messages import (
     SetPace,
     SnapshotTaken,
     Status,
+    StepRequest,
     Stop,
     TakeSnapshot,
     WeatherQuery,
@@ -41,7 +41,7 @@ from topics.messages import (
     Write,
 )
 
-PREFIX = f"zenostat/v{SCHEMA}"
+PREFIX = f"zenostat/v{SCHEMA_VERSION}"
 NODE_CHUNK = 2
 """Index of the node's name among a key's chunks."""
 
@@ -87,19 +87,19 @@ COMMAND = Topic("command/{name}", Role.CONTROLLER, Command, Delivery.BLOCK)
 ACTUATOR = Topic("actuator/{name}", Role.ANYONE, Write, Delivery.BLOCK)
 EVENT = Topic("event", Role.NODE, Event, Delivery.DROP)
 BATCH = Topic("batch/stream", Role.NODE, Batch, Delivery.DROP)
-CLAIM = Topic("rpc/claim", Role.CONTROLLER, Claim, Delivery.QUERY, reply=Accepted)
-RESET = Topic("rpc/reset", Role.CONTROLLER, Reset, Delivery.QUERY, reply=Accepted)
+CLAIM = Topic("rpc/claim", Role.CONTROLLER, Claim, Delivery.QUERY, reply=Ack)
+RESET = Topic("rpc/reset", Role.CONTROLLER, Reset, Delivery.QUERY, reply=Ack)
 SNAPSHOT = Topic("rpc/snapshot", Role.CONTROLLER, TakeSnapshot, Delivery.QUERY, reply=SnapshotTaken)
-DROP = Topic("rpc/drop", Role.CONTROLLER, DropSnapshot, Delivery.QUERY, reply=Accepted)
-BRANCH = Topic("rpc/branch", Role.CONTROLLER, MakeBranch, Delivery.QUERY, reply=Branched)
-STOP = Topic("rpc/stop", Role.CONTROLLER, Stop, Delivery.QUERY, reply=Accepted)
-PACE = Topic("rpc/pace", Role.CONTROLLER, SetPace, Delivery.QUERY, reply=Accepted)
-PAUSE = Topic("rpc/pause", Role.CONTROLLER, Pause, Delivery.QUERY, reply=Accepted)
-RESUME = Topic("rpc/resume", Role.CONTROLLER, Resume, Delivery.QUERY, reply=Accepted)
-STEP = Topic("rpc/step", Role.CONTROLLER, GoSteps, Delivery.QUERY, reply=Accepted)
-FAULTS = Topic("rpc/faults", Role.CONTROLLER, FaultPlan, Delivery.QUERY, reply=Accepted)
-STATUS = Topic("rpc/status", Role.ANYONE, Ask, Delivery.QUERY, reply=Status)
-SCENARIO = Topic("rpc/scenario", Role.ANYONE, Ask, Delivery.QUERY, reply=ScenarioText)
+DROP = Topic("rpc/drop", Role.CONTROLLER, DropSnapshot, Delivery.QUERY, reply=Ack)
+BRANCH = Topic("rpc/branch", Role.CONTROLLER, CreateBranch, Delivery.QUERY, reply=BranchCreated)
+STOP = Topic("rpc/stop", Role.CONTROLLER, Stop, Delivery.QUERY, reply=Ack)
+PACE = Topic("rpc/pace", Role.CONTROLLER, SetPace, Delivery.QUERY, reply=Ack)
+PAUSE = Topic("rpc/pause", Role.CONTROLLER, Pause, Delivery.QUERY, reply=Ack)
+RESUME = Topic("rpc/resume", Role.CONTROLLER, Resume, Delivery.QUERY, reply=Ack)
+STEP = Topic("rpc/step", Role.CONTROLLER, StepRequest, Delivery.QUERY, reply=Ack)
+FAULTS = Topic("rpc/faults", Role.CONTROLLER, FaultPlan, Delivery.QUERY, reply=Ack)
+STATUS = Topic("rpc/status", Role.ANYONE, Query, Delivery.QUERY, reply=Status)
+SCENARIO = Topic("rpc/scenario", Role.ANYONE, Query, Delivery.QUERY, reply=ScenarioText)
 WEATHER = Topic("rpc/weather", Role.ANYONE, WeatherQuery, Delivery.QUERY, reply=WeatherSeries)
 NODE_TOKEN = Topic("@live/node/{name}", Role.NODE, None, Delivery.TOKEN)
 CONTROLLER_TOKEN = Topic("@live/controller/{name}", Role.CONTROLLER, None, Delivery.TOKEN)
@@ -158,7 +158,7 @@ def node_of(key: str) -> str:
     return key.split("/")[NODE_CHUNK]
 
 
-def last_of(key: str) -> str:
+def last_chunk(key: str) -> str:
     """The last chunk of a full key: a point's, a controller's or an instance's name."""
     return key.rsplit("/", 1)[1]
 
@@ -167,7 +167,7 @@ _UNSAFE = re.compile(r"[^A-Za-z0-9_.\-]+")
 _SAFE = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.\-]{0,127}")
 
 
-def safe(text: str) -> str:
+def safe_name(text: str) -> str:
     """`text` made fit for a key chunk: other characters become `_`, in lower case."""
     return _UNSAFE.sub("_", text).strip("_.-").lower()[:128] or "x"
 
@@ -177,6 +177,6 @@ def check_name(name: str, what: str) -> str:
     if not _SAFE.fullmatch(name):
         raise InvalidConfig(
             f"{what} {name!r} cannot stand in a topic: use letters, digits, '_', '.' and '-', at most "
-            f"128 of them; for example {safe(name)!r}"
+            f"128 of them; for example {safe_name(name)!r}"
         )
     return name

@@ -12,13 +12,13 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-SCHEMA = 1
+SCHEMA_VERSION = 1
 """Version of the contract; part of every key's root and of every message's encoding."""
 
 SafeName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.\-]{0,127}$")]
 """A name that may stand as a chunk of a key: letters, digits, `_`, `.`, `-`; at most 128."""
 
-Who = Annotated[str, Field(max_length=128)]
+SourceName = Annotated[str, Field(max_length=128)]
 """Who asks or writes, in its own words."""
 
 ANONYMOUS = "anonymous"
@@ -26,7 +26,7 @@ ANONYMOUS = "anonymous"
 
 # Strict where strangers write: a text is no number, and true is no step.
 Count = Annotated[int, Field(ge=0, strict=True)]
-Level = Annotated[int, Field(ge=1, le=16, strict=True)]
+Priority = Annotated[int, Field(ge=1, le=16, strict=True)]
 Finite = Annotated[float, Field(strict=True)]
 Raw = Annotated[bytes, Field(strict=True)]
 Scalar = Annotated[str, Field(strict=True)] | Annotated[bool, Field(strict=True)] | Annotated[int, Field(strict=True)]
@@ -38,7 +38,7 @@ class Message(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, ser_json_inf_nan="null")
 
 
-class Reading(StrEnum):
+class Aggregation(StrEnum):
     """How a sensor is read over a timestep.
 
     `MEAN` and `SUM` are what EnergyPlus reports for the timestep: the time-weighted mean, or the sum,
@@ -71,7 +71,7 @@ class Policy(StrEnum):
 
     WAIT = "wait"
     HOLD = "hold"
-    RELEASE = "release"
+    RELINQUISH = "release"
     ABORT = "abort"
 
 
@@ -86,7 +86,7 @@ class State(StrEnum):
     STOPPED = "stopped"
 
 
-class Start(StrEnum):
+class EngineStart(StrEnum):
     """How the engine of an episode came to sample 0.
 
     `READY`: it waited there untouched. `FORKED`: from one that waits there. `AHEAD`: it was started while the episode
@@ -94,9 +94,9 @@ class Start(StrEnum):
     """
 
     NONE = ""
-    READY = "ready"
+    REUSED = "ready"
     FORKED = "forked"
-    AHEAD = "ahead"
+    PREFETCHED = "ahead"
     STARTED = "started"
     SNAPSHOT = "snapshot"
 
@@ -113,12 +113,12 @@ class Flag(IntFlag):
     FALLBACK = 4
 
 
-class Mask(IntEnum):
+class CommandOp(IntEnum):
     """What a command does to one actuator at the controller's level."""
 
     KEEP = 0
     SET = 1
-    RELEASE = 2
+    RELINQUISH = 2
 
 
 class Sensor(Message):
@@ -128,7 +128,7 @@ class Sensor(Message):
     variable: str
     key: str
     unit: str
-    reading: Reading
+    aggregation: Aggregation
     low: float | None = None
     high: float | None = None
 
@@ -184,20 +184,20 @@ class Action(Message):
     actuators: Annotated[tuple[SafeName, ...], Field(min_length=1)]
 
 
-class Choice(Message):
+class DiscreteAction(Message):
     """One discrete dimension: the actions that it sets, and a row of their values for each choice."""
 
     actions: Annotated[tuple[SafeName, ...], Field(min_length=1)]
     values: Annotated[tuple[tuple[float, ...], ...], Field(min_length=1)]
 
 
-class Limit(Message):
+class TerminationLimit(Message):
     """An episode is terminated when one of the points has been outside the range for `for_s` without a break."""
 
     points: Annotated[tuple[SafeName, ...], Field(min_length=1)]
     low: float | None = None
     high: float | None = None
-    for_s: Annotated[float, Field(ge=0)] = 0.0
+    duration_s: Annotated[float, Field(ge=0)] = 0.0
 
 
 class Task(Message):
@@ -211,9 +211,9 @@ class Task(Message):
     scenario: str = ""
     time: tuple[TimeField, ...] = ()
     actions: tuple[Action, ...] = ()
-    choices: tuple[Choice, ...] = ()
+    discrete_actions: tuple[DiscreteAction, ...] = ()
     reward: dict[str, Any] | None = None
-    terminate: tuple[Limit, ...] = ()
+    terminate: tuple[TerminationLimit, ...] = ()
     wrappers: tuple[dict[str, Any], ...] = ()
 
 
@@ -222,10 +222,10 @@ class Versions(Message):
 
     zenostat: str
     energyplus: str
-    contract: int = SCHEMA
+    schema_version: int = SCHEMA_VERSION
 
 
-class Spread(Message):
+class LatencySummary(Message):
     """How long something took: `count` times in all; median and 99th percentile of the latest 4,096; the longest."""
 
     count: Count = 0
@@ -243,15 +243,15 @@ class Statistics(Message):
     `accepted_late`: commands that were taken although the deadline was over.
     """
 
-    step: Spread = Spread()
-    cycle: Spread = Spread()
+    step: LatencySummary = LatencySummary()
+    cycle: LatencySummary = LatencySummary()
     overruns: Count = 0
-    behind_s: float = 0.0
+    max_lag_s: float = 0.0
     missed: Count = 0
     late: Count = 0
     rejected: Count = 0
     duplicate: Count = 0
-    flooded: Count = 0
+    rate_limited: Count = 0
     accepted_late: Count = 0
 
 
@@ -284,7 +284,7 @@ class Manifest(Message):
     policy: Policy
     grace_s: Annotated[float, Field(ge=0)] = 0.0
     deadline_s: Annotated[float, Field(gt=0)] | None = None
-    disturbed: bool = False
+    faults_injected: bool = False
     sensors: tuple[Sensor, ...]
     meters: tuple[Meter, ...]
     actuators: tuple[Actuator, ...]
@@ -318,14 +318,14 @@ class Sample(Message):
     elapsed_s: list[float]
     flags: list[int]
     values: bytes
-    applied: bytes
-    ruler: bytes
-    rulers: list[str]
+    effective: bytes
+    source_index: bytes
+    sources: list[str]
     late: Count = 0
     rejected: Count = 0
     baseline: bytes = b""
-    baseline_applied: bytes = b""
-    undisturbed: bytes = b""
+    baseline_effective: bytes = b""
+    fault_free_values: bytes = b""
 
 
 class Command(Message):
@@ -340,7 +340,7 @@ class Command(Message):
 
     episode: list[Count]
     step: list[Count | None]
-    mask: Raw | None = None
+    operations: Raw | None = None
     values: Raw
 
 
@@ -352,9 +352,9 @@ class Write(Message):
     """
 
     value: Finite | None
-    priority: Level = 8
-    for_s: Annotated[float, Field(gt=0, strict=True)] | None = None
-    source: Who = ANONYMOUS
+    priority: Priority = 8
+    duration_s: Annotated[float, Field(gt=0, strict=True)] | None = None
+    source: SourceName = ANONYMOUS
 
 
 class PointValue(Message):
@@ -367,7 +367,7 @@ class PointValue(Message):
     time: str
 
 
-class Sent(Message):
+class StreamedMessage(Message):
     """A message as it was sent: its topic below the root (`sample`, `event` or `manifest`), and its bytes."""
 
     topic: str
@@ -377,7 +377,7 @@ class Sent(Message):
 class Batch(Message):
     """What a node has streamed since its last batch, in the order sent: for whoever need not know it at once."""
 
-    messages: list[Sent]
+    messages: list[StreamedMessage]
 
 
 class EventKind(StrEnum):
@@ -397,14 +397,14 @@ class EventKind(StrEnum):
     DUPLICATE = "duplicate"
     WRITTEN = "written"
     EXPIRED = "expired"
-    JOINED = "joined"
-    LEFT = "left"
+    CONNECTED = "joined"
+    DISCONNECTED = "left"
     WARNING = "warning"
     FALLBACK = "fallback"
     PACE = "pace"
     FAULT = "fault"
     SNAPSHOT = "snapshot"
-    BRANCHED = "branched"
+    BRANCH_CREATED = "branched"
 
 
 class Event(Message):
@@ -427,7 +427,7 @@ class Claim(Message):
     """Asks for a priority level on actuators (None: all). Required controllers are waited for."""
 
     controller: SafeName
-    level: Level = 10
+    priority: Priority = 10
     actuators: list[str] | None = None
     required: bool = True
 
@@ -442,7 +442,7 @@ class Reset(Message):
     after it, or each its own.
     """
 
-    controller: Who = ""
+    controller: SourceName = ""
     seed: Seed | list[Seed | None] | None = None
     slots: Annotated[list[Count], Field(min_length=1)] | None = None
     snapshot: str = ""
@@ -451,7 +451,7 @@ class Reset(Message):
 class TakeSnapshot(Message):
     """Asks for a snapshot of the running episode; it lasts until it is dropped, or its owner leaves."""
 
-    controller: Who = ""
+    controller: SourceName = ""
 
 
 class SnapshotTaken(Message):
@@ -468,21 +468,21 @@ class DropSnapshot(Message):
     snapshot: str
 
 
-class MakeBranch(Message):
+class CreateBranch(Message):
     """Asks for a branch: a node of its own that goes on from this sample, or from a snapshot, on its own.
 
     It ends with a `Stop`, when its owner leaves, or with its parent. `released`: what was commanded up to now holds
     no more; the building's own control goes on. `slots`: how many engines it has, all from this slot.
     """
 
-    controller: Who = ""
+    controller: SourceName = ""
     snapshot: str = ""
-    released: bool = False
+    relinquished: bool = False
     slots: Annotated[int, Field(ge=1, le=256, strict=True)] = 1
     slot: Count = 0
 
 
-class Branched(Message):
+class BranchCreated(Message):
     """A branch's name on the bus."""
 
     node: SafeName
@@ -491,7 +491,7 @@ class Branched(Message):
 class SetPace(Message):
     """Asks for another pace, from now on: simulated seconds in a second, or a mode without one."""
 
-    source: Who = ""
+    source: SourceName = ""
     mode: Mode = Mode.PACED
     speed: Annotated[float, Field(gt=0, le=1e9, strict=True)] | None = None
 
@@ -499,26 +499,26 @@ class SetPace(Message):
 class Pause(Message):
     """Asks the node to stand still, in whatever mode."""
 
-    source: Who = ""
+    source: SourceName = ""
 
 
 class Resume(Message):
     """Asks the node to go on; a paced one from here, without catching up."""
 
-    source: Who = ""
+    source: SourceName = ""
 
 
-class GoSteps(Message):
+class StepRequest(Message):
     """Asks a node that stands still for some timesteps: in lockstep once they are answered, else at once."""
 
-    source: Who = ""
+    source: SourceName = ""
     steps: Annotated[int, Field(ge=1, le=1_000_000, strict=True)] = 1
 
 
 class Stop(Message):
     """Asks the node to end."""
 
-    source: Who = ""
+    source: SourceName = ""
 
 
 class WeatherQuery(Message):
@@ -548,13 +548,13 @@ class ScenarioText(Message):
     text: str
 
 
-class Ask(Message):
+class Query(Message):
     """A question: status, scenario. `memory`: of the status, also what each process shares with no other."""
 
     memory: bool = False
 
 
-class Begun(Message):
+class EpisodeStart(Message):
     """How an episode begins.
 
     `start` says how its engine came to its first sample, `weather` is the weather file, `drawn` the parameters of its
@@ -562,23 +562,23 @@ class Begun(Message):
     are kept.
     """
 
-    start: Start
+    engine_start: EngineStart
     weather: str
-    drawn: dict[str, float] = Field(default_factory=dict)
-    outputs: str = ""
+    noise_parameters: dict[str, float] = Field(default_factory=dict)
+    output_dir: str = ""
 
 
-class Accepted(Message):
+class Ack(Message):
     """The node took a request. `episode` is the one that is running or starting now, of each slot.
 
     After a reset, `begun` has an entry for each slot that was reset.
     """
 
     episode: list[Count]
-    begun: list[Begun] = Field(default_factory=list)
+    episode_starts: list[EpisodeStart] = Field(default_factory=list)
 
 
-class Denied(Message):
+class ErrorReply(Message):
     """The node did not take a request: an error class of `topics.errors` and its text."""
 
     error: str
@@ -595,19 +595,19 @@ class ControllerStatus(Message):
     """
 
     controller: str
-    level: Level
+    priority: Priority
     actuators: Count
     required: bool
-    present: bool
+    connected: bool
     accepted: Count
     late: Count = 0
     rejected: Count = 0
     duplicate: Count = 0
     missed: Count = 0
-    waived: bool = False
-    silent: bool = False
+    bypassed: bool = False
+    unresponsive: bool = False
     accepted_late: Count = 0
-    response: Spread = Spread()
+    response: LatencySummary = LatencySummary()
 
 
 class ForkStatus(Message):

@@ -35,30 +35,29 @@ from topics.errors import (
     InvalidAction,
     InvalidConfig,
     NodeLost,
-    NothingThere,
+    NodeNotFound,
     PeerError,
-    Refused,
+    RequestRejected,
     UnknownName,
+    did_you_mean,
     from_wire,
-    near,
 )
 from topics.fault_plan import FaultPlan
 from topics.keys import Role
 from topics.messages import (
-    Accepted,
-    Ask,
-    Branched,
+    Ack,
+    BranchCreated,
     Claim,
-    Denied,
+    CreateBranch,
     DropSnapshot,
+    ErrorReply,
     Event,
     EventKind,
-    GoSteps,
-    MakeBranch,
     Manifest,
     Message,
     Mode,
     Pause,
+    Query,
     Reset,
     Resume,
     Sample,
@@ -66,6 +65,7 @@ from topics.messages import (
     SetPace,
     SnapshotTaken,
     Status,
+    StepRequest,
     Stop,
     TakeSnapshot,
     WeatherQuery,
@@ -117,7 +117,7 @@ def _made(kind: type[R], **fields: Any) -> R:
     try:
         return kind(**fields)
     except ValidationError as error:
-        raise InvalidConfig(codec.explain(error, kind.model_fields)) from None
+        raise InvalidConfig(codec.describe_validation_errors(error, kind.model_fields)) from None
 
 
 class Bus:
@@ -164,7 +164,7 @@ class Bus:
         """(node, controller) of all controllers that are there."""
         replies = self.session.liveliness().get(keys.CONTROLLER_TOKEN.at("*", name="*"))
         found = [str(r.ok.key_expr) for r in replies if r.ok]
-        return sorted({(keys.node_of(key), keys.last_of(key)) for key in found})
+        return sorted({(keys.node_of(key), keys.last_chunk(key)) for key in found})
 
     def manifest(self, node: str) -> Manifest:
         """All that is to know of a node; `NothingThere` if it is not on the bus."""
@@ -177,11 +177,11 @@ class Bus:
             node: its name.
             memory: also what each engine shares with no other process, which takes some milliseconds each.
         """
-        return self._ask(keys.STATUS, node, Ask(memory=memory), Status)
+        return self._ask(keys.STATUS, node, Query(memory=memory), Status)
 
     def stop(self, node: str) -> None:
         """Tells a node to end."""
-        self._ask(keys.STOP, node, Stop(), Accepted)
+        self._ask(keys.STOP, node, Stop(), Ack)
 
     def pace(self, node: str, speed: float | None = None, *, mode: Mode | str = Mode.PACED, source: str = "") -> None:
         """Sets who sets a node's pace, from now on.
@@ -196,15 +196,15 @@ class Bus:
             InvalidConfig: no such mode, or a speed that cannot be.
             Refused: `paced` without a speed, or another mode with one.
         """
-        self._ask(keys.PACE, node, _made(SetPace, mode=mode, speed=speed, source=source), Accepted)
+        self._ask(keys.PACE, node, _made(SetPace, mode=mode, speed=speed, source=source), Ack)
 
     def pause(self, node: str, *, source: str = "") -> None:
         """Has a node stand still, in whatever mode; when it has answered it does."""
-        self._ask(keys.PAUSE, node, _made(Pause, source=source), Accepted)
+        self._ask(keys.PAUSE, node, _made(Pause, source=source), Ack)
 
     def resume(self, node: str, *, source: str = "") -> None:
         """Has a node that was paused go on from where it stands, without catching up."""
-        self._ask(keys.RESUME, node, _made(Resume, source=source), Accepted)
+        self._ask(keys.RESUME, node, _made(Resume, source=source), Ack)
 
     def step(self, node: str, steps: int = 1, *, source: str = "") -> None:
         """Has a node that is paused go some timesteps: in lockstep once they are answered, else at once.
@@ -213,7 +213,7 @@ class Bus:
             InvalidConfig: not 1 to 1,000,000 timesteps.
             Refused: the node is not paused.
         """
-        self._ask(keys.STEP, node, _made(GoSteps, steps=steps, source=source), Accepted)
+        self._ask(keys.STEP, node, _made(StepRequest, steps=steps, source=source), Ack)
 
     def faults(self, node: str, plan: FaultPlan | Mapping[str, Any] | Path | None) -> None:
         """Has a node inject these faults from now on, in place of those that were there; None: no more.
@@ -231,19 +231,19 @@ class Bus:
             plan = read_plan(plan)
         if not isinstance(plan, FaultPlan):
             plan = _made(FaultPlan, **(plan or {}))
-        self._ask(keys.FAULTS, node, plan, Accepted)
+        self._ask(keys.FAULTS, node, plan, Ack)
 
     def latest(self, node: str) -> Sample:
         """The node's latest sample."""
         return self._ask(keys.SAMPLE, node, None, Sample)
 
-    def claim(self, node: str, claim: Claim) -> Accepted:
+    def claim(self, node: str, claim: Claim) -> Ack:
         """Claims actuators of a node; `Refused` says who holds them."""
-        return self._ask(keys.CLAIM, node, claim, Accepted)
+        return self._ask(keys.CLAIM, node, claim, Ack)
 
-    def reset(self, node: str, reset: Reset) -> Accepted:
+    def reset(self, node: str, reset: Reset) -> Ack:
         """Starts a new episode of a node."""
-        return self._ask(keys.RESET, node, reset, Accepted)
+        return self._ask(keys.RESET, node, reset, Ack)
 
     def snapshot(self, node: str, controller: str = "") -> SnapshotTaken:
         """Has a node keep where it stands, to go back there by a `Reset`; it is dropped when `controller` leaves.
@@ -256,15 +256,15 @@ class Bus:
 
     def drop(self, node: str, snapshot: str) -> None:
         """Gives a snapshot's memory back; `Refused` if there is none of that name."""
-        self._ask(keys.DROP, node, DropSnapshot(snapshot=snapshot), Accepted)
+        self._ask(keys.DROP, node, DropSnapshot(snapshot=snapshot), Ack)
 
-    def branch(self, node: str, branch: MakeBranch) -> str:
+    def branch(self, node: str, branch: CreateBranch) -> str:
         """Has a node go on twice from where it stands: the name of the new one, which is a node like any other.
 
         Raises:
             Refused, ForkFailed: as for `snapshot`; a branch has no branches.
         """
-        return self._ask(keys.BRANCH, node, branch, Branched).node
+        return self._ask(keys.BRANCH, node, branch, BranchCreated).node
 
     def weather(self, node: str, columns: Sequence[str], slot: int = 0) -> WeatherSeries:
         """The weather that a slot's present episode reads, noise included; `UnknownName` lists the columns."""
@@ -272,7 +272,7 @@ class Bus:
 
     def scenario(self, node: str) -> str:
         """The scenario that a node simulates, as a scenario file (YAML)."""
-        return self._ask(keys.SCENARIO, node, Ask(), ScenarioText).text
+        return self._ask(keys.SCENARIO, node, Query(), ScenarioText).text
 
     def read(self, node: str, *, slot: int = 0) -> SampleView:
         """The sample that a node stands at, without controlling it; `NothingThere` if it is not on the bus.
@@ -314,15 +314,15 @@ class Bus:
         manifest = self.manifest(node)
         known = [actuator.name for actuator in manifest.actuators]
         if point not in known:
-            raise UnknownName(f"node {node!r} has no actuator {point!r}; {near(point, known)}")
+            raise UnknownName(f"node {node!r} has no actuator {point!r}; {did_you_mean(point, known)}")
         unique = f"{source}-{os.getpid()}-{next(_numbers)}"
         try:
-            write = Write(value=value, priority=priority, for_s=for_s, source=unique)
+            write = Write(value=value, priority=priority, duration_s=for_s, source=unique)
         except ValidationError as error:
-            raise InvalidAction(f"{point}: {codec.explain(error)}") from None
+            raise InvalidAction(f"{point}: {codec.describe_validation_errors(error)}") from None
         event = self._put_write(manifest, point, write)
         if event.kind is EventKind.REJECTED:
-            raise Refused(f"node {node!r} did not take it: {event.text}")
+            raise RequestRejected(f"node {node!r} did not take it: {event.text}")
         return event
 
     def _put_write(self, manifest: Manifest, point: str, write: Write) -> Event:
@@ -340,7 +340,7 @@ class Bus:
                     message = heard.get(timeout=max(deadline - time.monotonic(), 0.0))
                 except Empty:
                     if not sent:
-                        raise NothingThere(f"node {node!r} has gone") from None
+                        raise NodeNotFound(f"node {node!r} has gone") from None
                     raise PeerError(f"node {node!r} did not answer the write of {point!r}; read it to see") from None
                 if str(message.key_expr) == token:
                     if message.kind == zenoh.SampleKind.DELETE:
@@ -376,12 +376,12 @@ class Bus:
                 why = reply.err.payload.to_string() if reply.err else "no reason given"
                 raise PeerError(f"node {node!r} did not answer {topic.key}: {why}")
             said, payload = str(reply.ok.encoding), reply.ok.payload.to_bytes()
-            if said == codec.encoding(Denied):
-                raise from_wire(codec.decode(Denied, payload, said).__dict__)
+            if said == codec.encoding(ErrorReply):
+                raise from_wire(codec.decode(ErrorReply, payload, said).__dict__)
             return codec.decode(answer, payload, said)
         if self._left:
             raise BusError(_LEFT)
-        raise NothingThere(f"no node {node!r} on {self.endpoint}; {near(node, self.nodes())}")
+        raise NodeNotFound(f"no node {node!r} on {self.endpoint}; {did_you_mean(node, self.nodes())}")
 
     @contextmanager
     def _unless_forked(self, stack: ExitStack) -> Iterator[zenoh.Session]:
@@ -456,7 +456,7 @@ class Bus:
             Refused: somebody else holds that level.
         """
         identity = f"{keys.check_name(name, 'the controller')}-{os.getpid()}-{next(_numbers)}"
-        claim = Claim(controller=identity, level=level, actuators=actuators, required=required)
+        claim = Claim(controller=identity, priority=level, actuators=actuators, required=required)
         link = ControlLink(self, node, claim, self._affinity)
         self._links.add(link)
         return link

@@ -24,23 +24,23 @@ from topics.errors import (
     EpisodeChanged,
     InvalidAction,
     NodeLost,
-    NothingThere,
+    NodeNotFound,
     PeerError,
-    Refused,
+    RequestRejected,
     UsageError,
     ZenostatError,
+    did_you_mean,
     from_wire,
-    near,
 )
 from topics.messages import (
-    Accepted,
+    Ack,
     Claim,
     Command,
+    CommandOp,
     Event,
     EventKind,
     Flag,
     Manifest,
-    Mask,
     Reset,
     Sample,
     State,
@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from agent_sdk.bus.bus import Bus
 
 # Plain numbers: what a signal raises while NumPy looks at an enum's member is lost, a Ctrl-C for one.
-_KEEP, _SET, _RELEASE = int(Mask.KEEP), int(Mask.SET), int(Mask.RELEASE)
+_KEEP, _SET, _RELEASE = int(CommandOp.KEEP), int(CommandOp.SET), int(CommandOp.RELINQUISH)
 _TRUNCATED = int(Flag.TRUNCATED)
 _INBOX = 1024
 
@@ -83,7 +83,7 @@ class ControlLink:
         accepted: the node's answer to the latest reset.
     """
 
-    accepted: Accepted
+    accepted: Ack
 
     def __init__(self, bus: Bus, node: str, claim: Claim, placement: Affinity) -> None:
         self.bus = bus
@@ -136,7 +136,7 @@ class ControlLink:
 
     def _take_claim(self) -> None:
         if not self._node.wait():
-            raise NothingThere(f"node {self.manifest.node!r} has gone")
+            raise NodeNotFound(f"node {self.manifest.node!r} has gone")
         self.bus.claim(self.manifest.node, self._claim)
         self._claimed = True
 
@@ -323,7 +323,7 @@ class ControlLink:
             raise self._ended
         if event.kind is EventKind.REJECTED and event.source == self.name and not changes:
             self._claimed = False  # it may be that; the next reset claims again
-            raise Refused(f"node {node!r} did not take the command{self._where()}: {event.text}")
+            raise RequestRejected(f"node {node!r} did not take the command{self._where()}: {event.text}")
         if event.kind is EventKind.STARTED and not changes and self._latest and event.episode != self._latest.episode:
             who = event.source or "somebody else"
             raise EpisodeChanged(f"node {node!r} was reset by {who}{self._where()}; episode {event.episode} runs now")
@@ -381,7 +381,7 @@ class ControlLink:
         for name, value in (values or {}).items():
             if name not in self._actuators:
                 raise InvalidAction(
-                    f"node {self.manifest.node!r} has no actuator {name!r}; {near(name, self._actuators)}"
+                    f"node {self.manifest.node!r} has no actuator {name!r}; {did_you_mean(name, self._actuators)}"
                 )
             index = self._actuators[name]
             if value is not None and not np.isfinite(value):

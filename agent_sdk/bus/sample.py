@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topics import codec
-from topics.errors import UnknownName, near
+from topics.errors import UnknownName, did_you_mean
 from topics.messages import Flag, Manifest, Sample
 
 _TRUNCATED, _FALLBACK = int(Flag.TRUNCATED), int(Flag.FALLBACK)
@@ -66,13 +66,13 @@ class SampleView:
     @property
     def truth(self) -> NDArray[np.float64]:
         """What EnergyPlus said: `values`, but for the faults that the node injects into them."""
-        raw = self.wire.undisturbed
+        raw = self.wire.fault_free_values
         return self._points(raw, "undisturbed") if raw else self.values
 
     @property
     def applied(self) -> NDArray[np.float64]:
         """What each actuator really was, shape (actuators,); NaN where EnergyPlus does not tell."""
-        return self._actuators(self.wire.applied, "applied")
+        return self._actuators(self.wire.effective, "applied")
 
     @property
     def baseline(self) -> NDArray[np.float64] | None:
@@ -82,7 +82,7 @@ class SampleView:
     @property
     def baseline_applied(self) -> NDArray[np.float64] | None:
         """Like `applied`, what the building's own control sets its actuators to in `baseline`."""
-        return self._actuators(self.wire.baseline_applied, "baseline_applied") if self.manifest.baseline else None
+        return self._actuators(self.wire.baseline_effective, "baseline_applied") if self.manifest.baseline else None
 
     def _points(self, raw: bytes, what: str) -> NDArray[np.float64]:
         return codec.row(raw, self.slot, self.manifest.slots, len(self._index), what)
@@ -94,14 +94,14 @@ class SampleView:
     def ruled_by(self) -> dict[str, str]:
         """Actuator to who set it; `""` is the building's own control."""
         shape = (self.manifest.slots, len(self.manifest.actuators))
-        who = codec.indices(self.wire.ruler, shape, "ruler")[self.slot]
-        return {a.name: self.wire.rulers[i] for a, i in zip(self.manifest.actuators, who.tolist(), strict=True)}
+        who = codec.indices(self.wire.source_index, shape, "ruler")[self.slot]
+        return {a.name: self.wire.sources[i] for a, i in zip(self.manifest.actuators, who.tolist(), strict=True)}
 
     def __getitem__(self, name: str) -> float:
         """The value of a sensor or meter; `UnknownName` lists near names."""
         index = self._index.get(name)
         if index is None:
-            raise UnknownName(f"no sensor or meter {name!r}; {near(name, self._index)}")
+            raise UnknownName(f"no sensor or meter {name!r}; {did_you_mean(name, self._index)}")
         return float(self.values[index])
 
     def as_dict(self) -> dict[str, float]:

@@ -14,7 +14,7 @@ from agent_sdk.bus.bus import Bus
 from agent_sdk.bus.controller_link import ControlLink
 from agent_sdk.bus.sample import SampleView
 from agent_sdk.envs.episode_state import EpisodeMemory
-from topics.errors import BusError, InvalidConfig, Refused
+from topics.errors import BusError, InvalidConfig, RequestRejected
 from topics.messages import Manifest
 
 
@@ -62,7 +62,9 @@ class Snapshot:
         """Gives its memory back; twice is fine, and so is after the node's end."""
         if not self.closed:
             self.closed = True
-            with suppress(BusError, Refused, ZError):  # the node or the bus has ended, and its snapshots with it
+            with suppress(
+                BusError, RequestRejected, ZError
+            ):  # the node or the bus has ended, and its snapshots with it
                 if self.bus.manifest(self.node).instance == self.instance:  # another's may have the same name
                     self.bus.drop(self.node, self.name)
 

@@ -11,8 +11,8 @@ from agent_sdk.bus.sample import SampleView
 from agent_sdk.controllers.action_roles import SETPOINTS, role_of
 from agent_sdk.controllers.base import Acts, Values
 from agent_sdk.controllers.parameters import bounds
-from topics.errors import InvalidAction, near
-from topics.messages import Action, Choice, Manifest
+from topics.errors import InvalidAction, did_you_mean
+from topics.messages import Action, DiscreteAction, Manifest
 from topics.units import with_unit
 
 
@@ -64,12 +64,14 @@ def action_of(manifest: Manifest, values: Mapping[str, float | None]) -> Any:
     known = [name for action in actions for name in action.actuators]
     for name in values:
         if name not in known:
-            raise InvalidAction(f"no action sets {name!r}, so an action cannot say its value; {near(name, known)}")
+            raise InvalidAction(
+                f"no action sets {name!r}, so an action cannot say its value; {did_you_mean(name, known)}"
+            )
     wanted = {action.name: _value(action, values) for action in actions}
-    if manifest.task.choices:
+    if manifest.task.discrete_actions:
         actuators = {a.name: a for a in manifest.actuators}
         rooms = [a.name for a in actions if role_of(a, actuators[a.actuators[0]]) in SETPOINTS]
-        picked = [_nearest(choice, wanted, rooms) for choice in manifest.task.choices]
+        picked = [_nearest(choice, wanted, rooms) for choice in manifest.task.discrete_actions]
         return picked[0] if len(picked) == 1 else np.array(picked, np.int64)
     for action in actions:
         low, high = bounds(action)
@@ -95,7 +97,7 @@ def _value(action: Action, values: Mapping[str, float | None]) -> float:
     return float(value)
 
 
-def _nearest(choice: Choice, wanted: Mapping[str, float], rooms: Collection[str]) -> int:
+def _nearest(choice: DiscreteAction, wanted: Mapping[str, float], rooms: Collection[str]) -> int:
     rows = np.array(choice.values, np.float64)
     span = np.ptp(rows, axis=0)
     away = (rows - np.array([wanted[name] for name in choice.actions])) ** 2

@@ -21,7 +21,7 @@ from agent_sdk.controllers.pid import PidControl
 from agent_sdk.controllers.random_control import RandomControl
 from agent_sdk.controllers.rule_based import ComfortBandRules
 from agent_sdk.controllers.setback import ScheduledSetback
-from topics.errors import InvalidConfig, UnknownName, near
+from topics.errors import InvalidConfig, UnknownName, did_you_mean
 
 CONTROLLERS: dict[str, type[Controller]] = {
     "building": BuildingControl,
@@ -56,7 +56,7 @@ def load_controller(text: str) -> Callable[..., Acts]:
         return CONTROLLERS[text]
     place, colon, name = text.rpartition(":")
     if not colon or not place or not name:
-        known = near(text, CONTROLLERS, most=len(CONTROLLERS))
+        known = did_you_mean(text, CONTROLLERS, most=len(CONTROLLERS))
         raise UnknownName(
             f"no controller {text!r}; {known}; a class of your own is path/to/file.py:MyController "
             f"or package.module:MyController"
@@ -160,7 +160,7 @@ def _controller(module: ModuleType, name: str, place: str) -> Callable[..., Acts
     found = getattr(module, name, None)
     if found is None:
         there = [n for n, thing in vars(module).items() if _acts(thing)]
-        raise UnknownName(f"there is no {name!r} in {place}; {near(name, there)}")
+        raise UnknownName(f"there is no {name!r} in {place}; {did_you_mean(name, there)}")
     if not _acts(found):
         raise InvalidConfig(f"{name} of {place} is no controller; a class with a method act(sample) expected")
     if inspect.isabstract(found):

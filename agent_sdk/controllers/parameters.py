@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar
 
-from topics.errors import InvalidConfig, near
+from topics.errors import InvalidConfig, did_you_mean
 from topics.messages import Action, Actuator, Manifest
 from topics.units import with_unit
 
@@ -54,7 +54,9 @@ def named(manifest: Manifest, values: Mapping[str, object]) -> dict[str, float]:
     found: dict[str, float] = {}
     for name, given in values.items():
         if name not in points:
-            raise InvalidConfig(f"node {manifest.node!r} has no action or actuator {name!r}; {near(name, points)}")
+            raise InvalidConfig(
+                f"node {manifest.node!r} has no action or actuator {name!r}; {did_you_mean(name, points)}"
+            )
         point = points[name]
         value, (low, high) = number(name, given), bounds(point)
         if not low <= value <= high:
@@ -78,7 +80,7 @@ def create(made_by: Callable[..., T], manifest: Manifest, parameters: Mapping[st
     known = [p.name for p in takes if p.kind in (p.KEYWORD_ONLY, p.POSITIONAL_OR_KEYWORD)]
     if not any(p.kind is p.VAR_KEYWORD for p in takes):
         for unknown in set(parameters) - set(known):
-            raise InvalidConfig(f"{name} takes no parameter {unknown!r}; {near(unknown, known)}")
+            raise InvalidConfig(f"{name} takes no parameter {unknown!r}; {did_you_mean(unknown, known)}")
     missing = [p.name for p in takes if p.name in known and p.default is p.empty and p.name not in parameters]
     if missing:
         raise InvalidConfig(f"{name} needs {_listed(missing)}: --set {missing[0]}=..., or {missing[0]}= in Python")

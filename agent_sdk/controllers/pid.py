@@ -9,7 +9,7 @@ from agent_sdk.bus.sample import SampleView
 from agent_sdk.controllers.action_roles import SETPOINTS, role_of, temperature_sensors
 from agent_sdk.controllers.base import Controller, Values
 from agent_sdk.controllers.parameters import ControllerMismatch, bounds, named, number
-from topics.errors import InvalidConfig, near
+from topics.errors import InvalidConfig, did_you_mean
 from topics.messages import Action, Actuator, Manifest, Sensor
 
 
@@ -116,7 +116,7 @@ def _sensor(manifest: Manifest, name: str | None) -> str:
     if name is None:
         return _only(temperature_sensors(manifest), "sensor", fit)
     if name not in fit:
-        raise InvalidConfig(f"pid has no sensor {name!r} in degC to read; {near(name, fit)}")
+        raise InvalidConfig(f"pid has no sensor {name!r} in degC to read; {did_you_mean(name, fit)}")
     return name
 
 
@@ -129,13 +129,13 @@ def _output(manifest: Manifest, name: str | None) -> Action | Actuator:
         )
     found = _only(manifest.task.actions, "actuator", points) if name is None else name
     if found not in points:
-        raise InvalidConfig(f"pid has no actuator {name!r} to drive; {near(str(name), points)}")
+        raise InvalidConfig(f"pid has no actuator {name!r} to drive; {did_you_mean(str(name), points)}")
     return points[found]
 
 
 def _only(found: Sequence[Sensor | Action], what: str, fit: Sequence[str] | dict[str, Action | Actuator]) -> str:
     if len(found) != 1:
-        raise ControllerMismatch(f"pid takes one {what}: name it by {what}=...; {near('', fit)}")
+        raise ControllerMismatch(f"pid takes one {what}: name it by {what}=...; {did_you_mean('', fit)}")
     return found[0].name
 
 

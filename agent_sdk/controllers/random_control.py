@@ -30,7 +30,7 @@ class RandomControl(Controller):
         if seed is not None and (not isinstance(seed, int) or seed < 0):
             raise InvalidConfig(f"seed = {seed!r}; a whole number of at least 0 expected")
         self._random = np.random.default_rng(seed)
-        chosen = {name for choice in manifest.task.choices for name in choice.actions}
+        chosen = {name for choice in manifest.task.discrete_actions for name in choice.actions}
         drawn = [action for action in manifest.task.actions if action.name not in chosen]
         for action in drawn:
             if action.low is None or action.high is None:
@@ -43,7 +43,7 @@ class RandomControl(Controller):
     def act(self, sample: SampleView) -> Values:  # noqa: ARG002
         """The next values of the sequence."""
         drawn: dict[str, float] = {}
-        for choice in self.manifest.task.choices:
+        for choice in self.manifest.task.discrete_actions:
             row = choice.values[self._random.integers(len(choice.values))]
             drawn.update(zip(choice.actions, row, strict=True))
         for name, low, high in self._ranges:

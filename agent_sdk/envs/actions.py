@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from agent_sdk.envs import spaces
-from topics.errors import InvalidAction, near
-from topics.messages import Action, Choice, Manifest, Mask
+from topics.errors import InvalidAction, did_you_mean
+from topics.messages import Action, CommandOp, DiscreteAction, Manifest
 from topics.units import with_unit
 
 _FEW = 8
@@ -30,7 +30,7 @@ class Actions:
         task = manifest.task
         self.space = spaces.action_space(manifest)
         self._actions = task.actions
-        self._choices = [_Table(choice, task.actions) for choice in task.choices]
+        self._choices = [_Table(choice, task.actions) for choice in task.discrete_actions]
         self._low = np.array([-np.inf if a.low is None else a.low for a in task.actions])
         self._high = np.array([np.inf if a.high is None else a.high for a in task.actions])
         if isinstance(self.space, spaces.Floats):
@@ -45,7 +45,7 @@ class Actions:
         self._one_each = self._fan.tolist() == list(range(len(task.actions)))
         left = [a.name for a in manifest.actuators if a.name not in action_of]
         self._actuators, self._left = manifest.actuators, left
-        kept = [Mask.KEEP if a.name in left else Mask.SET for a in manifest.actuators]
+        kept = [CommandOp.KEEP if a.name in left else CommandOp.SET for a in manifest.actuators]
         self.mask = bytes(kept) if left else None
 
     @property
@@ -68,7 +68,7 @@ class Actions:
         """The values of a command as an info has them: NaN for actuators that it does not set; shape as `values`."""
         if mask is None:
             return values
-        return np.where(np.frombuffer(mask, np.uint8).reshape(values.shape) == Mask.SET, values, np.nan)
+        return np.where(np.frombuffer(mask, np.uint8).reshape(values.shape) == CommandOp.SET, values, np.nan)
 
     def rows(self, actions: ArrayLike, slots: int, unread: Collection[int] = ()) -> NDArray[np.float64]:
         """The same of several slots at once: shape (slots, actuators).
@@ -97,7 +97,7 @@ class Actions:
         found: dict[int, float | None] = {}
         for name, value in values.items():
             if name not in self._left:
-                raise InvalidAction(f"{name!r} is no actuator beside the actions; {near(name, self._left)}")
+                raise InvalidAction(f"{name!r} is no actuator beside the actions; {did_you_mean(name, self._left)}")
             index = next(i for i, a in enumerate(self._actuators) if a.name == name)
             actuator = self._actuators[index]
             low = -np.inf if actuator.low is None else actuator.low
@@ -216,7 +216,7 @@ def as_array(action: ArrayLike, kind: type[np.float64] | None) -> NDArray[Any]:
 class _Table:
     """One discrete dimension: the positions of its actions, and a row of values for each choice."""
 
-    def __init__(self, choice: Choice, actions: tuple[Action, ...]) -> None:
+    def __init__(self, choice: DiscreteAction, actions: tuple[Action, ...]) -> None:
         places = {action.name: i for i, action in enumerate(actions)}
         self.names = choice.actions
         self.columns = np.array([places[name] for name in choice.actions], np.intp)

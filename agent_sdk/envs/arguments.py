@@ -12,7 +12,7 @@ from agent_sdk.bus.local_node import OwnNode
 from agent_sdk.rewards import AnyReward, read_reward
 from bridge.runtime.affinity import Affinity
 from topics import yaml12
-from topics.errors import InvalidConfig, UnknownArgument, UsageError, near
+from topics.errors import InvalidConfig, UnknownArgument, UsageError, did_you_mean
 
 OF_THE_SCENARIO = "scenario"
 """The reward that the node's scenario names."""
@@ -33,7 +33,7 @@ def check_arguments(given: Mapping[str, Any], known: Sequence[str]) -> None:
         UnknownArgument: names all of them, with near ones.
     """
     if unknown := [name for name in given if name not in known]:
-        faults = [f"got an unexpected keyword argument {name!r}; {near(name, known)}" for name in unknown]
+        faults = [f"got an unexpected keyword argument {name!r}; {did_you_mean(name, known)}" for name in unknown]
         raise UnknownArgument("\n".join(faults))
 
 

@@ -31,7 +31,7 @@ from agent_sdk.envs.vector_sample import Link
 from agent_sdk.rewards import AnyReward
 from bridge.runtime.affinity import Affinity
 from topics.errors import BusError, EpisodeChanged, InvalidConfig, UsageError
-from topics.messages import MakeBranch, Mask, WeatherSeries
+from topics.messages import CommandOp, CreateBranch, WeatherSeries
 from topics.seeds import check_seed
 
 Observation = NDArray[np.float32]
@@ -244,9 +244,9 @@ class BuildingEnv(Named, gym.Env[Observation, Any]):
             sample = self._sample = self._forking().reset(seed=seed, snapshot=snapshot.name)
             self._memory.restore(snapshot.remembered)
         self.manifest, self._ended = self._hold.manifest, False
-        (begun,) = self.link.accepted.begun
-        self._outputs = begun.outputs
-        self._begun = {"weather": begun.weather, "weather_noise": begun.drawn, "start": begun.start}
+        (begun,) = self.link.accepted.episode_starts
+        self._outputs = begun.output_dir
+        self._begun = {"weather": begun.weather, "weather_noise": begun.noise_parameters, "start": begun.engine_start}
         values, now, info = sample.values, sample.time, self._info(sample)
         info["action"] = np.full(len(self.manifest.actuators), np.nan)
         info |= self._memory.unrewarded(sample.truth, now)
@@ -289,8 +289,8 @@ class BuildingEnv(Named, gym.Env[Observation, Any]):
         if snapshot is not None:
             snapshot.check(self.manifest)
         with ExitStack() as undo:
-            asked = MakeBranch(
-                controller=link.name, snapshot=snapshot.name if snapshot is not None else "", released=released
+            asked = CreateBranch(
+                controller=link.name, snapshot=snapshot.name if snapshot is not None else "", relinquished=released
             )
             name = link.bus.branch(link.manifest.node, asked)
             undo.callback(_stop, link.bus, name)
@@ -347,7 +347,7 @@ class BuildingEnv(Named, gym.Env[Observation, Any]):
         sample = self._sample = link.receive()
         values, end, info = sample.values, sample.time, self._info(sample)
         begin = end - self._timestep
-        truth = sample.truth if sample.wire.undisturbed else values
+        truth = sample.truth if sample.wire.fault_free_values else values
         info["action"] = self._actions.commanded(commanded, mask)
         memory, reward = self._memory, 0.0
         if memory.reward is not None:
@@ -386,7 +386,7 @@ class BuildingEnv(Named, gym.Env[Observation, Any]):
             assert mask is not None
             kinds = bytearray(mask)
             for index, value in self._memory.context.items():
-                kinds[index] = Mask.RELEASE if value is None else Mask.SET
+                kinds[index] = CommandOp.RELINQUISH if value is None else CommandOp.SET
                 values[index] = 0.0 if value is None else value
             mask, self._memory.context = bytes(kinds), {}
         return values, mask
@@ -414,9 +414,9 @@ class BuildingEnv(Named, gym.Env[Observation, Any]):
 
     def _info(self, sample: SampleView) -> dict[str, Any]:
         wire = sample.wire
-        if (wire.ruler, wire.rulers) != self._rulers:
+        if (wire.source_index, wire.sources) != self._rulers:
             me = self.link.name
-            self._rulers = (wire.ruler, wire.rulers)
+            self._rulers = (wire.source_index, wire.sources)
             self._ruled_by = tuple(AGENT if who == me else who for who in sample.ruled_by.values())
         info = {
             "time": wire.time[0],
@@ -432,7 +432,7 @@ class BuildingEnv(Named, gym.Env[Observation, Any]):
             info["terminated_by"] = ""
         if self._outputs:
             info["outputs"] = ""
-        if wire.undisturbed:
+        if wire.fault_free_values:
             info["undisturbed"] = sample.truth
         if wire.baseline:
             info |= {"baseline": sample.baseline, "baseline_applied": sample.baseline_applied}

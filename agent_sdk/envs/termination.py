@@ -63,7 +63,7 @@ class Limits:
         own = values.take(self._points[number], axis=-1)
         outside = (own < self._low[number]) | (own > self._high[number])
         since = self._outside_s[number] = np.where(outside, self._outside_s[number] + self._step_s, 0.0)
-        return _Found(own, since, outside & (since >= self._limits[number].for_s))
+        return _Found(own, since, outside & (since >= self._limits[number].duration_s))
 
     def _words(self, number: int, own: Floats, since: Floats, over: NDArray[np.bool_]) -> str:
         worst = int(np.argmax(np.where(over, since, -1.0)))

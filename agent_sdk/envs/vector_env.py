@@ -28,7 +28,7 @@ from agent_sdk.rewards import AnyReward
 from agent_sdk.wrappers import apply_wrappers
 from bridge.runtime.affinity import Affinity
 from topics.errors import BusError, EpisodeChanged, InvalidConfig, UsageError
-from topics.messages import Mask, WeatherSeries
+from topics.messages import CommandOp, WeatherSeries
 
 Observations = NDArray[np.float32]
 Flags = NDArray[np.bool_]
@@ -188,9 +188,9 @@ class BuildingVectorEnv(Named, VectorEnv[Observations, Any, NDArray[Any]]):
             self._memory.restore(snapshot.remembered)
         self._frame = frame
         begun: Infos = {}
-        for slot, how in zip(slots, link.accepted.begun, strict=True):
-            self._outputs[slot] = how.outputs
-            told = {"weather": how.weather, "weather_noise": how.drawn, "start": how.start}
+        for slot, how in zip(slots, link.accepted.episode_starts, strict=True):
+            self._outputs[slot] = how.output_dir
+            told = {"weather": how.weather, "weather_noise": how.noise_parameters, "start": how.engine_start}
             begun = self._add_info(begun, told, slot)
         these = np.zeros(self.num_envs, np.bool_)
         these[slots] = True
@@ -316,10 +316,10 @@ class BuildingVectorEnv(Named, VectorEnv[Observations, Any, NDArray[Any]]):
     def _of_sample(self, frame: Frame) -> Infos:
         """What a frame says of all slots."""
         wire = frame.wire
-        if (wire.ruler, wire.rulers) != self._rulers:
+        if (wire.source_index, wire.sources) != self._rulers:
             me = self.link.name
-            self._rulers = (wire.ruler, wire.rulers)
-            self._ruled_by = frame.ruled_by([AGENT if who == me else who for who in wire.rulers])
+            self._rulers = (wire.source_index, wire.sources)
+            self._ruled_by = frame.ruled_by([AGENT if who == me else who for who in wire.sources])
         told = {
             "time": np.array(wire.time, object),
             "step": np.array(wire.step),
@@ -329,7 +329,7 @@ class BuildingVectorEnv(Named, VectorEnv[Observations, Any, NDArray[Any]]):
             "rejected": wire.rejected,
             **frame.baseline,
         }
-        if wire.undisturbed:
+        if wire.fault_free_values:
             told["undisturbed"] = frame.truth
         if self._memory.limits is not None:
             told["terminated_by"] = np.full(self.num_envs, "", object)
@@ -354,7 +354,7 @@ class BuildingVectorEnv(Named, VectorEnv[Observations, Any, NDArray[Any]]):
             kinds = np.frombuffer(mask, np.uint8).reshape(values.shape).copy()
             for slot, context in enumerate(contexts):
                 for index, value in context.items():
-                    kinds[slot, index] = Mask.RELEASE if value is None else Mask.SET
+                    kinds[slot, index] = CommandOp.RELINQUISH if value is None else CommandOp.SET
                     values[slot, index] = 0.0 if value is None else value
                 contexts[slot] = {}
             mask = kinds.tobytes()

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from agent_sdk.bus.sample import SampleView
 from agent_sdk.envs.time_features import clock
 from topics import codec
-from topics.messages import Accepted, Flag, Manifest, WeatherSeries
+from topics.messages import Ack, Flag, Manifest, WeatherSeries
 
 Floats = NDArray[np.float64]
 _TRUNCATED = int(Flag.TRUNCATED)
@@ -22,7 +22,7 @@ class Link(Protocol):
     """What an environment steps: samples in, commands out."""
 
     manifest: Manifest
-    accepted: Accepted
+    accepted: Ack
     name: str
 
     def reset(self, *, seed: int | None = None) -> SampleView:
@@ -45,7 +45,7 @@ class SlotsLink(Protocol):
     """What a vector environment steps: frames in, commands for all slots out."""
 
     manifest: Manifest
-    accepted: Accepted
+    accepted: Ack
     name: str
 
     def reset(
@@ -84,14 +84,14 @@ class Frame:
         self.wire, self._manifest = wire, manifest
         shape = manifest.slots, len(manifest.sensors) + len(manifest.meters)
         self.values = self.truth = codec.floats(wire.values, shape, "values")
-        if wire.undisturbed:
-            self.truth = codec.floats(wire.undisturbed, shape, "undisturbed")
+        if wire.fault_free_values:
+            self.truth = codec.floats(wire.fault_free_values, shape, "undisturbed")
         self.truncated = np.array([flag & _TRUNCATED for flag in wire.flags], np.bool_)
 
     @property
     def applied(self) -> Floats:
         """What each actuator really was, shape (slots, actuators); NaN where EnergyPlus does not tell."""
-        return self._of_actuators(self.wire.applied, "applied")
+        return self._of_actuators(self.wire.effective, "applied")
 
     @property
     def baseline(self) -> dict[str, Floats]:
@@ -103,7 +103,7 @@ class Frame:
         if not wire.baseline:
             return {}
         points = codec.floats(wire.baseline, self.values.shape, "baseline")
-        own = self._of_actuators(wire.baseline_applied, "baseline_applied")
+        own = self._of_actuators(wire.baseline_effective, "baseline_applied")
         return {"baseline": points, "baseline_applied": own}
 
     def _of_actuators(self, raw: bytes, what: str) -> Floats:
@@ -122,7 +122,7 @@ class Frame:
         """Who set each actuator of each slot: a tuple for each slot, of these names in the order of `rulers`."""
         shape = (self._manifest.slots, len(self._manifest.actuators))
         told = np.empty(shape[0], object)
-        for slot, row in enumerate(codec.indices(self.wire.ruler, shape, "ruler").tolist()):
+        for slot, row in enumerate(codec.indices(self.wire.source_index, shape, "ruler").tolist()):
             told[slot] = tuple(names[i] for i in row)
         return told
 

@@ -19,9 +19,9 @@ from agent_sdk.envs.space_names import by_name
 from agent_sdk.rewards import AnyReward, BoundReward, read_reward
 from agent_sdk.rewards.linear import Weighted
 from agent_sdk.rewards.selectors import temperatures
-from topics.errors import EpisodeChanged, InvalidAction, InvalidConfig, UsageError, near
+from topics.errors import EpisodeChanged, InvalidAction, InvalidConfig, UsageError, did_you_mean
 from topics.extras import install_command
-from topics.keys import safe
+from topics.keys import safe_name
 from topics.messages import Action, Manifest
 
 try:
@@ -118,7 +118,7 @@ class ZonesEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo has no types
         whole = self.env.action_space
         if isinstance(whole, Box):
             return Box(whole.low[agent.decided], whole.high[agent.decided], dtype=np.float32)
-        choices = self.env.manifest.task.choices
+        choices = self.env.manifest.task.discrete_actions
         counts = [len(choices[place].values) for place in agent.decided]
         return Discrete(counts[0]) if len(counts) == 1 else MultiDiscrete(counts)
 
@@ -155,7 +155,7 @@ class ZonesEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo has no types
 
     def _known(self, agent: str) -> str:
         if agent not in self._agents:
-            raise InvalidConfig(f"no agent {agent!r}; {near(str(agent), self._agents)}")
+            raise InvalidConfig(f"no agent {agent!r}; {did_you_mean(str(agent), self._agents)}")
         return agent
 
     def reset(
@@ -220,7 +220,7 @@ class ZonesEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo has no types
         missing, strange = [a for a in self.agents if a not in actions], [a for a in actions if a not in self.agents]
         if missing or strange:
             faults = [f"no action of {', '.join(map(repr, missing))}"] if missing else []
-            faults += [f"no agent {name!r}; {near(str(name), self.agents)}" for name in strange]
+            faults += [f"no agent {name!r}; {did_you_mean(str(name), self.agents)}" for name in strange]
             raise InvalidAction("; ".join(faults))
         space = self.env.action_space
         continuous = isinstance(space, Box)
@@ -319,7 +319,9 @@ def _agents(manifest: Manifest, shared: set[int]) -> dict[str, _Agent]:
     """By name, in the order of their first actions; that of the building last."""
     task = manifest.task
     by_name = {action.name: action for action in task.actions}
-    dimensions = [[by_name[name] for name in c.actions] for c in task.choices] or [[action] for action in task.actions]
+    dimensions = [[by_name[name] for name in c.actions] for c in task.discrete_actions] or [
+        [action] for action in task.actions
+    ]
     keys = {a.name: a.key for a in manifest.actuators if a.component_type.casefold() == _THERMOSTAT}
     zones = [_zone(members, keys) for members in dimensions]
     order = [*dict.fromkeys(zone for zone in zones if zone), *([""] if "" in zones else [])]
@@ -350,7 +352,7 @@ def _names(zones: Iterable[str]) -> dict[str, str]:
     """A safe name for each zone, each another."""
     names = {"": BUILDING}
     for zone in zones:
-        name = base = safe(zone)
+        name = base = safe_name(zone)
         number = 2
         while zone and name in names.values():
             name, number = f"{base}_{number}", number + 1
@@ -371,7 +373,7 @@ def _observed(manifest: Manifest, zone: str, shared: set[int]) -> list[int]:
 def _named(shared: Sequence[str], names: Sequence[str]) -> set[int]:
     for name in [shared] if isinstance(shared, str) else shared:
         if name not in names:
-            raise InvalidConfig(f"shared: nothing that is observed is called {name!r}; {near(name, names)}")
+            raise InvalidConfig(f"shared: nothing that is observed is called {name!r}; {did_you_mean(name, names)}")
     return {names.index(name) for name in ([shared] if isinstance(shared, str) else shared)}
 
 

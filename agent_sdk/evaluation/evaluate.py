@@ -19,7 +19,7 @@ from agent_sdk.controllers.parameters import ControllerMismatch
 from agent_sdk.envs.arguments import of_scenario
 from agent_sdk.envs.building_env import BuildingEnv
 from agent_sdk.evaluation.metrics import Result, Tally
-from topics.errors import InvalidAction, InvalidConfig, UsageError, near
+from topics.errors import InvalidAction, InvalidConfig, UsageError, did_you_mean
 from topics.messages import Manifest
 
 Maker = Callable[..., Acts]
@@ -276,7 +276,7 @@ def _shares(makers: Mapping[str, Maker], parameters: Mapping[str, Any], seed: in
         if not takers:
             all_known = [known for of in takes.values() for known in of]
             raise InvalidConfig(
-                f"none of the controllers takes the parameter {parameter!r}; {near(parameter, all_known)}"
+                f"none of the controllers takes the parameter {parameter!r}; {did_you_mean(parameter, all_known)}"
             )
         for name in takers:
             shares[name][parameter] = value

@@ -16,7 +16,7 @@ from agent_sdk.rewards.comfort_band import Banded
 from agent_sdk.rewards.occupied import PEOPLE
 from agent_sdk.rewards.selectors import HVAC_POWER, beside, temperatures
 from topics.errors import InvalidConfig
-from topics.messages import Manifest, Reading
+from topics.messages import Aggregation, Manifest
 
 J_PER_KWH = 3.6e6
 FUELS = {
@@ -203,7 +203,7 @@ def _meters(manifest: Manifest) -> dict[str, _Metered]:
     for name, variable in (("electricity", _FACILITY_POWER), (_HVAC, HVAC_POWER)):
         for place, sensor in enumerate(manifest.sensors):
             if name not in found and sensor.variable.casefold() == variable.casefold() and sensor.unit == "W":
-                how = ", read at its end (an approximation)" if sensor.reading is Reading.INSTANT else ""
+                how = ", read at its end (an approximation)" if sensor.aggregation is Aggregation.INSTANT else ""
                 source = f"sensor {sensor.name}, W times the timestep{how}"
                 found[name] = _Metered(place, 1e-3 / manifest.steps_per_hour, source)
     return found

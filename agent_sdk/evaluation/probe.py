@@ -23,8 +23,8 @@ from agent_sdk.bus.sample import SampleView
 from agent_sdk.envs.arguments import OF_A_NODE, of_scenario
 from agent_sdk.envs.building_env import BuildingEnv
 from agent_sdk.evaluation.probe_effects import Effect, Held, Ranges, Side, effect_of
-from topics.errors import BusError, Faults, InvalidConfig, SimulatorError, UnknownName, near
-from topics.messages import Actuator, MakeBranch, Manifest
+from topics.errors import BusError, ErrorCollector, InvalidConfig, SimulatorError, UnknownName, did_you_mean
+from topics.messages import Actuator, CreateBranch, Manifest
 from topics.units import with_unit
 
 Progress = Callable[[int, int], None]
@@ -104,7 +104,7 @@ def probe(
     """
     settings = {**of_scenario(scenario), **given, "reward": None}  # it decides nothing here
     if unknown := sorted(set(settings) - {*OF_A_NODE, "affinity", "reward"}):
-        raise InvalidConfig(f"{', '.join(unknown)}: no settings of a scenario; {near(unknown[0], OF_A_NODE)}")
+        raise InvalidConfig(f"{', '.join(unknown)}: no settings of a scenario; {did_you_mean(unknown[0], OF_A_NODE)}")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # the manifest has them; they stand with their actuator
         env = BuildingEnv(**settings)
@@ -138,16 +138,16 @@ class Asked:
         self.manifest, self.hours, self._low, self._high = manifest, hours, low, high
         if not manifest.actuators:
             raise InvalidConfig("the scenario has no actuators; there is nothing to hold")
-        faults = Faults()
+        faults = ErrorCollector()
         self.length = round(hours * manifest.steps_per_hour) if isfinite(hours) else 0
-        self.steps: list[int] = faults.catch(lambda: _steps(manifest, self.length, days, at)) or []
-        self.compared = faults.catch(lambda: _matching(manifest.names, points)) or []
+        self.steps: list[int] = faults.collect(lambda: _steps(manifest, self.length, days, at)) or []
+        self.compared = faults.collect(lambda: _matching(manifest.names, points)) or []
         for said in (low, high):
             for name in said:
-                faults.catch(lambda name=name: _known(name, manifest))  # type: ignore[misc]
+                faults.collect(lambda name=name: _known(name, manifest))  # type: ignore[misc]
         for actuator in manifest.actuators:
-            faults.catch(lambda actuator=actuator: self._decidable(actuator))  # type: ignore[misc]
-        faults.raise_all()
+            faults.collect(lambda actuator=actuator: self._decidable(actuator))  # type: ignore[misc]
+        faults.raise_if_any()
 
     def _decidable(self, actuator: Actuator) -> None:
         low, high = self._bounds(actuator)
@@ -182,13 +182,13 @@ class Asked:
 def _known(name: str, manifest: Manifest) -> None:
     names = [actuator.name for actuator in manifest.actuators]
     if name not in names:
-        raise UnknownName(f"no actuator {name!r}; {near(name, names)}")
+        raise UnknownName(f"no actuator {name!r}; {did_you_mean(name, names)}")
 
 
 def _matching(names: Sequence[str], patterns: Sequence[str]) -> list[int]:
     for pattern in patterns:
         if not any(fnmatchcase(name, pattern) for name in names):
-            raise UnknownName(f"no sensor or meter {pattern!r}; {near(pattern, names)}")
+            raise UnknownName(f"no sensor or meter {pattern!r}; {did_you_mean(pattern, names)}")
     return [i for i, name in enumerate(names) if not patterns or any(fnmatchcase(name, one) for one in patterns)]
 
 
@@ -259,7 +259,7 @@ class _Branches:
     @contextmanager
     def _branch(self, sample: SampleView) -> Iterator[ControlLink]:
         bus, parent = self._parent.bus, self._parent
-        name = bus.branch(parent.manifest.node, MakeBranch(controller=parent.name))
+        name = bus.branch(parent.manifest.node, CreateBranch(controller=parent.name))
         try:
             with bus.controller(name, name="probe") as link:
                 link.stand_at(sample.wire)

@@ -20,8 +20,8 @@ from agent_sdk.rewards.normalized import NormalisedReward
 from agent_sdk.rewards.occupied import OccupiedReward
 from agent_sdk.rewards.peak import PeakReward
 from agent_sdk.rewards.thermal_sensation import ThermalSensationReward
-from topics.codec import explain
-from topics.errors import InvalidConfig, near
+from topics.codec import describe_validation_errors
+from topics.errors import InvalidConfig, did_you_mean
 
 __all__ = [
     "REWARDS", "AnyReward", "BoundReward", "CarbonReward", "EnergyCostReward", "ExponentialReward", "HourlyReward",
@@ -76,8 +76,8 @@ def _read(given: Mapping[str, Any] | str) -> Reward:
     if kind is None:
         raise InvalidConfig(f"reward: its kind is missing; there are: {', '.join(REWARDS)}")
     if not isinstance(kind, str) or kind not in REWARDS:
-        raise InvalidConfig(f"reward: there is no kind {kind!r}; {near(str(kind), REWARDS)}")
+        raise InvalidConfig(f"reward: there is no kind {kind!r}; {did_you_mean(str(kind), REWARDS)}")
     try:
         return REWARDS[kind].model_validate(parameters)
     except ValidationError as error:
-        raise InvalidConfig(f"reward: {explain(error, REWARDS[kind].model_fields)}") from None
+        raise InvalidConfig(f"reward: {describe_validation_errors(error, REWARDS[kind].model_fields)}") from None

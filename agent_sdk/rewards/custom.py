@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent_sdk.rewards.base import Begin, BoundReward, Outcome, Reward, Terms
-from topics.errors import InvalidConfig, UnknownName, near
+from topics.errors import InvalidConfig, UnknownName, did_you_mean
 from topics.messages import Manifest
 
 RewardFunction = Callable[[Mapping[str, Any], Any], Mapping[str, Any] | float]
@@ -104,7 +104,7 @@ class _Bound(BoundReward):
             name = error.args[0]
             raise UnknownName(
                 f"reward: {_name(self._function)} asks for {name!r}, which the node does not have; "
-                f"{near(str(name), self._names)}"
+                f"{did_you_mean(str(name), self._names)}"
             ) from error
         except Exception as error:
             error.add_note(f"in the reward {_name(self._function)}")

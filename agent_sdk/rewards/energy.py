@@ -12,8 +12,8 @@ from pydantic import Field
 from agent_sdk.rewards.comfort_band import Banded, BandedBound
 from agent_sdk.rewards.config import Names
 from agent_sdk.rewards.selectors import HVAC_POWER, indices, of_variables
-from topics.errors import InvalidConfig, near
-from topics.messages import Manifest, Meter, Reading, Sensor
+from topics.errors import InvalidConfig, did_you_mean
+from topics.messages import Aggregation, Manifest, Meter, Sensor
 
 J_PER_KWH = 3.6e6
 METERS = ("electricity:facility", "electricity:hvac")
@@ -72,18 +72,20 @@ def _index(kind: str, name: str, manifest: Manifest) -> int:
     points = _points(manifest)
     fit = [p.name for p in points if p.unit in ("J", "W")]
     if name not in manifest.names:
-        raise InvalidConfig(f"the {kind} reward names {name!r}, which the node does not have; {near(name, fit)}")
+        raise InvalidConfig(
+            f"the {kind} reward names {name!r}, which the node does not have; {did_you_mean(name, fit)}"
+        )
     place = manifest.names.index(name)
     if name not in fit:
         raise InvalidConfig(
             f"the {kind} reward needs energy in J or power in W, which {name!r} is not ({points[place].unit}); "
-            f"{near(name, fit)}"
+            f"{did_you_mean(name, fit)}"
         )
     if place < len(manifest.sensors):
         sensor = manifest.sensors[place]
-        if sensor.unit == "J" and sensor.reading is not Reading.SUM:
+        if sensor.unit == "J" and sensor.aggregation is not Aggregation.SUM:
             raise InvalidConfig(
-                f"the {kind} reward needs the energy of the whole timestep, and {name!r} reads {sensor.reading!s}: "
+                f"the {kind} reward needs the energy of the whole timestep, and {name!r} reads {sensor.aggregation!s}: "
                 f"({sensor.variable!r}, {sensor.key!r}, 'sum') in sensors= reads all of it"
             )
     return place

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topics.errors import InvalidConfig, near
+from topics.errors import InvalidConfig, did_you_mean
 from topics.messages import Manifest
 
 HVAC_POWER = "Facility Total HVAC Electricity Demand Rate"
@@ -35,10 +35,14 @@ def named(kind: str, name: str, manifest: Manifest, units: Sequence[str]) -> int
     there = {s.name: s.unit for s in manifest.sensors}
     fit = [n for n, unit in there.items() if unit in units]
     if name not in manifest.names:
-        raise InvalidConfig(f"the {kind} reward names {name!r}, which the node does not have; {near(name, fit)}")
+        raise InvalidConfig(
+            f"the {kind} reward names {name!r}, which the node does not have; {did_you_mean(name, fit)}"
+        )
     if there.get(name) not in units:
         wanted = " or ".join(units)
-        raise InvalidConfig(f"the {kind} reward needs a sensor in {wanted}, which {name!r} is not; {near(name, fit)}")
+        raise InvalidConfig(
+            f"the {kind} reward needs a sensor in {wanted}, which {name!r} is not; {did_you_mean(name, fit)}"
+        )
     return manifest.names.index(name)
 
 

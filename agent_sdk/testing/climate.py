@@ -9,7 +9,7 @@ from datetime import datetime
 import numpy as np
 from numpy.typing import NDArray
 
-from topics.errors import UnknownName, near
+from topics.errors import UnknownName, did_you_mean
 from topics.messages import WeatherSeries
 
 Floats = NDArray[np.float64]
@@ -71,7 +71,7 @@ def weather_series(
     have = {"dry_bulb_temperature": temperature, "global_horizontal_radiation": radiation}
     for column in columns:
         if column not in have:
-            raise UnknownName(f"a fake building's weather has no column {column!r}; {near(column, have)}")
+            raise UnknownName(f"a fake building's weather has no column {column!r}; {did_you_mean(column, have)}")
     values = np.column_stack([have[column][1:] for column in columns])
     units = [_UNITS[column] for column in columns]
     return WeatherSeries(

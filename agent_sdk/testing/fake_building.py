@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from agent_sdk.testing.climate import Climate, weather_series
 from agent_sdk.testing.fake_manifest import Run, manifest_of
 from agent_sdk.testing.rc_zones import Flow, Rooms, Zone
-from topics.errors import InvalidConfig, ModelRefused
+from topics.errors import InvalidConfig, ModelError
 from topics.messages import WeatherSeries
 
 Floats = NDArray[np.float64]
@@ -162,7 +162,7 @@ class FakeBuilding:
     def _check(self, setpoints: Floats) -> None:
         for zone, (heating, cooling) in zip(self.zones, setpoints.tolist(), strict=True):
             if heating > cooling:
-                raise ModelRefused(
+                raise ModelError(
                     f"zone {zone.name!r}: heating setpoint {heating:g} lies above cooling setpoint {cooling:g}"
                 )
 

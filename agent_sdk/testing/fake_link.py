@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from agent_sdk.bus.sample import SampleView
 from agent_sdk.testing.fake_building import FakeBuilding
-from topics.errors import EpisodeChanged, InvalidAction, PeerError, Refused, near
-from topics.messages import Accepted, Begun, Flag, Mask, Sample, Start, WeatherSeries
+from topics.errors import EpisodeChanged, InvalidAction, PeerError, RequestRejected, did_you_mean
+from topics.messages import Ack, CommandOp, EngineStart, EpisodeStart, Flag, Sample, WeatherSeries
 from topics.units import with_unit
 
 Floats = NDArray[np.float64]
@@ -28,7 +28,7 @@ class FakeLink:
         accepted: the answer to the latest reset.
     """
 
-    accepted: Accepted
+    accepted: Ack
 
     def __init__(self, building: FakeBuilding | None = None, *, name: str = "env") -> None:
         self.building = FakeBuilding() if building is None else building
@@ -51,13 +51,13 @@ class FakeLink:
         self._sent = None
         climate = self.building.climate
         noise = {"sigma": climate.noise_k, "mu": 0.0, "tau_h": climate.noise_tau_h} if climate.noise_k else {}
-        self.accepted = Accepted(
+        self.accepted = Ack(
             episode=[self._episode],
-            begun=[
-                Begun(
-                    start=Start.READY,
+            episode_starts=[
+                EpisodeStart(
+                    engine_start=EngineStart.REUSED,
                     weather=self.manifest.weather,
-                    drawn={f"dry_bulb_temperature.{name}": value for name, value in noise.items()},
+                    noise_parameters={f"dry_bulb_temperature.{name}": value for name, value in noise.items()},
                 )
             ],
         )
@@ -78,7 +78,9 @@ class FakeLink:
             raise PeerError("the present sample is not answered; call send() before receive()")
         (values, kinds), self._sent = self._sent, None
         self._refuse(values, kinds)
-        self._held = np.where(kinds == Mask.SET, values, np.where(kinds == Mask.RELEASE, np.nan, self._held))
+        self._held = np.where(
+            kinds == CommandOp.SET, values, np.where(kinds == CommandOp.RELINQUISH, np.nan, self._held)
+        )
         return self._sample(*self.building.advance(self._held))
 
     def send(self, values: Mapping[str, float | None] | Floats | None = None, mask: bytes | None = None) -> None:
@@ -114,26 +116,28 @@ class FakeLink:
     def _read_array(self, values: Floats, mask: bytes | None) -> tuple[Floats, Floats]:
         if values.shape != self._held.shape:
             raise InvalidAction(f"values of shape {values.shape}; {self._held.shape} expected: one for each actuator")
-        kinds = np.full(values.shape, float(Mask.SET)) if mask is None else np.frombuffer(mask, np.uint8).astype(float)
+        kinds = (
+            np.full(values.shape, float(CommandOp.SET)) if mask is None else np.frombuffer(mask, np.uint8).astype(float)
+        )
         return values.astype(np.float64), kinds
 
     def _read(self, values: Mapping[str, float | None]) -> tuple[Floats, Floats]:
-        row, kinds = np.zeros_like(self._held), np.full_like(self._held, float(Mask.KEEP))
+        row, kinds = np.zeros_like(self._held), np.full_like(self._held, float(CommandOp.KEEP))
         for name, value in values.items():
             if name not in self._actuators:
-                raise InvalidAction(f"node 'fake' has no actuator {name!r}; {near(name, self._actuators)}")
+                raise InvalidAction(f"node 'fake' has no actuator {name!r}; {did_you_mean(name, self._actuators)}")
             if value is not None and not np.isfinite(value):
                 raise InvalidAction(f"{name} = {value}; a finite number or None (release) expected")
             index = self._actuators[name]
-            row[index], kinds[index] = (0.0, Mask.RELEASE) if value is None else (value, Mask.SET)
+            row[index], kinds[index] = (0.0, CommandOp.RELINQUISH) if value is None else (value, CommandOp.SET)
         return row, kinds
 
     def _refuse(self, values: Floats, kinds: Floats) -> None:
-        for index in np.flatnonzero((kinds == Mask.SET) & ~((values >= self._low) & (values <= self._high))):
+        for index in np.flatnonzero((kinds == CommandOp.SET) & ~((values >= self._low) & (values <= self._high))):
             actuator = self.manifest.actuators[index]
             value = with_unit(f"{values[index]:g}", actuator.unit)
             said = f"{actuator.name} = {value}; its bounds are {actuator.low} to {actuator.high}"
-            raise Refused(f"node 'fake' did not take the command: {said}")
+            raise RequestRejected(f"node 'fake' did not take the command: {said}")
 
     def _sample(self, values: Floats, applied: Floats) -> SampleView:
         building = self.building
@@ -145,9 +149,9 @@ class FakeLink:
             elapsed_s=[building.step * building.run.step_s],
             flags=[(Flag.NONE if building.step else Flag.FIRST) | (Flag.TRUNCATED if last else Flag.NONE)],
             values=values.astype("<f8").tobytes(),
-            applied=applied.astype("<f8").tobytes(),
-            ruler=np.where(np.isnan(self._held), 0, 1).astype("<u2").tobytes(),
-            rulers=["", self.name],
+            effective=applied.astype("<f8").tobytes(),
+            source_index=np.where(np.isnan(self._held), 0, 1).astype("<u2").tobytes(),
+            sources=["", self.name],
         )
         self._latest = SampleView(wire, self.manifest, self._names, self)
         return self._latest

@@ -12,21 +12,21 @@ from pydantic import ValidationError
 
 import topics
 from agent_sdk.testing.rc_zones import Zone
-from topics.codec import explain
-from topics.errors import InvalidConfig, near
+from topics.codec import describe_validation_errors
+from topics.errors import InvalidConfig, did_you_mean
 from topics.keys import check_name
 from topics.messages import (
     Action,
     Actuator,
-    Choice,
-    Limit,
+    Aggregation,
+    DiscreteAction,
     Manifest,
     Meter,
     Mode,
     Policy,
-    Reading,
     Sensor,
     Task,
+    TerminationLimit,
     Versions,
 )
 
@@ -91,7 +91,7 @@ def manifest_of(
     for limit in task.terminate:
         for name in limit.points:
             if name not in known:
-                raise InvalidConfig(f"terminate: there is no sensor or meter {name!r}; {near(name, known)}")
+                raise InvalidConfig(f"terminate: there is no sensor or meter {name!r}; {did_you_mean(name, known)}")
     return Manifest(
         node="fake",
         instance="fake",
@@ -116,7 +116,7 @@ def _sensors(zones: Sequence[Zone]) -> list[Sensor]:
     outdoor = _sensor("outdoor_temperature", "Site Outdoor Air Drybulb Temperature", "ENVIRONMENT", "degC", _AIR_DEGC)
     power = Sensor(
         name="hvac_electricity_power", variable="Facility Total HVAC Electricity Demand Rate", key="WHOLE BUILDING",
-        unit="W", reading=Reading.MEAN, low=0.0,
+        unit="W", aggregation=Aggregation.MEAN, low=0.0,
     )  # fmt: skip
     sensors = [outdoor, power]
     for zone in zones:
@@ -128,7 +128,7 @@ def _sensors(zones: Sequence[Zone]) -> list[Sensor]:
 
 def _sensor(name: str, variable: str, key: str, unit: str, bounds: tuple[float, float | None]) -> Sensor:
     low, high = bounds
-    return Sensor(name=name, variable=variable, key=key, unit=unit, reading=Reading.INSTANT, low=low, high=high)
+    return Sensor(name=name, variable=variable, key=key, unit=unit, aggregation=Aggregation.INSTANT, low=low, high=high)
 
 
 def _meters() -> list[Meter]:
@@ -159,7 +159,7 @@ def _safe(kind: str) -> str:
 
 def _task(
     actions: tuple[Action, ...],
-    choices: tuple[Choice, ...],
+    choices: tuple[DiscreteAction, ...],
     time: tuple[str, ...],
     reward: Mapping[str, Any] | None,
     terminate: Sequence[Mapping[str, Any]],
@@ -175,11 +175,11 @@ def _task(
                 "actions": actions,
                 "choices": choices,
                 "reward": None if reward is None else dict(reward),
-                "terminate": [Limit.model_validate(limit) for limit in limits],
+                "terminate": [TerminationLimit.model_validate(limit) for limit in limits],
             }
         )
     except ValidationError as error:
-        raise InvalidConfig(f"the fake building's task: {explain(error)}") from None
+        raise InvalidConfig(f"the fake building's task: {describe_validation_errors(error)}") from None
 
 
 def _found(actuators: Sequence[Actuator], control: str) -> tuple[Action, ...]:
@@ -197,7 +197,9 @@ def _named(actuators: Sequence[Actuator], actions: Mapping[str, Sequence[str]]) 
     for name, members in actions.items():
         for member in members:
             if member not in by_name:
-                raise InvalidConfig(f"action {name!r}: there is no actuator {member!r}; {near(member, by_name)}")
+                raise InvalidConfig(
+                    f"action {name!r}: there is no actuator {member!r}; {did_you_mean(member, by_name)}"
+                )
             if member in taken:
                 raise InvalidConfig(f"action {name!r}: the actuator {member!r} belongs to another action already")
             taken.add(member)
@@ -216,7 +218,7 @@ def _action(name: str, members: Sequence[Actuator]) -> Action:
 
 def _steps(
     actions: Sequence[Action], actuators: Sequence[Actuator], control: str, count: int | None
-) -> tuple[Choice, ...]:
+) -> tuple[DiscreteAction, ...]:
     """Equal steps, as a scenario's `discrete: count` has them: heating setpoints upwards, cooling ones downwards."""
     if count is None:
         return ()
@@ -238,5 +240,5 @@ def _steps(
             steps = np.linspace(action.low, action.high, count)
             columns.append(steps[::-1] if by_name[action.actuators[0]].control_type == COOLING else steps)
         rows = tuple(tuple(row) for row in np.column_stack(columns).tolist())
-        choices.append(Choice(actions=tuple(a.name for a in members), values=rows))
+        choices.append(DiscreteAction(actions=tuple(a.name for a in members), values=rows))
     return tuple(choices)

@@ -16,7 +16,7 @@ from agent_sdk.rewards import AnyReward
 from agent_sdk.testing.fake_building import FakeBuilding
 from agent_sdk.testing.fake_link import FakeLink
 from topics.errors import EpisodeChanged, InvalidAction, InvalidConfig, PeerError
-from topics.messages import Accepted, Sample, WeatherSeries
+from topics.messages import Ack, Sample, WeatherSeries
 
 Floats = NDArray[np.float64]
 
@@ -33,7 +33,7 @@ class FakeSlots:
         accepted: the answer to the latest reset.
     """
 
-    accepted: Accepted
+    accepted: Ack
 
     def __init__(self, buildings: Sequence[FakeBuilding], *, name: str = "env") -> None:
         self._links = [FakeLink(building, name=name) for building in buildings]
@@ -58,8 +58,8 @@ class FakeSlots:
         new = {slot: self._links[slot].reset(seed=one) for slot, one in zip(chosen, seeds, strict=True)}
         self._latest = [new.get(slot) or self._latest[slot] for slot in range(len(self._links))]
         self._episodes = [view.episode for view in self._latest]
-        begun = [self._links[slot].accepted.begun[0] for slot in chosen]
-        self.accepted, self._sent = Accepted(episode=self._episodes, begun=begun), []
+        begun = [self._links[slot].accepted.episode_starts[0] for slot in chosen]
+        self.accepted, self._sent = Ack(episode=self._episodes, episode_starts=begun), []
         return self._frame()
 
     def send(self, values: Floats, mask: bytes | None = None, *, still: Sequence[int] = ()) -> None:
@@ -111,9 +111,9 @@ class FakeSlots:
             elapsed_s=[one.elapsed_s[0] for one in wires],
             flags=[one.flags[0] for one in wires],
             values=b"".join(one.values for one in wires),
-            applied=b"".join(one.applied for one in wires),
-            ruler=b"".join(one.ruler for one in wires),
-            rulers=wires[0].rulers,
+            effective=b"".join(one.effective for one in wires),
+            source_index=b"".join(one.source_index for one in wires),
+            sources=wires[0].sources,
         )
         return SampleView(wire, self.manifest, {name: i for i, name in enumerate(self.manifest.names)})
 

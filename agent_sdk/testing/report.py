@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TypeVar
 
-from topics.errors import InvalidConfig, near
+from topics.errors import InvalidConfig, did_you_mean
 
 T = TypeVar("T")
 
@@ -109,7 +109,7 @@ def run(subject: str, checks: Mapping[str, Check[T]], about: T, skip: Iterable[s
     left_out = [skip] if isinstance(skip, str) else list(skip)
     for name in left_out:
         if name not in checks:
-            raise InvalidConfig(f"skip: there is no check {name!r}; {near(name, checks)}")
+            raise InvalidConfig(f"skip: there is no check {name!r}; {did_you_mean(name, checks)}")
     results: list[Result] = []
     for name, check in checks.items():
         if name in left_out:

@@ -58,9 +58,9 @@ def samples(manifest: Manifest, count: int, seed: int) -> list[SampleView]:
             elapsed_s=[step * 3600.0 / manifest.steps_per_hour] * manifest.slots,
             flags=[flag] * manifest.slots,
             values=row.astype("<f8").tobytes(),
-            applied=applied.astype("<f8").tobytes(),
-            ruler=bytes(2 * applied.size),
-            rulers=[""],
+            effective=applied.astype("<f8").tobytes(),
+            source_index=bytes(2 * applied.size),
+            sources=[""],
         )
         made.append(SampleView(wire, manifest, index))
     return made

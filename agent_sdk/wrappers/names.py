@@ -11,7 +11,7 @@ from gymnasium.spaces import Box
 from gymnasium.vector import VectorEnv, VectorWrapper
 from numpy.typing import ArrayLike
 
-from topics.errors import InvalidConfig, near
+from topics.errors import InvalidConfig, did_you_mean
 
 _KEEP_PLACES = {
     "Autoreset", "ClipAction", "ClipReward", "DelayObservation", "DiscretizeAction", "DtypeObservation",
@@ -153,7 +153,7 @@ def places(wanted: Iterable[str], names: Sequence[str], who: str, what: str = "o
         InvalidConfig: names that are not there, all of them, with near ones; or one twice.
     """
     asked = list(wanted)
-    faults = [f"{who}: no {what} {name!r}; {near(str(name), names)}" for name in asked if name not in names]
+    faults = [f"{who}: no {what} {name!r}; {did_you_mean(str(name), names)}" for name in asked if name not in names]
     faults += [f"{who}: {name!r} stands twice" for name in dict.fromkeys(asked) if asked.count(name) > 1]
     if faults:
         raise InvalidConfig("\n".join(faults))

@@ -16,7 +16,7 @@ from pydantic import BaseModel
 from agent_sdk.wrappers import single, vector
 from agent_sdk.wrappers.adapters import Single, Vector
 from agent_sdk.wrappers.names import refuse_inside
-from topics.errors import InvalidConfig, near
+from topics.errors import InvalidConfig, did_you_mean
 
 OURS = tuple(
     name
@@ -73,7 +73,7 @@ def _apply(env: Any, one: Mapping[str, Any], where: str) -> Any:
     try:
         known = [*inspect.signature(kind).parameters][1:]
         if unknown := [key for key in said if key not in known]:
-            raise InvalidConfig(f"{where}: {name} has no argument {unknown[0]!r}; {near(unknown[0], known)}")
+            raise InvalidConfig(f"{where}: {name} has no argument {unknown[0]!r}; {did_you_mean(unknown[0], known)}")
         wrapper = kind(env, **arguments)
     except (TypeError, ValueError, AssertionError, gym.error.Error) as error:
         raise InvalidConfig(f"{where}: {name}: {error}") from None
@@ -83,7 +83,7 @@ def _apply(env: Any, one: Mapping[str, Any], where: str) -> Any:
 
 def _class(name: str, vectors: bool, where: str) -> Any:  # noqa: FBT001  # a private question
     if name not in (*OURS, *GYMNASIUMS):
-        raise InvalidConfig(f"{where}: there is no wrapper {name!r}; {near(name, (*OURS, *GYMNASIUMS))}")
+        raise InvalidConfig(f"{where}: there is no wrapper {name!r}; {did_you_mean(name, (*OURS, *GYMNASIUMS))}")
     if name in OURS:
         return getattr(vector if vectors else single, name)
     room = gym.wrappers.vector if vectors else gym.wrappers
@@ -120,7 +120,7 @@ def _told(layer: Any) -> dict[str, Any]:
     name = type(layer).__name__
     theirs = name in GYMNASIUMS and type(layer).__module__.startswith("gymnasium.")
     if not (theirs or isinstance(layer, Single | Vector)):
-        raise InvalidConfig(f"{name} cannot be written as data; {near(name, (*OURS, *GYMNASIUMS))}")
+        raise InvalidConfig(f"{name} cannot be written as data; {did_you_mean(name, (*OURS, *GYMNASIUMS))}")
     if layer in _given:
         return {"wrapper": name, **deepcopy(_given[layer])}
     said = getattr(layer, "_saved_kwargs", None)

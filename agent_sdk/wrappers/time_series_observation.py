@@ -12,7 +12,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from agent_sdk.time_series import Signal as SignalData
 from agent_sdk.wrappers.base import Observing, Start, Step, Values, View, append
-from topics.codec import explain
+from topics.codec import describe_validation_errors
 from topics.errors import InvalidConfig
 
 _data: TypeAdapter[Any] = TypeAdapter(SignalData)
@@ -49,7 +49,7 @@ def read_signal(given: Any, who: str) -> Signal:
         try:
             found = _data.validate_python(given)
         except ValidationError as error:
-            raise InvalidConfig(f"{who}: {explain(error)}") from None
+            raise InvalidConfig(f"{who}: {describe_validation_errors(error)}") from None
     if hasattr(found, "load"):
         found.load()
     assert isinstance(found, Signal)

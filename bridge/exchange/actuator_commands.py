@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from bridge.exchange.claims import Claimant
 from bridge.exchange.priority_array import PriorityArray
 from topics import codec
-from topics.errors import BadMessage, near
-from topics.messages import Actuator, Command, Mask, Write
+from topics.errors import BadMessage, did_you_mean
+from topics.messages import Actuator, Command, CommandOp, Write
 from topics.units import with_unit
 
 _FEW = 8
@@ -116,25 +116,27 @@ class Commanded:
         """
         values = codec.floats(command.values, self._shape, "values")
         whole = len(answered) == self._shape[0]
-        if command.mask is None and claimant.whole and whole:
+        if command.operations is None and claimant.whole and whole:
             self._check(values)
             self.array.put_all(claimant.level, claimant.source, command.values)
             return
         mask = self._mask(claimant, command)
         if not whole:
-            mask = np.where(np.isin(np.arange(self._shape[0]), answered)[:, None], mask, np.uint8(Mask.KEEP))
-        self._check(np.where(mask == Mask.SET, values, self._bounds[0].reshape(self._shape)))
-        self.array.put(claimant.level, claimant.source, np.where(mask == Mask.SET, values, np.nan), mask != Mask.KEEP)
+            mask = np.where(np.isin(np.arange(self._shape[0]), answered)[:, None], mask, np.uint8(CommandOp.KEEP))
+        self._check(np.where(mask == CommandOp.SET, values, self._bounds[0].reshape(self._shape)))
+        self.array.put(
+            claimant.level, claimant.source, np.where(mask == CommandOp.SET, values, np.nan), mask != CommandOp.KEEP
+        )
 
     def _mask(self, claimant: Claimant, command: Command) -> NDArray[np.uint8]:
-        if command.mask is None:
-            mask = np.full(self._shape, Mask.SET, np.uint8)
+        if command.operations is None:
+            mask = np.full(self._shape, CommandOp.SET, np.uint8)
         else:
-            mask = codec.octets(command.mask, self._shape, "mask")
-        if mask.size and mask.max() > Mask.RELEASE:
+            mask = codec.uint8s(command.operations, self._shape, "mask")
+        if mask.size and mask.max() > CommandOp.RELINQUISH:
             raise BadMessage(f"mask has {int(mask.max())}; 0 keeps, 1 sets, 2 releases")
-        if (mask[:, ~claimant.allowed] != Mask.KEEP).any():
-            _, index = np.argwhere((mask != Mask.KEEP) & ~claimant.allowed)[0]
+        if (mask[:, ~claimant.allowed] != CommandOp.KEEP).any():
+            _, index = np.argwhere((mask != CommandOp.KEEP) & ~claimant.allowed)[0]
             raise BadMessage(f"{self._actuators[index].name!r} is not among the actuators it claimed")
         return mask
 
@@ -159,7 +161,7 @@ class Commanded:
             BadMessage: there is none of that name, or the value is out of its bounds.
         """
         if name not in self._index:
-            raise BadMessage(f"no actuator {name!r}; {near(name, self._index)}")
+            raise BadMessage(f"no actuator {name!r}; {did_you_mean(name, self._index)}")
         index = self._index[name]
         if write.value is not None:
             low, high = self._bounds[:, index]
@@ -176,8 +178,8 @@ class Commanded:
         if write.value is None:
             level = f"at priority {write.priority}"
             return f"{actuator.name} {'released' if occupied else 'had nothing to release'} {level}"
-        if write.for_s is not None:
-            self._expiries.append(Expiry(elapsed_s + write.for_s, write.priority, index, write.source))
+        if write.duration_s is not None:
+            self._expiries.append(Expiry(elapsed_s + write.duration_s, write.priority, index, write.source))
         return f"{actuator.name} = {with_unit(f'{write.value:g}', actuator.unit)} at priority {write.priority}"
 
     def claimed(self, claimant: Claimant) -> None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from bridge.exchange.latency import Latencies
 from bridge.exchange.priority_array import PriorityArray
-from topics.errors import Refused, near
+from topics.errors import RequestRejected, did_you_mean
 from topics.messages import Actuator, Claim
 
 MAX_CLAIMS = 1000
@@ -83,7 +83,7 @@ class Claims:
         self._refuse_held(claim, allowed)
         replaced = [c.name for c in self.by_name.values() if self._replaces(claim, allowed, c)]
         if claim.controller not in self.by_name and len(self.by_name) - len(replaced) >= MAX_CLAIMS:
-            raise Refused(
+            raise RequestRejected(
                 f"{MAX_CLAIMS} controllers have claimed something, which is the most; "
                 "a reset of all slots forgets those that have gone"
             )
@@ -91,10 +91,10 @@ class Claims:
             self._give_up(self.by_name.pop(name), kept=allowed)
         old = self.by_name.get(claim.controller)
         if old is not None:
-            self._give_up(old, kept=allowed if old.level == claim.level else np.zeros_like(allowed))
+            self._give_up(old, kept=allowed if old.level == claim.priority else np.zeros_like(allowed))
         taken = self.by_name[claim.controller] = Claimant(
             claim.controller,
-            claim.level,
+            claim.priority,
             allowed,
             claim.required,
             self._array.source(claim.controller, self.sources),
@@ -128,24 +128,24 @@ class Claims:
         allowed = np.full(len(self._actuators), names is None)
         for name in names or ():
             if name not in self._index:
-                raise Refused(f"no actuator {name!r}; {near(name, self._index)}")
+                raise RequestRejected(f"no actuator {name!r}; {did_you_mean(name, self._index)}")
             allowed[self._index[name]] = True
         return allowed
 
     def _refuse_held(self, claim: Claim, allowed: NDArray[np.bool_]) -> None:
         for other in self.by_name.values():
             clash = other.allowed & allowed
-            if other.name != claim.controller and other.level == claim.level and other.present and clash.any():
+            if other.name != claim.controller and other.level == claim.priority and other.present and clash.any():
                 which = self._actuators[int(np.flatnonzero(clash)[0])].name
-                raise Refused(
-                    f"level {claim.level} of {which!r} is claimed by {other.name!r}; "
+                raise RequestRejected(
+                    f"level {claim.priority} of {which!r} is claimed by {other.name!r}; "
                     "claim another level, or wait until it has left"
                 )
 
     def _replaces(self, claim: Claim, allowed: NDArray[np.bool_], other: Claimant) -> bool:
         # A building without actuators has controllers all the same: they set the pace.
         meets = bool((other.allowed & allowed).any()) or not self._actuators
-        return not other.present and other.name != claim.controller and other.level == claim.level and meets
+        return not other.present and other.name != claim.controller and other.level == claim.priority and meets
 
     def _give_up(self, claimant: Claimant, kept: NDArray[np.bool_]) -> None:
         """Releases what a claimant has set, but for the actuators that the next claim on its level covers."""

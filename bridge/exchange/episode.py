@@ -315,9 +315,9 @@ class Exchange:
             # Who was waited for only so that the deadline sets the pace is not any more.
             self._pending -= {other.name for other in self.claims.by_name.values() if other.waived}
             self._pending.add(claim.controller)
-        how = "again" if renewed else f"at level {claim.level}"
-        left = [self.event(EventKind.LEFT, f"{claim.controller} takes over from {name}", name) for name in gone]
-        return [*left, self.event(EventKind.JOINED, f"{claim.controller} controls {how}", claim.controller)]
+        how = "again" if renewed else f"at level {claim.priority}"
+        left = [self.event(EventKind.DISCONNECTED, f"{claim.controller} takes over from {name}", name) for name in gone]
+        return [*left, self.event(EventKind.CONNECTED, f"{claim.controller} controls {how}", claim.controller)]
 
     def left(self, name: str) -> list[Event]:
         """A controller has gone; its claim waits for it."""
@@ -326,7 +326,9 @@ class Exchange:
             return []
         claimant.present, claimant.left_s = False, self.now_s
         waits = claimant.required and self.mode is Mode.LOCKSTEP and self.policy is Policy.WAIT
-        return [self.event(EventKind.LEFT, f"{name} has gone{', the node waits for it' if waits else ''}", name)]
+        return [
+            self.event(EventKind.DISCONNECTED, f"{name} has gone{', the node waits for it' if waits else ''}", name)
+        ]
 
     def waive(self, name: str, grace_s: float = 0.0) -> list[Event]:
         """A controller has been gone for the time of grace: the policy goes on without it, unless it is back.
@@ -346,7 +348,7 @@ class Exchange:
             raise EpisodeAborted(f"{name} has gone, and the policy is to abort the episode then")
         claimant.waived = True
         self._falls = self._falls or claimant.required
-        if self.policy is Policy.RELEASE:
+        if self.policy is Policy.RELINQUISH:
             self._answered.discard(name)  # what it answered is released as well
         if self.deadline_s is None or any(c.required and not c.waived for c in self.claims.by_name.values()):
             self._pending.discard(name)
@@ -381,9 +383,9 @@ class Exchange:
         return events
 
     def _fall_back(self, claimant: Claimant, why: str) -> Event:
-        if self.policy is Policy.RELEASE:
+        if self.policy is Policy.RELINQUISH:
             self.claims.release(claimant)
-        what = "is released" if self.policy is Policy.RELEASE else "holds"
+        what = "is released" if self.policy is Policy.RELINQUISH else "holds"
         return self.event(EventKind.FALLBACK, f"{claimant.name} {why}; what it commanded {what}", claimant.name)
 
     def take_usual(self, controller: str, payload: bytes, said: str = "") -> bool:
@@ -392,7 +394,7 @@ class Exchange:
         It is known by its head and needs no decoding; false (and nothing changed) for any other, as for one whose
         encoding `said` names another class or version.
         """
-        if said != _USUAL and not codec.names(Command, said):
+        if said != _USUAL and not codec.encoding_matches(Command, said):
             return False
         head, size = self._head, self.commanded.size
         if head and controller in self._pending and len(payload) == len(head) + size and payload.startswith(head):
@@ -459,7 +461,7 @@ class Exchange:
         """What is to be said of a command that was taken, but after the deadline, or as the first one again."""
         if claimant.silent:
             claimant.silent = False
-            return self.event(EventKind.JOINED, f"{claimant.name} answers again", claimant.name)
+            return self.event(EventKind.CONNECTED, f"{claimant.name} answers again", claimant.name)
         if self._overdue_s is not None and claimant.joined_s <= self._overdue_s:
             self.counts.accepted_late += 1
             claimant.record.accepted_late += 1
@@ -547,17 +549,17 @@ class Exchange:
         return [
             ControllerStatus(
                 controller=c.name,
-                level=c.level,
+                priority=c.level,
                 actuators=int(c.allowed.sum()),
                 required=c.required,
-                present=c.present,
+                connected=c.present,
                 accepted=c.record.accepted,
                 late=c.record.late,
                 rejected=c.record.rejected,
                 duplicate=c.record.duplicate,
                 missed=c.record.missed,
-                waived=c.waived,
-                silent=c.silent,
+                bypassed=c.waived,
+                unresponsive=c.silent,
                 accepted_late=c.record.accepted_late,
                 response=c.record.response.spread(),
             )

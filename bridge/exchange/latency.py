@@ -6,7 +6,7 @@ from array import array
 
 import numpy as np
 
-from topics.messages import Spread
+from topics.messages import LatencySummary
 
 _KEPT = 4096
 
@@ -34,11 +34,11 @@ class Latencies:
         if duration_s > self._most_s:
             self._most_s = duration_s
 
-    def spread(self) -> Spread:
+    def spread(self) -> LatencySummary:
         """Their median, 99th percentile (nearest rank) and maximum; any thread may ask."""
         count = self._count
         if not count:
-            return Spread()
+            return LatencySummary()
         latest = np.array(self._ring[: min(count, _KEPT)])
         median, p99 = np.percentile(latest, (50, 99), method="closest_observation")
-        return Spread(count=count, median_ms=1e3 * median, p99_ms=1e3 * p99, max_ms=1e3 * self._most_s)
+        return LatencySummary(count=count, median_ms=1e3 * median, p99_ms=1e3 * p99, max_ms=1e3 * self._most_s)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from bridge.faults.random_streams import Draws, Law
 from bridge.faults.schedule import Windows
-from topics.fault_plan import Bias, Clip, Delay, Drift, Drop, Freeze, Gain, Noise, PointFault, Quantise, Spike, Stuck
+from topics.fault_plan import Bias, Clip, Delay, Drift, Drop, Freeze, Gain, Noise, PointFault, Quantize, Spike, Stuck
 
 Floats = NDArray[np.float64]
 
@@ -179,7 +179,7 @@ SENSED: dict[type[PointFault], type[Effect]] = {
     Stuck: _Stuck,
     Drop: _Missing,
     Delay: _Delay,
-    Quantise: _Quantise,
+    Quantize: _Quantise,
     Spike: _Spike,
     Clip: _Clip,
 }

@@ -7,7 +7,7 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from topics import yaml12
-from topics.codec import explain
+from topics.codec import describe_validation_errors
 from topics.errors import InvalidConfig
 from topics.fault_plan import FaultPlan
 
@@ -25,4 +25,4 @@ def read_plan(path: Path) -> FaultPlan:
     try:
         return FaultPlan.model_validate(yaml12.parse(text, str(path)))
     except ValidationError as error:
-        raise InvalidConfig(f"{path}: {explain(error, FaultPlan.model_fields)}") from None
+        raise InvalidConfig(f"{path}: {describe_validation_errors(error, FaultPlan.model_fields)}") from None

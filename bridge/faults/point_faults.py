@@ -16,7 +16,7 @@ import numpy as np
 from bridge.faults.effects import COMMANDED, SENSED, Effect, Floats, limited
 from bridge.faults.random_streams import Draws, Episodes
 from bridge.faults.schedule import Grid, Told, Windows
-from topics.errors import Faults, InvalidConfig, near
+from topics.errors import ErrorCollector, InvalidConfig, did_you_mean
 from topics.fault_plan import FaultPlan, PointFault, Stuck
 from topics.messages import Actuator
 from topics.units import with_unit
@@ -54,10 +54,10 @@ class PointFaults:
         self.plan = plan
         self._slots = slots
         self._episodes = Episodes(slots)
-        gathered = Faults()
+        gathered = ErrorCollector()
         check_points(plan, points, actuators, gathered)
-        windows = gathered.catch(lambda: Windows(plan, PointFault, Grid(step_s, begin, end), self._episodes))
-        gathered.raise_all()
+        windows = gathered.collect(lambda: Windows(plan, PointFault, Grid(step_s, begin, end), self._episodes))
+        gathered.raise_if_any()
         assert windows is not None
         self._windows = windows
         self._points = self._effects(SENSED, "points", points, step_s)
@@ -185,7 +185,9 @@ def _any_of(patterns: Iterable[str], name: str) -> bool:
     return any(fnmatchcase(name, pattern) for pattern in patterns)
 
 
-def check_points(plan: FaultPlan, points: Sequence[str], actuators: Sequence[Actuator], gathered: Faults) -> None:
+def check_points(
+    plan: FaultPlan, points: Sequence[str], actuators: Sequence[Actuator], gathered: ErrorCollector
+) -> None:
     """Gathers the names that are not there, and values that an actuator cannot have."""
     there = {"points": list(points), "actuators": [a.name for a in actuators]}
     for label, fault in zip(plan.names, plan.faults, strict=True):
@@ -195,7 +197,7 @@ def check_points(plan: FaultPlan, points: Sequence[str], actuators: Sequence[Act
             for pattern in getattr(fault, side):
                 if not any(fnmatchcase(name, pattern) for name in there[side]):
                     what = {"points": "sensor or meter", "actuators": "actuator"}[side]
-                    hint = f"name it under {other}" if pattern in there[other] else near(pattern, there[side])
+                    hint = f"name it under {other}" if pattern in there[other] else did_you_mean(pattern, there[side])
                     gathered.found.append(InvalidConfig(f"fault {label!r}: no {what} {pattern!r}; {hint}"))
         if isinstance(fault, Stuck):
             for actuator in actuators:
@@ -203,7 +205,7 @@ def check_points(plan: FaultPlan, points: Sequence[str], actuators: Sequence[Act
                     _check_bounds(label, fault.value, actuator, gathered)
 
 
-def _check_bounds(label: str, value: float, actuator: Actuator, gathered: Faults) -> None:
+def _check_bounds(label: str, value: float, actuator: Actuator, gathered: ErrorCollector) -> None:
     low = -np.inf if actuator.low is None else actuator.low
     high = np.inf if actuator.high is None else actuator.high
     if not low <= value <= high:

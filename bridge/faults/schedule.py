@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bridge.faults.random_streams import Draws, Episodes, Key, Law, fault_key
-from topics.errors import Faults, InvalidConfig
+from topics.errors import ErrorCollector, InvalidConfig
 from topics.fault_plan import WEEKDAYS, AnyFault, FaultPlan, When, moment
 
 FOREVER = 2**62
@@ -135,10 +135,10 @@ class Windows:
         self.names = [name for name, _, _ in chosen]
         self.keys: list[Key] = [key for _, key, _ in chosen]
         self.faults: list[Any] = [fault for _, _, fault in chosen]
-        gathered = Faults()
+        gathered = ErrorCollector()
         for name, _, fault in chosen:
-            gathered.catch(lambda name=name, fault=fault: check(name, fault.when, grid))  # type: ignore[misc]
-        gathered.raise_all()
+            gathered.collect(lambda name=name, fault=fault: check(name, fault.when, grid))  # type: ignore[misc]
+        gathered.raise_if_any()
         whens = [fault.when for _, _, fault in chosen]
         self._slots = len(episodes.keys)
         self._span = np.array([span(when, grid) for when in whens], np.int64).reshape(-1, 2).T[:, :, None]

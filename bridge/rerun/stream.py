@@ -70,7 +70,7 @@ def _quantities(manifest: Manifest) -> list[_Quantity]:
     points: tuple[Sensor | Meter, ...] = (*manifest.sensors, *manifest.meters)
     for place, point in enumerate(points):
         quantity = found.setdefault(
-            point.unit, _Quantity(keys.safe(point.unit), _TITLES.get(point.unit, point.unit), [], [])
+            point.unit, _Quantity(keys.safe_name(point.unit), _TITLES.get(point.unit, point.unit), [], [])
         )
         quantity.names.append(point.name)
         quantity.places.append(place)
@@ -160,7 +160,7 @@ class RerunStream:
             key = str(token.key_expr)
             name = keys.node_of(key)
             known = self._nodes.get(name)
-            if known is not None and known.manifest.instance != keys.last_of(key):
+            if known is not None and known.manifest.instance != keys.last_chunk(key):
                 self._log(known)  # it has started again, and counts from nought
                 del self._nodes[name]
             self._came.setdefault(name, time.monotonic())
@@ -287,7 +287,7 @@ class RerunStream:
         simulated = rr.TimeColumn("simulated", timestamp=[np.datetime64(s.time[0], "ns") for s in samples])
         step = rr.TimeColumn("step", sequence=[s.step[0] for s in samples])
         values = _rows(b"".join(s.values for s in samples), len(samples))
-        applied = _rows(b"".join(s.applied for s in samples), len(samples))
+        applied = _rows(b"".join(s.effective for s in samples), len(samples))
         for quantity in node.quantities:
             table = (applied if quantity.of_actuators else values)[:, quantity.places]
             columns = rr.Scalars.columns(scalars=table.ravel()).partition([table.shape[1]] * len(samples))

@@ -29,7 +29,7 @@ from cryptography.hazmat.primitives.serialization import (
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from bridge.transport.access_control import ROLES, common_name
-from topics.errors import Faults, InvalidConfig, UnknownName, near
+from topics.errors import ErrorCollector, InvalidConfig, UnknownName, did_you_mean
 from topics.keys import Role, check_name
 
 AUTHORITY = "ca"
@@ -81,12 +81,12 @@ def make(folder: Path, *, hosts: Sequence[str] = (), days: int = DAYS, force: bo
     Raises:
         InvalidConfig: files that are there already, a host that is none, days out of range.
     """
-    faults = Faults()
-    names = faults.catch(lambda: _hosts(hosts))
-    faults.catch(lambda: _days(days, MOST_DAYS))
+    faults = ErrorCollector()
+    names = faults.collect(lambda: _hosts(hosts))
+    faults.collect(lambda: _days(days, MOST_DAYS))
     if not force:
-        faults.catch(lambda: _refuse_existing(folder, [AUTHORITY, *ROLES]))
-    faults.raise_all()
+        faults.collect(lambda: _refuse_existing(folder, [AUTHORITY, *ROLES]))
+    faults.raise_if_any()
     key = ec.generate_private_key(ec.SECP256R1())
     authority = _authority(key)
     made = [(AUTHORITY, authority, key)]
@@ -111,18 +111,18 @@ def add(
     authority = _read(folder / f"{AUTHORITY}.pem")
     key = _read_key(folder / f"{AUTHORITY}.key")
     left = (authority.not_valid_after_utc - datetime.now(UTC)).days
-    faults = Faults()
-    faults.catch(lambda: _check_private(folder / f"{AUTHORITY}.key"))
-    faults.catch(lambda: _check_name(name))
-    names = faults.catch(lambda: _hosts(hosts)) if role is Role.NODE else ()
-    faults.catch(lambda: _days(days, left))
+    faults = ErrorCollector()
+    faults.collect(lambda: _check_private(folder / f"{AUTHORITY}.key"))
+    faults.collect(lambda: _check_name(name))
+    names = faults.collect(lambda: _hosts(hosts)) if role is Role.NODE else ()
+    faults.collect(lambda: _days(days, left))
     if role not in ROLES:
         faults.found.append(InvalidConfig(f"there are no certificates for {role!r}; name one of {', '.join(ROLES)}"))
     elif hosts and role is not Role.NODE:
         faults.found.append(InvalidConfig(f"a {role} does not listen; hosts are for a node's certificate"))
     if not force:
-        faults.catch(lambda: _refuse_existing(folder, [name]))
-    faults.raise_all()
+        faults.collect(lambda: _refuse_existing(folder, [name]))
+    faults.raise_if_any()
     own = ec.generate_private_key(ec.SECP256R1())
     made = _issued(authority, key, own, role, name, names or (), days)
     _write(folder, name, made, own)
@@ -156,17 +156,17 @@ def identity(folder: Path, role: Role, name: str | None = None) -> Identity:
     if not path.exists():
         known = [one.name for one in show(folder) if one.role is role]
         raise UnknownName(
-            f"no certificate {name!r} in {folder}; {near(name, known)}. Make it with: zenostat keys add {role} {name}"
+            f"no certificate {name!r} in {folder}; {did_you_mean(name, known)}. Make it with: zenostat keys add {role} {name}"
         )
     certificate = _read(path)
-    faults = Faults()
+    faults = ErrorCollector()
     described = _described(name, certificate, authority)
     if described.fault:
         faults.found.append(InvalidConfig(f"{path}: {described.fault}"))
     if described.role is not role:
         faults.found.append(InvalidConfig(f"{path} is of the role {described.role or 'authority'}; {role} expected"))
-    faults.catch(lambda: _check_key(key, certificate))
-    faults.raise_all()
+    faults.collect(lambda: _check_key(key, certificate))
+    faults.raise_if_any()
     return Identity(folder / f"{AUTHORITY}.pem", path, key)
 
 
@@ -245,10 +245,10 @@ def _usage(*, signs_certificates: bool) -> x509.KeyUsage:
 
 
 def _hosts(hosts: Sequence[str]) -> tuple[x509.GeneralName, ...]:
-    faults = Faults()
+    faults = ErrorCollector()
     named = dict.fromkeys((*_LOCAL, *hosts))
-    found = [faults.catch(lambda host=host: _host(host)) for host in named]  # type: ignore[misc]
-    faults.raise_all()
+    found = [faults.collect(lambda host=host: _host(host)) for host in named]  # type: ignore[misc]
+    faults.raise_if_any()
     return tuple(one for one in found if one is not None)
 
 

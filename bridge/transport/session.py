@@ -19,7 +19,7 @@ import zenoh
 
 from bridge.transport.access_control import ROLES, control
 from topics import codec
-from topics.errors import BusError, EndpointTaken, Faults, InvalidConfig, NothingThere
+from topics.errors import AddressInUse, BusError, ErrorCollector, InvalidConfig, NodeNotFound
 from topics.keys import Role
 
 if TYPE_CHECKING:
@@ -113,10 +113,10 @@ def open_session(
         raise BusError(FORKED)
     _used = True
     mode = mode or (Mode.PEER if listen else Mode.CLIENT)
-    faults = Faults()
+    faults = ErrorCollector()
     _check_endpoints(listen, connect, faults, keys=keys, expose=expose)
-    shown = faults.catch(lambda: _identity(keys, role, certificate, listens=bool(listen)))
-    faults.raise_all()
+    shown = faults.collect(lambda: _identity(keys, role, certificate, listens=bool(listen)))
+    faults.raise_if_any()
     _refuse_used_socket(listen)
     settings = _settings(listen, connect, wait=wait, mode=mode) | (_closed(shown) if shown else {})
     config = zenoh.Config()
@@ -140,12 +140,12 @@ def exposure(listen: Sequence[str], keys: Path | None) -> str:
 
 
 def _check_endpoints(
-    listen: Sequence[str], connect: Sequence[str], faults: Faults, *, keys: Path | None, expose: bool
+    listen: Sequence[str], connect: Sequence[str], faults: ErrorCollector, *, keys: Path | None, expose: bool
 ) -> None:
     if not listen and not connect:
         faults.found.append(InvalidConfig("name an endpoint to listen on, or one to connect to"))
     for endpoint in (*listen, *connect):
-        if faults.catch(lambda endpoint=endpoint: check_endpoint(endpoint)) is None:  # type: ignore[misc]
+        if faults.collect(lambda endpoint=endpoint: check_endpoint(endpoint)) is None:  # type: ignore[misc]
             continue
         kind, _, address = endpoint.partition("/")
         if keys is not None and kind != "tls":
@@ -217,13 +217,13 @@ def _refuse_used_socket(listen: Sequence[str]) -> None:
     for endpoint in listen:
         kind, _, path = endpoint.partition("/")
         if kind == "unixsock-stream" and Path(path).exists():
-            raise EndpointTaken(f"{path} exists already; name another path, or remove it if nobody listens there")
+            raise AddressInUse(f"{path} exists already; name another path, or remove it if nobody listens there")
 
 
 def _explained(error: zenoh.ZError, listen: Sequence[str], connect: Sequence[str], shown: Identity | None) -> BusError:
     text = str(error)
     if "Address already in use" in text or ("listener" in text and "os error 98" in text):
-        return EndpointTaken(
+        return AddressInUse(
             f"another program listens on {' or '.join(listen)}; name another port (--listen tcp/127.0.0.1:7448), or "
             f"join the bus that is there without listening (--no-listen --connect {listen[0]})"
         )
@@ -231,6 +231,6 @@ def _explained(error: zenoh.ZError, listen: Sequence[str], connect: Sequence[str
         if shown is not None:
             from bridge.transport.tls_diagnosis import why_refused
 
-            return NothingThere("\n".join(why_refused(endpoint, shown) for endpoint in connect))
-        return NothingThere(f"nobody listens on {' or '.join(connect)}; start a node there: zenostat node --help")
+            return NodeNotFound("\n".join(why_refused(endpoint, shown) for endpoint in connect))
+        return NodeNotFound(f"nobody listens on {' or '.join(connect)}; start a node there: zenostat node --help")
     return BusError(text.split(" at /")[0])

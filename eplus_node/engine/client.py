@@ -29,7 +29,7 @@ from eplus_node.engine.registry import EngineRegistry
 from models.energyplus import ISOLATED
 from models.err_file import explain
 from models.points.selection import Points
-from topics.errors import EngineDied, EngineUnresponsive, ForkFailed, ModelRefused
+from topics.errors import EngineDied, EngineUnresponsive, ForkFailed, ModelError
 
 LOG = "engine.log"
 """What an engine says on standard error, in its folder."""
@@ -81,7 +81,7 @@ class Run:
             "poll": self.poll,
             "branch": self.branch,
             "sensors": [
-                (s.variable, s.key, str(s.reading), system)
+                (s.variable, s.key, str(s.aggregation), system)
                 for s, system in zip(points.sensors, points.system, strict=True)
             ],
             "meters": [(m.meter, h) for m, h in zip(points.meters, points.meter_handles, strict=True)],
@@ -418,7 +418,7 @@ class EngineLink:
             raise EngineDied(self._last_words())
         said = self._said[0]
         if said == _FAILED:
-            raise ModelRefused(self._refusal(int(self._frame[1])))
+            raise ModelError(self._refusal(int(self._frame[1])))
         self.last = said == _LAST
 
     def _try_read(self) -> int | None:

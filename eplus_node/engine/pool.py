@@ -16,7 +16,7 @@ from eplus_node.engine.client import LOG, EngineLink, Run
 from eplus_node.engine.registry import EngineRegistry
 from models.scenario.episode import Draw, Draws, Episodes, Files, Source
 from topics.errors import EngineDied, ForkFailed, SimulatorError
-from topics.messages import Start
+from topics.messages import EngineStart
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +147,7 @@ class Supply:
         """The folder of the present episode's own EnergyPlus files; empty if they are not kept."""
         return str(self.files.model.parent) if self._kept else ""
 
-    def turn(self, seed: int | None, episode: int, *, untouched: bool) -> Start:
+    def turn(self, seed: int | None, episode: int, *, untouched: bool) -> EngineStart:
         """Turns to the next episode: draws its weather, and says how its engine will come.
 
         Args:
@@ -162,17 +162,17 @@ class Supply:
         if untouched and self.draw == former and kept == self._keep:
             if seed is not None:
                 self._drop_ahead()  # it was drawn after the former seed
-            return Start.READY
+            return EngineStart.REUSED
         if self._can_fork():
-            return Start.FORKED
+            return EngineStart.FORKED
         if self._ahead is not None and self._ahead.draw == self.draw and self._ahead.engine.alive:
             self._let_go(self.files, keeping=self._ahead.files)
             self.files = self._ahead.files
-            return Start.AHEAD
+            return EngineStart.PREFETCHED
         self._drop_ahead()
         former_files, self.files = self.files, self._prepared(self.draw, episode)
         self._let_go(former_files, keeping=self.files)
-        return Start.STARTED
+        return EngineStart.STARTED
 
     def _drawn(self, seed: int | None) -> Draw:
         first, self._turned = not self._turned, True

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from models.building import schema
-from topics.errors import InvalidConfig, near
+from topics.errors import InvalidConfig, did_you_mean
 
 Changes = dict[str, dict[str, dict[str, Any] | None]]
 """Object type, object name, fields.
@@ -62,7 +62,7 @@ class _Change:
             self._fault(name, f": expected fields by name, or null to remove it; got {fields!r}")
         elif not own and (fields is None or name == EVERY):
             what = "object of this type" if name == EVERY else "such object"
-            self._fault(name, f": the model has no {what}; {near(name, self.items)}")
+            self._fault(name, f": the model has no {what}; {did_you_mean(name, self.items)}")
         elif fields is None:
             for each in own:
                 del self.items[each]
@@ -105,7 +105,9 @@ class _Change:
         elif lacking:
             self.found.extend(schema.faults({self.kind: {name: given}}, complete=False))
             lacks = ", ".join(map(repr, lacking))
-            self._fault(name, f": the model has no such object; {near(name, self.items)}; a new one would lack {lacks}")
+            self._fault(
+                name, f": the model has no such object; {did_you_mean(name, self.items)}; a new one would lack {lacks}"
+            )
         else:
             self.found.extend(schema.faults({self.kind: {name: given}}, complete=True))
         self.items[name] = given

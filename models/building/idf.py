@@ -16,7 +16,7 @@ from models import energyplus
 from models.building import schema
 from models.building.transition import idf_objects
 from models.err_file import grave_lines
-from topics.errors import InvalidConfig, ModelRefused, near
+from topics.errors import InvalidConfig, ModelError, did_you_mean
 
 _MOST = 10
 _UNKNOWN_TYPE = re.compile(r'"(.*)" is not a valid Object Type')
@@ -38,13 +38,13 @@ def convert(path: Path, target: Path) -> None:
     errors += _left_out(read, converted)
     if errors:
         more = [f"and {len(errors) - _MOST} more"] if len(errors) > _MOST else []
-        raise ModelRefused("\n  ".join([f"{path} is not a valid model:", *errors[:_MOST], *more]))
+        raise ModelError("\n  ".join([f"{path} is not a valid model:", *errors[:_MOST], *more]))
 
 
 def _spelled(line: str) -> str:
     """A line of the converter, with near names where it does not know an object type."""
     unknown = _UNKNOWN_TYPE.search(line)
-    return f"{line} ({near(unknown[1][:60], schema.types())})" if unknown else line
+    return f"{line} ({did_you_mean(unknown[1][:60], schema.types())})" if unknown else line
 
 
 def _left_out(read: Counter[str], converted: dict[str, Any]) -> Iterator[str]:

@@ -24,7 +24,7 @@ from typing import Any
 from models import energyplus
 from models.cache import cached_bytes
 from models.catalog import wheel
-from topics.errors import InvalidConfig, near
+from topics.errors import InvalidConfig, did_you_mean
 
 FORMAT = "1"
 """Version of the stored file."""
@@ -73,7 +73,7 @@ def has_field(kind: str, name: str) -> bool:
 
 def unknown_field(kind: str, name: str) -> str:
     """What to say of a field that objects of type `kind` do not have, after the object's name."""
-    return f"has no field {name!r}; {near(name, _schema()['types'][kind]['fields'])}"
+    return f"has no field {name!r}; {did_you_mean(name, _schema()['types'][kind]['fields'])}"
 
 
 def respelled(kind: str, fields: Fields) -> dict[str, Any]:
@@ -107,7 +107,7 @@ def faults(objects: Model, *, complete: bool) -> list[str]:
 def unknown_type(kind: str) -> str:
     """What to say of an object type that EnergyPlus does not have."""
     right = spelled(kind)
-    said = f"EnergyPlus spells it {right!r}" if right else near(kind, types())
+    said = f"EnergyPlus spells it {right!r}" if right else did_you_mean(kind, types())
     return f"EnergyPlus has no object type {kind!r}; {said}"
 
 
@@ -131,7 +131,7 @@ def _fields_faults(where: str, path: str, shape: dict[str, Any], fields: Fields,
         if rule is not None:
             yield from _value_faults(where, path + name, _schema()["rules"][rule], value, complete=complete)
         elif name not in _METADATA:
-            yield f"{where} has no field {path + name!r}; {near(name, rules)}"
+            yield f"{where} has no field {path + name!r}; {did_you_mean(name, rules)}"
     missing = [name for name in shape["required"] if name not in fields] if complete else []
     if missing:
         inside = f" in {path.removesuffix('.')}" if path else ""

@@ -9,9 +9,9 @@ from typing import TypeVar
 
 from models.building.model import Building
 from models.points.discovery import ActuatorPoint, MeterPoint, Survey, Variable, places
-from topics.errors import Faults, InvalidConfig, UnknownName, UsageError, near
-from topics.keys import check_name, safe
-from topics.messages import Actuator, Meter, Reading, Sensor
+from topics.errors import ErrorCollector, InvalidConfig, UnknownName, UsageError, did_you_mean
+from topics.keys import check_name, safe_name
+from topics.messages import Actuator, Aggregation, Meter, Sensor
 from topics.units import limits
 
 S = TypeVar("S")
@@ -120,7 +120,7 @@ def choose(
         UnknownName: points that the model does not have, all of them at once, with near names.
         InvalidConfig: names used twice or unfit for a topic, a reading or bounds that cannot be.
     """
-    faults = Faults()
+    faults = ErrorCollector()
     wanted_sensors = default_sensors(survey) if sensors is None else sensors
     wanted_meters = default_meters(survey) if meters is None else meters
     wanted_actuators = default_actuators(survey) if actuators is None else actuators
@@ -130,7 +130,7 @@ def choose(
     found_sensors = _each(wanted_sensors, lambda n, s: _sensor(survey, n, s), faults)
     found_meters = _each(wanted_meters, lambda n, s: _meter(survey, n, s), faults)
     found_actuators = _each(wanted_actuators, lambda n, s: _actuator(building, survey, n, s), faults)
-    faults.raise_all()
+    faults.raise_if_any()
     return Points(
         sensors=tuple(s for s, _ in found_sensors),
         meters=tuple(m for m, _ in found_meters),
@@ -140,7 +140,7 @@ def choose(
     )
 
 
-def _each(wanted: Mapping[str, S], find: Callable[[str, S], T], faults: Faults) -> list[T]:
+def _each(wanted: Mapping[str, S], find: Callable[[str, S], T], faults: ErrorCollector) -> list[T]:
     """Finds each, keeping on after a fault so that all are said at once."""
     found = []
     for name, spec in wanted.items():
@@ -154,14 +154,16 @@ def _each(wanted: Mapping[str, S], find: Callable[[str, S], T], faults: Faults) 
 def _sensor(survey: Survey, name: str, spec: Sequence[object]) -> tuple[Sensor, Variable]:
     variable, key, asked = _texts("sensor", name, spec, "(variable, key) or (variable, key, reading)", 2, 3)
     found = find_variable(survey, name, variable, key)
-    if asked and asked not in list(Reading):
-        raise InvalidConfig(f"sensor {name!r}: reading {asked!r}; there are: {', '.join(Reading)}")
-    reading = Reading(asked) if asked else default_reading(found)
-    if (reading is Reading.SUM) != found.summed and reading is not Reading.INSTANT:
+    if asked and asked not in list(Aggregation):
+        raise InvalidConfig(f"sensor {name!r}: reading {asked!r}; there are: {', '.join(Aggregation)}")
+    reading = Aggregation(asked) if asked else default_reading(found)
+    if (reading is Aggregation.SUM) != found.summed and reading is not Aggregation.INSTANT:
         right = "sum" if found.summed else "mean"
         raise InvalidConfig(f"sensor {name!r}: EnergyPlus reports {variable!r} as a {right}, not as a {reading}")
     low, high = sensor_bounds(found)
-    sensor = Sensor(name=name, variable=found.name, key=found.key, unit=found.unit, reading=reading, low=low, high=high)
+    sensor = Sensor(
+        name=name, variable=found.name, key=found.key, unit=found.unit, aggregation=reading, low=low, high=high
+    )
     return sensor, found
 
 
@@ -181,16 +183,16 @@ def find_variable(survey: Survey, name: str, variable: str, key: str) -> Variabl
     if not same:
         raise UnknownName(
             f"sensor {name!r}: the model has no variable {variable!r}; "
-            + near(variable, (v.name for v in survey.variables))
+            + did_you_mean(variable, (v.name for v in survey.variables))
         )
-    raise UnknownName(f"sensor {name!r}: {variable!r} has no key {key!r}; {near(key, (v.key for v in same))}")
+    raise UnknownName(f"sensor {name!r}: {variable!r} has no key {key!r}; {did_you_mean(key, (v.key for v in same))}")
 
 
-def default_reading(variable: Variable) -> Reading:
+def default_reading(variable: Variable) -> Aggregation:
     """`sum` for what EnergyPlus sums, `mean` for rates and flows, `instant` for states."""
     if variable.summed:
-        return Reading.SUM
-    return Reading.MEAN if variable.unit in _RATES else Reading.INSTANT
+        return Aggregation.SUM
+    return Aggregation.MEAN if variable.unit in _RATES else Aggregation.INSTANT
 
 
 def sensor_bounds(variable: Variable) -> tuple[float | None, float | None]:
@@ -210,7 +212,7 @@ def _meter(survey: Survey, name: str, spec: object) -> tuple[Meter, MeterPoint]:
         if candidate.name.casefold() == str(spec).casefold():
             return Meter(name=name, meter=candidate.name, unit=candidate.unit, low=_meter_low(candidate)), candidate
     raise UnknownName(
-        f"meter {name!r}: the model has no meter {spec!r}; {near(str(spec), (m.name for m in survey.meters))}"
+        f"meter {name!r}: the model has no meter {spec!r}; {did_you_mean(str(spec), (m.name for m in survey.meters))}"
     )
 
 
@@ -269,16 +271,16 @@ def find_actuator(survey: Survey, name: str, component: str, control: str, key: 
     if not of_type:
         raise UnknownName(
             f"actuator {name!r}: the model has no component type {component!r}; "
-            + near(component, (a.component_type for a in survey.actuators))
+            + did_you_mean(component, (a.component_type for a in survey.actuators))
         )
     of_control = [a for a in of_type if a.control_type.casefold() == control.casefold()]
     if not of_control:
         raise UnknownName(
             f"actuator {name!r}: {component!r} has no control type {control!r}; "
-            + near(control, (a.control_type for a in of_type))
+            + did_you_mean(control, (a.control_type for a in of_type))
         )
     raise UnknownName(
-        f"actuator {name!r}: {component!r}, {control!r} has no key {key!r}; {near(key, (a.key for a in of_control))}"
+        f"actuator {name!r}: {component!r}, {control!r} has no key {key!r}; {did_you_mean(key, (a.key for a in of_control))}"
     )
 
 
@@ -299,7 +301,7 @@ def thermostat_zones(survey: Survey) -> dict[str, str]:
     zones: dict[str, str] = {}
     for actuator in survey.actuators:
         if actuator.component_type == THERMOSTAT and actuator.key not in zones:
-            name = base = safe(actuator.key)
+            name = base = safe_name(actuator.key)
             number = 2
             while name in zones.values():
                 name, number = f"{base}_{number}", number + 1
@@ -324,14 +326,14 @@ def default_meters(survey: Survey) -> dict[str, str]:
     """The facility's meters of whatever fuels the model uses, and the HVAC's electricity."""
     has = {m.name for m in survey.meters}
     wanted = [f"{fuel}:Facility" for fuel in _FUELS] + ["Electricity:HVAC"]
-    return {safe(name.replace(":", "_")): name for name in wanted if name in has}
+    return {safe_name(name.replace(":", "_")): name for name in wanted if name in has}
 
 
 def default_actuators(survey: Survey) -> dict[str, tuple[str, str, str]]:
     """The heating and cooling setpoints of each zone."""
     zones = thermostat_zones(survey)
     return {
-        f"{zones[a.key]}_{safe(a.control_type)}": (a.component_type, a.control_type, a.key)
+        f"{zones[a.key]}_{safe_name(a.control_type)}": (a.component_type, a.control_type, a.key)
         for a in survey.actuators
         if a.component_type == THERMOSTAT and a.control_type in _SETPOINT_BOUNDS
     }

@@ -8,7 +8,7 @@ from models.building.model import Building
 from models.points.selection import Points
 from models.scenario.schema import ActionSpec, ActuatorSpec, ChoiceSpec, Scenario, SensorSpec
 from models.weather.noise import Noise, Variability
-from topics.errors import UnknownName, near
+from topics.errors import UnknownName, did_you_mean
 from topics.messages import Actuator, Sensor, Task
 from topics.scenario_ids import BUILDINGS, WEATHERS, bundled_ids, pack_ids
 
@@ -48,7 +48,7 @@ def find_scenario(text: str) -> Scenario:
         return pack_scenarios()[name]
     match = _ID.fullmatch(name)
     if not match:
-        raise UnknownName(f"no scenario {text!r}; {near(name, ids())}")
+        raise UnknownName(f"no scenario {text!r}; {did_you_mean(name, ids())}")
     building, weather, form, stochastic = match.groups()
     return Scenario(
         id=name,
@@ -78,12 +78,12 @@ def expanded(scenario: Scenario, building: Building, points: Points, task: Task)
     if scenario.actions is None and scenario.control != "point":
         left_out["actions"] = {a.name: ActionSpec(actuators=a.actuators, low=a.low, high=a.high) for a in task.actions}
     if isinstance(scenario.discrete, int):
-        left_out["discrete"] = tuple(ChoiceSpec(actions=c.actions, values=c.values) for c in task.choices)
+        left_out["discrete"] = tuple(ChoiceSpec(actions=c.actions, values=c.values) for c in task.discrete_actions)
     return scenario.model_copy(update={**left_out, "control": "point"})
 
 
 def _sensor(sensor: Sensor, scenario: Scenario) -> SensorSpec:
-    reading = sensor.reading if scenario.reading is None else None
+    reading = sensor.aggregation if scenario.reading is None else None
     return SensorSpec(variable=sensor.variable, key=sensor.key, reading=reading)
 
 

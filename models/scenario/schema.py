@@ -27,9 +27,9 @@ from models.building.edits import Changes
 from models.catalog import MODEL_SUFFIXES, WEATHER_SUFFIXES
 from models.weather.noise import Noise
 from topics import yaml12
-from topics.codec import explain
-from topics.errors import Faults, InvalidConfig, UnknownName
-from topics.messages import Reading, SafeName, TimeField
+from topics.codec import describe_validation_errors
+from topics.errors import ErrorCollector, InvalidConfig, UnknownName
+from topics.messages import Aggregation, SafeName, TimeField
 
 Order = Literal["random", "sequence"]
 Control = Literal["point", "zone", "building"]
@@ -49,7 +49,7 @@ class SensorSpec(_Part):
 
     variable: str
     key: str
-    reading: Reading | None = None
+    reading: Aggregation | None = None
 
 
 class ActuatorSpec(_Part):
@@ -188,7 +188,7 @@ class Scenario(_Part):
     sensors: dict[str, Annotated[SensorSpec, _listed(SensorSpec)]] | None = None
     meters: dict[str, str] | None = None
     actuators: dict[str, Annotated[ActuatorSpec, _listed(ActuatorSpec)]] | None = None
-    reading: Literal[Reading.INSTANT, Reading.MEAN] | None = None
+    reading: Literal[Aggregation.INSTANT, Aggregation.MEAN] | None = None
     actions: dict[str, ActionSpec] | None = None
     control: Control = "point"
     discrete: Discrete | None = None
@@ -203,7 +203,9 @@ class Scenario(_Part):
         return self
 
 
-def read_scenario(given: Mapping[str, Any], what: str = "the scenario", errors: Faults | None = None) -> Scenario:
+def read_scenario(
+    given: Mapping[str, Any], what: str = "the scenario", errors: ErrorCollector | None = None
+) -> Scenario:
     """`given` as a scenario; `InvalidConfig` names all faults at once.
 
     With `errors` they are gathered there instead, and the scenario has the fields that are right: the rest of it
@@ -212,7 +214,7 @@ def read_scenario(given: Mapping[str, Any], what: str = "the scenario", errors: 
     try:
         return Scenario.model_validate(dict(given))
     except ValidationError as error:
-        refused = InvalidConfig(f"{what}: {explain(error, Scenario.model_fields)}")
+        refused = InvalidConfig(f"{what}: {describe_validation_errors(error, Scenario.model_fields)}")
         wrong = {fault["loc"][0] if fault["loc"] else None for fault in error.errors(include_url=False)}
     if errors is None or None in wrong:  # None: of several fields together
         raise refused
@@ -237,7 +239,7 @@ def load_yaml(path: Path) -> dict[str, Any]:
     return yaml12.parse(text, str(path))
 
 
-def load_scenario(path: Path, errors: Faults | None = None) -> Scenario:
+def load_scenario(path: Path, errors: ErrorCollector | None = None) -> Scenario:
     """The scenario of a file. Paths in it are relative to it. `errors`: as in `read_scenario`."""
     return read_scenario(beside(load_yaml(path), path.parent), str(path), errors)
 

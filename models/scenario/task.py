@@ -9,9 +9,9 @@ import numpy as np
 
 from models.points.selection import THERMOSTAT, Points
 from models.scenario.schema import Scenario
-from topics.errors import InvalidConfig, near
-from topics.keys import check_name, safe
-from topics.messages import Action, Actuator, Choice, Limit, Task
+from topics.errors import InvalidConfig, did_you_mean
+from topics.keys import check_name, safe_name
+from topics.messages import Action, Actuator, DiscreteAction, Task, TerminationLimit
 from topics.units import with_unit
 
 T = TypeVar("T")
@@ -29,28 +29,28 @@ def task_of(scenario: Scenario, points: Points) -> Task:
         actions = _found(scenario, points.actuators, faults)
     else:
         actions = _named(scenario, points.actuators, faults)
-    choices: tuple[Choice, ...] = ()
+    choices: tuple[DiscreteAction, ...] = ()
     if isinstance(scenario.discrete, int) and not faults:
         choices = _steps(actions, points.actuators, scenario, faults)
     elif isinstance(scenario.discrete, tuple):
-        choices = tuple(Choice(actions=c.actions, values=c.values) for c in scenario.discrete)
+        choices = tuple(DiscreteAction(actions=c.actions, values=c.values) for c in scenario.discrete)
         faulty = set(scenario.actions or ()) - {a.name for a in actions}
         faults += _choice_faults(choices, actions, faulty)
     names = [sensor.name for sensor in points.sensors] + [meter.name for meter in points.meters]
     for number, limit in enumerate(scenario.terminate):
         for name in limit.points:
             if name not in names:
-                faults.append(f"terminate.{number}: there is no sensor or meter {name!r}; {near(name, names)}")
+                faults.append(f"terminate.{number}: there is no sensor or meter {name!r}; {did_you_mean(name, names)}")
     if faults:
         raise InvalidConfig("\n".join(faults))
     return Task(
         scenario=scenario.id,
         time=scenario.time,
         actions=actions,
-        choices=choices,
+        discrete_actions=choices,
         reward=scenario.reward,
         terminate=tuple(
-            Limit(points=limit.points, low=limit.low, high=limit.high, for_s=3600.0 * limit.for_h)
+            TerminationLimit(points=limit.points, low=limit.low, high=limit.high, duration_s=3600.0 * limit.for_h)
             for limit in scenario.terminate
         ),
         wrappers=scenario.wrappers,
@@ -64,7 +64,7 @@ def _found(scenario: Scenario, actuators: Sequence[Actuator], faults: list[str])
     kinds: dict[str, list[Actuator]] = {}
     for actuator in actuators:
         if actuator.component_type == THERMOSTAT:
-            kinds.setdefault(safe(actuator.control_type), []).append(actuator)
+            kinds.setdefault(safe_name(actuator.control_type), []).append(actuator)
     for actuator in actuators:
         if actuator.component_type != THERMOSTAT and actuator.name in kinds:
             faults.append(f"actuator {actuator.name!r} is called as all thermostats together are; name it otherwise")
@@ -98,7 +98,7 @@ def _named(scenario: Scenario, actuators: Sequence[Actuator], faults: list[str])
         members = []
         for actuator in spec.actuators:
             if actuator not in by_name:
-                faults.append(f"action {name!r}: there is no actuator {actuator!r}; {near(actuator, by_name)}")
+                faults.append(f"action {name!r}: there is no actuator {actuator!r}; {did_you_mean(actuator, by_name)}")
             elif actuator in taken:
                 faults.append(f"action {name!r}: the actuator {actuator!r} belongs to action {taken[actuator]!r}")
             else:
@@ -137,7 +137,7 @@ def _range(action: Action) -> str:
 
 def _steps(
     actions: Sequence[Action], actuators: Sequence[Actuator], scenario: Scenario, faults: list[str]
-) -> tuple[Choice, ...]:
+) -> tuple[DiscreteAction, ...]:
     """Equal steps over each group of actions: heating setpoints upwards, cooling setpoints downwards."""
     assert isinstance(scenario.discrete, int)
     by_name = {a.name: a for a in actuators}
@@ -154,7 +154,7 @@ def _steps(
     return tuple(_choice(members, by_name, scenario.discrete) for members in groups.values())
 
 
-def _choice(members: Sequence[Action], by_name: dict[str, Actuator], count: int) -> Choice:
+def _choice(members: Sequence[Action], by_name: dict[str, Actuator], count: int) -> DiscreteAction:
     columns = []
     for action in members:
         assert action.low is not None
@@ -163,16 +163,16 @@ def _choice(members: Sequence[Action], by_name: dict[str, Actuator], count: int)
         downwards = by_name[action.actuators[0]].control_type == "Cooling Setpoint"
         columns.append(steps[::-1] if downwards else steps)
     rows = tuple(tuple(row) for row in np.column_stack(columns).tolist())
-    return Choice(actions=tuple(a.name for a in members), values=rows)
+    return DiscreteAction(actions=tuple(a.name for a in members), values=rows)
 
 
-def _choice_faults(choices: Sequence[Choice], actions: Sequence[Action], faulty: set[str]) -> list[str]:
+def _choice_faults(choices: Sequence[DiscreteAction], actions: Sequence[Action], faulty: set[str]) -> list[str]:
     """What is wrong with choices; of `faulty` actions nothing is known but that they are there."""
     by_name, faults, seen = {a.name: a for a in actions}, [], list[str]()
     for number, choice in enumerate(choices):
         where = f"discrete.{number}"
         unknown = [name for name in choice.actions if name not in by_name]
-        faults += [f"{where}: there is no action {n!r}; {near(n, by_name)}" for n in unknown if n not in faulty]
+        faults += [f"{where}: there is no action {n!r}; {did_you_mean(n, by_name)}" for n in unknown if n not in faulty]
         for name in choice.actions:
             if name in seen:
                 faults.append(f"{where}: action {name!r} has its choices already")

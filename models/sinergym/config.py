@@ -19,10 +19,10 @@ from models.sinergym.rewards import RewardReader
 from models.sinergym.section_reader import Fields
 from models.weather.epw import find_column
 from models.weather.noise import Noise
-from topics.codec import explain
-from topics.errors import InvalidConfig, near
+from topics.codec import describe_validation_errors
+from topics.errors import InvalidConfig, did_you_mean
 from topics.keys import check_name
-from topics.messages import Reading, TimeField
+from topics.messages import Aggregation, TimeField
 from topics.scenario_ids import CONTINUOUS, DISCRETE, PACK_IDS
 
 T = TypeVar("T")
@@ -109,7 +109,7 @@ class Reader(Fields):
             "time": self._unless("time", self._time),
             "sensors": self._unless("sensors", self._sensors),
             "meters": self._unless("meters", self._meters),
-            "reading": Reading.INSTANT,
+            "reading": Aggregation.INSTANT,
             "control": "point",
             **self._unless("actuators", lambda: self._with_context(decided)),
             "reward": self._unless("reward", self._reward),
@@ -189,7 +189,9 @@ class Reader(Fields):
             self.fault(f"{where}: {text!r} is in the data pack {PACK!r}: {data_packs.command(PACK)}")
         else:
             names = [entry.path.name for entry in packed]
-            self.fault(f"{where}: no file {text!r} beside {self.path.name} or in the data pack; {near(text, names)}")
+            self.fault(
+                f"{where}: no file {text!r} beside {self.path.name} or in the data pack; {did_you_mean(text, names)}"
+            )
         return ""
 
     def _weathers(self) -> dict[str, tuple[str, ...]]:
@@ -251,7 +253,7 @@ class Reader(Fields):
             if name in list(TimeField):
                 fields.append(TimeField(name))
             else:
-                self.fault(f"time_variables: no field {name!r} of the clock; {near(name, map(str, TimeField))}")
+                self.fault(f"time_variables: no field {name!r} of the clock; {did_you_mean(name, map(str, TimeField))}")
         if len(set(fields)) < len(fields):
             self.fault("time_variables: a field is named twice")
         return tuple(fields)
@@ -403,7 +405,7 @@ class Reader(Fields):
             try:
                 noise = Noise(sigma=numbers[0], mu=numbers[1], tau_h=numbers[2], low=low, high=high)
             except ValidationError as error:
-                self.fault(f"{where}: {explain(error)}")
+                self.fault(f"{where}: {describe_validation_errors(error)}")
                 continue
             if column is not None:
                 found[column] = noise

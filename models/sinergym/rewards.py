@@ -9,7 +9,7 @@ from typing import Any
 
 from models import data_packs
 from models.sinergym.section_reader import Fields
-from topics.errors import near
+from topics.errors import did_you_mean
 
 MODULE = "sinergym.utils.rewards:"
 
@@ -174,7 +174,9 @@ class RewardReader:
         names = list(names)
         for name in names:
             if name not in self._renamed:
-                self._fields.fault(f"{where}: no variable or meter is called {name!r}; {near(name, self._renamed)}")
+                self._fields.fault(
+                    f"{where}: no variable or meter is called {name!r}; {did_you_mean(name, self._renamed)}"
+                )
         return [self._renamed.get(name, name) for name in names]
 
     def _prices(self) -> str:

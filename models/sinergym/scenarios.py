@@ -18,7 +18,7 @@ from models import data_packs
 from models.scenario.schema import Scenario, load_yaml
 from models.sinergym.config import PACK, Parsed, Reader
 from models.sinergym.literals import Table, literal, table, text_of, tree
-from topics.errors import InvalidConfig, UnknownName, near
+from topics.errors import InvalidConfig, UnknownName, did_you_mean
 from topics.scenario_ids import DEMO, DISCRETE, pack_ids, variants
 
 _TABLE = ("DEFAULT_", "_DISCRETE_FUNCTION")
@@ -82,7 +82,7 @@ def scenario_of(
     if len(fits) > 1:
         raise UnknownName(f"{config}: {wanted!r} fits several: {', '.join(fits)}")
     if not fits:
-        raise UnknownName(f"{config} has no scenario {wanted!r}; {near(name, ids)}")
+        raise UnknownName(f"{config} has no scenario {wanted!r}; {did_you_mean(name, ids)}")
     if fits[0] in found.lacking:
         raise InvalidConfig(found.reason)
     return found.scenarios[fits[0]]

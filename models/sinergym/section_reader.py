@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, TypeVar
 
-from topics.errors import InvalidConfig, UsageError, near
-from topics.keys import check_name, safe
+from topics.errors import InvalidConfig, UsageError, did_you_mean
+from topics.keys import check_name, safe_name
 
 T = TypeVar("T")
 
@@ -35,7 +35,7 @@ class Fields:
         names = list(names)
         for name in given:
             if name not in names:
-                self.fault(f"{where}unknown setting {name!r}; {near(str(name), names)}")
+                self.fault(f"{where}unknown setting {name!r}; {did_you_mean(str(name), names)}")
 
     def mapping(self, name: str) -> Mapping[Any, Any]:
         """The section of that name; empty where it is left out."""
@@ -69,7 +69,7 @@ class Fields:
         try:
             return check_name(text, where)
         except InvalidConfig:
-            return safe(text)
+            return safe_name(text)
 
     def pair(self, given: Any, where: str) -> tuple[float, float]:
         """Two numbers; 0 and 1, and a fault, if there are others."""

@@ -17,7 +17,7 @@ from models import energyplus
 from models.building.model import Objects
 from models.cache import cached_bytes, digest
 from models.weather.epw import DesignConditions, Header
-from topics.errors import InvalidConfig, ModelRefused
+from topics.errors import InvalidConfig, ModelError
 
 _LOCATION, _DAY = "Site:Location", "SizingPeriod:DesignDay"
 _WANTED = (re.compile(r"Ann Htg 99\.6% Condns DB$", re.I), re.compile(r"Ann Clg \.4% Condns DB=>MC?WB$", re.I))
@@ -100,7 +100,7 @@ def _read_ddy(path: Path) -> dict[str, Objects]:
 
     try:
         return dict(json.loads(cached_bytes(f"design-days/{digest(raw, energyplus.version())}.epJSON", convert)))
-    except (ModelRefused, ValueError) as error:
+    except (ModelError, ValueError) as error:
         raise InvalidConfig(f"{path} cannot be read as design days: {error}") from None
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.scenario.run_period import Period
-from topics.errors import InvalidConfig, UnknownName, near
+from topics.errors import InvalidConfig, UnknownName, did_you_mean
 
 Floats = NDArray[np.float64]
 
@@ -112,7 +112,7 @@ def find_column(text: str) -> Column:
     folded = re.sub(r"[^0-9a-z]+", "_", text.casefold()).strip("_")
     found = COLUMNS.get(_ALIASES.get(folded, folded))
     if found is None:
-        raise UnknownName(f"no weather column {text!r}; {near(folded, COLUMNS)}")
+        raise UnknownName(f"no weather column {text!r}; {did_you_mean(folded, COLUMNS)}")
     return found
 
 

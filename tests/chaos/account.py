@@ -79,9 +79,9 @@ class Account:
                 self.episodes.append(Episode(event.episode))
             case EventKind.FAILED if self.episodes:
                 self.episodes[-1].failed = True
-            case EventKind.JOINED if "controls" in event.text and role in self.roles:
+            case EventKind.CONNECTED if "controls" in event.text and role in self.roles:
                 self._claims[role] = event.source
-            case EventKind.LEFT:
+            case EventKind.DISCONNECTED:
                 self._gone.add(event.source)
             case EventKind.WRITTEN | EventKind.EXPIRED:
                 self._write(event)
@@ -141,8 +141,8 @@ class Account:
 
     def _contradiction(self, sample: Sample, rows: Rows) -> str:
         rulers, applied = (
-            [sample.rulers[i] for i in np.frombuffer(sample.ruler, "<u2")],
-            np.frombuffer(sample.applied).tolist(),
+            [sample.sources[i] for i in np.frombuffer(sample.source_index, "<u2")],
+            np.frombuffer(sample.effective).tolist(),
         )
         wrong = []
         for name, index in self._index.items():

@@ -23,14 +23,14 @@ from agent_sdk.bus.controller_link import ControlLink
 from agent_sdk.bus.sample import SampleView
 from bridge.runtime.affinity import Affinity
 from chaos.journal import Journal
-from topics.errors import EpisodeChanged, NodeLost, NothingThere, Refused, SimulatorError
-from topics.messages import Actuator, Mask
+from topics.errors import EpisodeChanged, NodeLost, NodeNotFound, RequestRejected, SimulatorError
+from topics.messages import Actuator, CommandOp
 
 LOST = 4
 REPEATS = 300
 
 # Numbers: NumPy looks for methods on a member of an enum, which runs Python, and drops what a signal raises there.
-_KEEP, _SET, _RELEASE = int(Mask.KEEP), int(Mask.SET), int(Mask.RELEASE)
+_KEEP, _SET, _RELEASE = int(CommandOp.KEEP), int(CommandOp.SET), int(CommandOp.RELINQUISH)
 _repeat = False
 
 
@@ -72,7 +72,7 @@ class Controller:
         while True:
             try:
                 return self._bus.controller(settings["node"], name=settings["name"], level=level, actuators=names)
-            except Refused:  # the one before is still there, for all that the node knows
+            except RequestRejected:  # the one before is still there, for all that the node knows
                 threading.Event().wait(0.05)
 
     def _follow(self, link: ControlLink) -> None:
@@ -91,7 +91,7 @@ class Controller:
                 return link.receive()
             except EpisodeChanged:
                 return self._present(link)
-            except Refused:
+            except RequestRejected:
                 continue  # what was refused came in this one's name, or too late; the next sample tells
 
     def _answer(self, link: ControlLink, sample: SampleView) -> None:
@@ -123,7 +123,7 @@ def main() -> int:
     try:
         with agent_sdk.connect(settings["endpoint"], affinity=Affinity.OFF) as bus:
             Controller(bus, settings).run()
-    except (NodeLost, NothingThere) as error:
+    except (NodeLost, NodeNotFound) as error:
         sys.stderr.write(f"{error}\n")
         return LOST
     return 0

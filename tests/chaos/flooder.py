@@ -24,7 +24,7 @@ from bridge.runtime.affinity import Affinity
 from chaos.acts import Act
 from chaos.journal import Journal
 from topics import codec, keys
-from topics.messages import Claim, Command, Denied, Manifest, Reset, Sample, Write
+from topics.messages import Claim, Command, ErrorReply, Manifest, Reset, Sample, Write
 
 PERSONS = 12
 """Names of those who write; a few, since each sample tells the names of those that hold something."""
@@ -61,7 +61,7 @@ class Flooder:
             return
         messages = [makers[act]() for _ in range(count)]
         writes = [(key, codec.decode(Write, raw).model_dump()) for key, raw, _ in messages if act is Act.WRITES]
-        self._journal.note(act=act.name, count=count, writes=[(keys.last_of(key), write) for key, write in writes])
+        self._journal.note(act=act.name, count=count, writes=[(keys.last_chunk(key), write) for key, write in writes])
         for key, payload, said in messages:
             how = zenoh.Encoding(said) if said else None
             self._bus.session.put(key, payload, encoding=how, congestion_control=CongestionControl.BLOCK)
@@ -105,7 +105,7 @@ class Flooder:
         free = rng.random() < 0.3
         for_s = None if free or rng.random() < 0.2 else float(rng.randrange(900, 14400))
         source = f"person-{rng.randrange(PERSONS)}"
-        write = Write(value=None if free else value, for_s=for_s, priority=PERSON_LEVEL, source=source)
+        write = Write(value=None if free else value, duration_s=for_s, priority=PERSON_LEVEL, source=source)
         return keys.ACTUATOR.at(self._node, name=actuator.name), codec.encode(write)
 
     def _bad_write(self, rng: random.Random) -> tuple[str, bytes]:
@@ -123,7 +123,7 @@ class Flooder:
 
     def _refused_request(self, rng: random.Random) -> int:
         """1 if the node refused a request that it should refuse, and said why."""
-        whole = codec.encode(Claim(controller="thief", level=10, actuators=["no_such_point"]))
+        whole = codec.encode(Claim(controller="thief", priority=10, actuators=["no_such_point"]))
         topic, payload = rng.choice(
             [
                 (keys.CLAIM, whole),
@@ -136,7 +136,7 @@ class Flooder:
             ]
         )
         replies = list(self._bus.session.get(topic.at(self._node), payload=payload, timeout=30.0))
-        return sum(r.ok is not None and str(r.ok.encoding) == codec.encoding(Denied) for r in replies)
+        return sum(r.ok is not None and str(r.ok.encoding) == codec.encoding(ErrorReply) for r in replies)
 
 
 def main() -> None:

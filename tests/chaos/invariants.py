@@ -112,7 +112,7 @@ def _counts(outcome: Outcome, sent: dict[str, list[journal.Sent]], events: list[
     messages = sum(command.times for command in commands) + sum(
         count for act, count in floods.items() if act != Act.BAD_REQUESTS.name
     )
-    flooded = status.statistics.flooded
+    flooded = status.statistics.rate_limited
     refused = status.rejected + status.late + status.duplicate + flooded
     written = sum(event.kind is EventKind.WRITTEN for event in events)
     counted = status.accepted + refused + written

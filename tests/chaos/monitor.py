@@ -36,7 +36,7 @@ def main() -> int:
         sys.stdout.flush()
         while True:
             message = inbox.recv()
-            kind, payload = keys.last_of(str(message.key_expr)), message.payload.to_bytes()
+            kind, payload = keys.last_chunk(str(message.key_expr)), message.payload.to_bytes()
             if file is not None and kind in KINDS:
                 file.write(msgpack.packb((kind, payload)))
             if kind == "event" and codec.decode(Event, payload).kind is EventKind.STOPPED:

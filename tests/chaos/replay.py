@@ -13,7 +13,7 @@ from bridge.runtime.affinity import Affinity
 from chaos.account import Episode
 from chaos.run import BUILDING
 from topics.errors import ZenostatError
-from topics.messages import Flag, Mask, Sample
+from topics.messages import CommandOp, Flag, Sample
 
 QUIET = BUILDING | {"policy": "abort", "deadline_s": 60.0}
 """Without a policy, a sample that did not come would be waited for without end."""
@@ -41,7 +41,7 @@ def _compared(link: ControlLink, episode: Episode) -> str:
             break
         values = np.array([np.nan if value is None else value for value in ruling]).reshape(shape)
         released = np.isnan(values)
-        mask = np.where(released, np.uint8(Mask.RELEASE), np.uint8(Mask.SET)).tobytes()
+        mask = np.where(released, np.uint8(CommandOp.RELINQUISH), np.uint8(CommandOp.SET)).tobytes()
         link.send(np.where(released, 0.0, values), mask)
         again = link.receive()
     return ""
@@ -50,4 +50,4 @@ def _compared(link: ControlLink, episode: Episode) -> str:
 def _seen(sample: Sample) -> tuple[object, ...]:
     """All that the building says in a sample, as bytes."""
     flags = [flag & ~Flag.FALLBACK for flag in sample.flags]
-    return (sample.step, sample.time, sample.elapsed_s, flags, sample.values, sample.applied)
+    return (sample.step, sample.time, sample.elapsed_s, flags, sample.values, sample.effective)

@@ -28,7 +28,7 @@ from chaos.controller import LOST
 from chaos.crew import Member
 from topics import codec, keys
 from topics.errors import SimulatorError
-from topics.messages import Accepted, Event, EventKind, Manifest, Pause, Reset, Resume, Status
+from topics.messages import Ack, Event, EventKind, Manifest, Pause, Reset, Resume, Status
 
 BUILDING = SMALL | {"begin": "07-01", "end": "07-07"}
 NODE = BUILDING | {"policy": "hold", "deadline_s": 0.25, "baseline": False}
@@ -170,7 +170,7 @@ class Chaos:
                 if monotonic() >= until_s:
                     return
                 continue
-            if event.kind is EventKind.JOINED and "controls" in event.text:
+            if event.kind is EventKind.CONNECTED and "controls" in event.text:
                 self._names[event.source.partition("-")[0]] = event.source
             if event.kind in (EventKind.ENDED, EventKind.FAILED):
                 self._reset()
@@ -234,9 +234,9 @@ class Chaos:
             case Act.RESET:
                 self._reset()
             case Act.PAUSE:
-                self._bus._ask(keys.PAUSE, self.node.name, Pause(source="chaos"), Accepted)
+                self._bus._ask(keys.PAUSE, self.node.name, Pause(source="chaos"), Ack)
                 threading.Event().wait(0.5 * step.amount)
-                self._bus._ask(keys.RESUME, self.node.name, Resume(source="chaos"), Accepted)
+                self._bus._ask(keys.RESUME, self.node.name, Resume(source="chaos"), Ack)
             case Act.FREEZE_NODE:
                 self._freeze(self.node.pid, 0.8 * step.amount)
             case _:
@@ -287,7 +287,7 @@ class Chaos:
         self.flooder.process.stdin.close()
         self._expect(self.flooder, "the flooder", 0)
         until(lambda: self._all_answer(began_s), "all controllers answer again")
-        self._bus._ask(keys.PAUSE, self.node.name, Pause(source="chaos"), Accepted)
+        self._bus._ask(keys.PAUSE, self.node.name, Pause(source="chaos"), Ack)
         self.outcome.status = self._settled()
         self._bus.stop(self.node.name)
         if self.node.process.wait(60) != 0:
@@ -299,7 +299,7 @@ class Chaos:
 
     def _all_answer(self, began_s: float) -> bool:
         self._attend(monotonic(), began_s)
-        there = {one.controller.partition("-")[0]: one for one in self._status().controllers if one.present}
+        there = {one.controller.partition("-")[0]: one for one in self._status().controllers if one.connected}
         return set(there) == set(LEVELS) and all(one.accepted for one in there.values())
 
     def _settled(self) -> Status:
@@ -308,8 +308,8 @@ class Chaos:
         while same < 20:
             threading.Event().wait(0.02)
             status = self._status()
-            counted = (status.accepted, status.rejected, status.late, status.duplicate, status.statistics.flooded)
-            was = (before.accepted, before.rejected, before.late, before.duplicate, before.statistics.flooded)
+            counted = (status.accepted, status.rejected, status.late, status.duplicate, status.statistics.rate_limited)
+            was = (before.accepted, before.rejected, before.late, before.duplicate, before.statistics.rate_limited)
             before, same = status, same + 1 if counted == was else 0
         return before
 

@@ -29,8 +29,8 @@ from bridge.gateways.zeromq.frames import Request, denied
 from bridge.gateways.zeromq.node_state import REFUSALS, NodeView, Owner, answers, leads_to, refusals
 from bridge.gateways.zeromq.zenoh_side import BusSide, Said
 from topics import codec, keys
-from topics.errors import NodeLost, NothingThere, Refused, ZenostatError, from_wire
-from topics.messages import Accepted, Claim, Command, Event, EventKind, Message, Sample, State, Status, Write
+from topics.errors import NodeLost, NodeNotFound, RequestRejected, ZenostatError, from_wire
+from topics.messages import Ack, Claim, Command, Event, EventKind, Message, Sample, State, Status, Write
 
 Answer = Callable[[Request, Message | Said], None]
 _BUSY = (State.RUNNING, State.STARTING)
@@ -96,7 +96,7 @@ class Lanes:
             request, lane.busy = lane.waiting.popleft(), True
             node = self._nodes.get(lane.node)
             if node is None:
-                self._finish(lane, request, denied(NothingThere(f"no node {lane.node!r} on the bus")))
+                self._finish(lane, request, denied(NodeNotFound(f"no node {lane.node!r} on the bus")))
             elif isinstance(request.message, Claim):
                 self._claim(lane, node, request)
             elif isinstance(request.message, Write):
@@ -162,7 +162,9 @@ class Lanes:
         owner = node.owners.get(lane.source)
         if owner is None or owner.route != request.peer.route:
             how = "has claimed nothing" if owner is None else "was claimed again through another connection"
-            error = Refused(f"{lane.source!r} {how}; claim first, through this connection: {keys.CLAIM.at(node.name)}")
+            error = RequestRejected(
+                f"{lane.source!r} {how}; claim first, through this connection: {keys.CLAIM.at(node.name)}"
+            )
             self._finish(lane, request, denied(error))
             return
         assert isinstance(request.message, Command)
@@ -204,7 +206,7 @@ class Lanes:
             self._settle(pending, denied(_nobody(node)))
         elif pending.owner is None or (pending.counted is not None and pending.counted - node.told > pending.silent):
             node.silent = None
-            self._settle(pending, denied(Refused(f"node {node.name!r} did not take it, and did not say why")))
+            self._settle(pending, denied(RequestRejected(f"node {node.name!r} did not take it, and did not say why")))
         else:
             heard = node.heard
             self._bus.ask(keys.STATUS, node.name, b"", lambda said: self._stands(pending, heard, said))
@@ -241,7 +243,7 @@ class Lanes:
         if failed and failure is not None:
             self._settle(pending, denied(from_wire({"error": failure.error, "message": failure.text})))
         else:
-            self._settle(pending, Accepted(episode=command.episode))
+            self._settle(pending, Ack(episode=command.episode))
 
     # Writes
 
@@ -278,9 +280,9 @@ class Lanes:
         for pending in self._sent(node):
             told = event.source == pending.lane.source
             if told and event.kind in REFUSALS:
-                self._settle(pending, denied(Refused(event.text)))
+                self._settle(pending, denied(RequestRejected(event.text)))
             elif told and event.kind is EventKind.WRITTEN and pending.owner is None:
-                self._settle(pending, Accepted(episode=[event.episode]))
+                self._settle(pending, Ack(episode=[event.episode]))
             elif not pending.asked:
                 self._ask(pending)
 

@@ -11,9 +11,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from topics import codec, errors, keys
-from topics.errors import BadMessage, InvalidConfig, ZenostatError, near
+from topics.errors import BadMessage, InvalidConfig, ZenostatError, did_you_mean
 from topics.keys import Delivery, Role, Topic
-from topics.messages import Ask, Denied, Message
+from topics.messages import ErrorReply, Message, Query
 
 _ENVELOPE = 8
 _SHOWN = 300
@@ -96,7 +96,7 @@ def _row(topic: bytes) -> tuple[Topic, str, str]:
     if verb + slash in NAMED:
         return NAMED[verb + slash], node, _checked(name, f"the name after {verb}/")
     known = [*QUERIES, *(row.key for row in NAMED.values())]
-    raise BadMessage(f"no request {_short(rest.encode())}; {near(rest[:_SHOWN], known, most=len(known))}")
+    raise BadMessage(f"no request {_short(rest.encode())}; {did_you_mean(rest[:_SHOWN], known, most=len(known))}")
 
 
 def _checked(name: str, what: str) -> str:
@@ -108,9 +108,9 @@ def _checked(name: str, what: str) -> str:
 
 def _message(row: Topic, payload: bytes) -> Message:
     # What only is fetched (manifest, sample) has no question of its own, and a question without fields may be left out.
-    kind = row.message if row.message is not None and row.sender is not Role.NODE else Ask
-    if kind is Ask and not payload:
-        return Ask()
+    kind = row.message if row.message is not None and row.sender is not Role.NODE else Query
+    if kind is Query and not payload:
+        return Query()
     return codec.decode(kind, payload)
 
 
@@ -127,6 +127,6 @@ def answer(peer: Peer, topic: bytes, encoding: str, payload: bytes) -> list[byte
     return [peer.route, *peer.envelope, topic, encoding.encode(), payload]
 
 
-def denied(error: ZenostatError) -> Denied:
+def denied(error: ZenostatError) -> ErrorReply:
     """The refusal that an error is to a peer."""
-    return Denied(**errors.to_wire(error))
+    return ErrorReply(**errors.to_wire(error))

@@ -17,9 +17,17 @@ from bridge.gateways.zeromq.node_state import NodeView
 from bridge.gateways.zeromq.sockets import DEFAULT_COMMAND, DEFAULT_PUBLISH, Sockets, check_endpoint
 from bridge.gateways.zeromq.zenoh_side import BusSide, Said
 from topics import codec, errors, keys
-from topics.errors import BadMessage, InvalidConfig, NodeLost, NothingThere, Refused, ZenostatError, near
+from topics.errors import (
+    BadMessage,
+    InvalidConfig,
+    NodeLost,
+    NodeNotFound,
+    RequestRejected,
+    ZenostatError,
+    did_you_mean,
+)
 from topics.keys import Delivery, Role
-from topics.messages import Denied, Event, EventKind, Manifest, Message
+from topics.messages import ErrorReply, Event, EventKind, Manifest, Message
 
 LEASE_S = 10.0
 
@@ -242,7 +250,7 @@ class Gateway:
         try:
             request = read(peer, rest)
             if self.node not in ("*", request.node):
-                raise NothingThere(f"this gateway is for node {self.node!r} alone, not for {request.node!r}")
+                raise NodeNotFound(f"this gateway is for node {self.node!r} alone, not for {request.node!r}")
         except ZenostatError as error:
             self._send(peer, rest[0][:_ECHO] if rest else b"", denied(error))
             return
@@ -253,13 +261,13 @@ class Gateway:
             announced.waiting.append(request)
         else:
             self._answer(
-                request, denied(Refused(f"node {request.node!r} has not said yet what it is; ask again later"))
+                request, denied(RequestRejected(f"node {request.node!r} has not said yet what it is; ask again later"))
             )
 
     def _do(self, request: Request) -> None:
         if request.node not in self._nodes:
-            why = f"no node {request.node!r} on the bus; {near(request.node, self._nodes)}"
-            self._answer(request, denied(NothingThere(why)))
+            why = f"no node {request.node!r} on the bus; {did_you_mean(request.node, self._nodes)}"
+            self._answer(request, denied(NodeNotFound(why)))
         elif request.row in (keys.COMMAND, keys.CLAIM, keys.ACTUATOR):
             self._lanes.take(request)
         else:
@@ -279,7 +287,7 @@ class Gateway:
             said = Said("", codec.encoding(type(answered)), codec.encode(answered))
         else:
             said = answered
-        self.counts.denied += said.encoding == codec.encoding(Denied)
+        self.counts.denied += said.encoding == codec.encoding(ErrorReply)
         self._sockets.send(answer(peer, topic, said.encoding, said.payload))
 
 

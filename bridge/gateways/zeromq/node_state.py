@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from topics.messages import Command, ControllerStatus, Event, EventKind, Manifest, Mode, Status
 
 REFUSALS = (EventKind.REJECTED, EventKind.LATE, EventKind.DUPLICATE)
-_CHANGES = (EventKind.JOINED, EventKind.LEFT, EventKind.STARTED, EventKind.PACE)
+_CHANGES = (EventKind.CONNECTED, EventKind.DISCONNECTED, EventKind.STARTED, EventKind.PACE)
 
 
 @dataclass(slots=True, eq=False)

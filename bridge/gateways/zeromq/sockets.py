@@ -18,7 +18,7 @@ from zmq.utils.monitor import recv_monitor_message
 
 from bridge.gateways.zeromq.connections import CHECK_S, Connections
 from topics import codec
-from topics.errors import EndpointTaken, InvalidConfig
+from topics.errors import AddressInUse, InvalidConfig
 
 DEFAULT_PUBLISH = "tcp://127.0.0.1:5556"
 DEFAULT_COMMAND = "tcp://127.0.0.1:5557"
@@ -214,11 +214,11 @@ def _bind(made: zmq.Socket[bytes], endpoint: str) -> str:
     kind, _, path = endpoint.partition("://")
     # libzmq takes over the path of a socket that is in use; its owner would not notice.
     if kind == "ipc" and Path(path).exists():
-        raise EndpointTaken(f"{path} exists already; name another path, or remove it if nobody listens there")
+        raise AddressInUse(f"{path} exists already; name another path, or remove it if nobody listens there")
     try:
         made.bind(endpoint)
     except zmq.ZMQError as error:
         if error.errno == zmq.EADDRINUSE:
-            raise EndpointTaken(f"another program listens on {endpoint}; name another port") from None
+            raise AddressInUse(f"another program listens on {endpoint}; name another port") from None
         raise InvalidConfig(f"{endpoint}: {error.strerror}; name an address of this machine and a port") from None
     return bytes(made.getsockopt(zmq.LAST_ENDPOINT)).rstrip(b"\0").decode()

@@ -16,9 +16,9 @@ from zenoh import CongestionControl
 from zenoh.handlers import Callback
 
 from topics import codec, errors, keys
-from topics.errors import NothingThere, PeerError, near
+from topics.errors import NodeNotFound, PeerError, did_you_mean
 from topics.keys import Topic
-from topics.messages import Denied, Message
+from topics.messages import ErrorReply, Message
 
 _QUESTION_S = 600.0  # a node's death is noticed at once; a start of a large building takes long
 
@@ -36,7 +36,7 @@ class Said:
     @property
     def denied(self) -> bool:
         """Whether it is a refusal."""
-        return self.encoding == codec.encoding(Denied)
+        return self.encoding == codec.encoding(ErrorReply)
 
 
 Then = Callable[[Said | None], None]
@@ -73,7 +73,7 @@ class BusSide:
 
         def on_token(token: zenoh.Sample) -> None:
             key, there = str(token.key_expr), token.kind == zenoh.SampleKind.PUT
-            self._shelve(lambda: presence(keys.node_of(key), keys.last_of(key), there))
+            self._shelve(lambda: presence(keys.node_of(key), keys.last_chunk(key), there))
 
         stream = self._session.declare_subscriber(keys.stream(node), Callback(on_message, indirect=False))
         self._close.enter_context(stream)
@@ -92,7 +92,7 @@ class BusSide:
         if wanted == "*":
             return found
         if wanted not in found:
-            raise NothingThere(f"no node {wanted!r} on the bus; {near(wanted, found)}")
+            raise NodeNotFound(f"no node {wanted!r} on the bus; {did_you_mean(wanted, found)}")
         return [wanted]
 
     def fetch(self, topic: Topic, node: str) -> Said | None:
@@ -113,8 +113,8 @@ class BusSide:
                 said = Said(key, str(reply.ok.encoding), reply.ok.payload.to_bytes())
             else:
                 why = reply.err.payload.to_string() if reply.err else "no reason given"
-                denied = Denied(**errors.to_wire(PeerError(f"node {node!r} did not answer {topic.key}: {why}")))
-                said = Said(key, codec.encoding(Denied), codec.encode(denied))
+                denied = ErrorReply(**errors.to_wire(PeerError(f"node {node!r} did not answer {topic.key}: {why}")))
+                said = Said(key, codec.encoding(ErrorReply), codec.encode(denied))
             self._shelve(lambda: then(said))
 
         def on_end() -> None:
