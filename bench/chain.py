@@ -52,7 +52,7 @@ class Chain:
                 samples = undo.enter_context(session.declare_subscriber(_SAMPLE, FifoChannel(16)))
                 commands = undo.enter_context(session.declare_publisher(_COMMAND))
             if placement is Affinity.TOGETHER:
-                affinity.pin(core)
+                affinity.set_affinity(core)
             until = time.monotonic() + _PATIENCE_S
             while not commands.matching_status.matching and time.monotonic() < until:
                 time.sleep(0.01)
@@ -87,7 +87,7 @@ class Chain:
 
 
 def _engine(run: Any, orders: int, frames: int, core: int | None) -> None:
-    affinity.pin(core)
+    affinity.set_affinity(core)
 
     def exchange(state: Any) -> None:
         os.write(frames, np.array(run.read(state)).tobytes())
@@ -100,7 +100,7 @@ def _engine(run: Any, orders: int, frames: int, core: int | None) -> None:
 
 
 def _node(endpoint: str, frames: int, orders: int, core: int | None) -> None:
-    affinity.pin(core)
+    affinity.set_affinity(core)
     with open_session(listen=[endpoint]) as session:
         commands = session.declare_subscriber(_COMMAND, FifoChannel(16))
         samples = session.declare_publisher(_SAMPLE)

@@ -208,7 +208,7 @@ def slots(found: dict[str, Any], pace: Pace, *, count: int, **more: Any) -> None
     from agent_sdk.bus.local_node import OwnNode
     from bridge.runtime.affinity import Affinity
 
-    placement = Affinity(more.get("affinity", Affinity.APART))
+    placement = Affinity(more.get("affinity", Affinity.SEPARATE_CORES))
     node = OwnNode({**found, "slots": count, "name": "bench"}, placement)
     with ExitStack() as stack:
         stack.callback(node.close)

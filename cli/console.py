@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from bridge.runtime.signals import ENDING, handled
+from bridge.runtime.signals import TERMINATION_SIGNALS, override_signals
 from topics.errors import ZenostatError
 
 out = Console(highlight=False)
@@ -50,5 +50,5 @@ def progress() -> Iterator[Progress]:
 def until_signal() -> Iterator[threading.Event]:
     """An event that Ctrl-C and SIGTERM set, for commands that end in good order."""
     stop = threading.Event()
-    with handled(lambda *_: stop.set(), *ENDING):
+    with override_signals(lambda *_: stop.set(), *TERMINATION_SIGNALS):
         yield stop

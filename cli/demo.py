@@ -45,7 +45,7 @@ def demo(
     with ExitStack() as stack, progress() as bars:
         settings = {"building": building, "weather": weather, "begin": begin, "end": end, "name": NODE}
         with out.status("starting the node"):
-            own = OwnNode(settings, Affinity.APART)
+            own = OwnNode(settings, Affinity.SEPARATE_CORES)
         stack.callback(own.close)
         watcher = _start(
             "monitor", "--connect", own.endpoint, "--save", recording, "--screenshot", picture, "--once", wait=True

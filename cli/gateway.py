@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from bridge.runtime.signals import ENDING, handled
+from bridge.runtime.signals import TERMINATION_SIGNALS, override_signals
 from bridge.transport.session import default_endpoint
 from cli.console import out
 from cli.options import CertificateName, Connect, Keys
@@ -39,7 +39,7 @@ def zmq(
     with (
         open_session(connect=[connect], keys=keys, role=Role.CONTROLLER, certificate=certificate) as session,
         Gateway(session, node, publish=publish, command=command, lease_s=lease, expose=expose) as gateway,
-        handled(lambda *_: gateway.stop(), *ENDING),
+        override_signals(lambda *_: gateway.stop(), *TERMINATION_SIGNALS),
     ):
         of = "all nodes" if node == "*" else node
         where = f"samples on {gateway.publish}, requests to {gateway.command}"

@@ -61,7 +61,7 @@ def monitor(
         session = stack.enter_context(
             open_session(connect=[connect], wait=True, keys=keys, role=Role.MONITOR, certificate=certificate)
         )
-        affinity.give_way()
+        affinity.lower_priority()
         with RerunStream(session, node, sinks) as stream:
             out.print(f"connected to {connect}{_awaited(session, node)}; Ctrl-C ends it", soft_wrap=True, markup=False)
             stream.run(until=lambda: stop.is_set() or (once and stream.left))

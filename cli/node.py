@@ -82,7 +82,7 @@ def node(
     keep_last: Annotated[
         int | None, typer.Option(help="Of how many finished episodes; all if left out.", min=1)
     ] = None,
-    affinity: Annotated[Affinity, typer.Option(help="Cores: see docs/architecture.md.")] = Affinity.APART,
+    affinity: Annotated[Affinity, typer.Option(help="Cores: see docs/architecture.md.")] = Affinity.SEPARATE_CORES,
 ) -> None:
     """Simulates a building and puts it on the bus, until Ctrl-C or `zenostat stop`.
 
@@ -182,7 +182,7 @@ class _Watch:
 
     def __call__(self, node: Runner) -> None:
         now, state = time.monotonic(), node.exchange.state
-        if now - self._shown < 0.1 and state is State.WAITING and not node.exchange.missing():
+        if now - self._shown < 0.1 and state is State.WAITING and not node.exchange.awaiting():
             return
         self._shown = now
         said = f"{self._name}: episode {node.exchange.episode[0]}, {state}"

@@ -13,7 +13,7 @@ import sys
 import threading
 from typing import Any
 
-from bridge.runtime.signals import ENDING
+from bridge.runtime.signals import TERMINATION_SIGNALS
 from eplus_node.config import plan, read_config
 from eplus_node.node import Node
 from topics.errors import ZenostatError, to_wire
@@ -34,7 +34,7 @@ def _say(**what: Any) -> None:
 
 def main() -> int:
     """Runs the node; 0 if it was told to stop, 1 if it could not start or EnergyPlus failed."""
-    for number in ENDING:
+    for number in TERMINATION_SIGNALS:
         signal.signal(number, lambda *_: sys.exit(0))
     line = b""
     while not line.endswith(b"\n"):

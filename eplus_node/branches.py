@@ -15,8 +15,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from bridge.exchange.actuator_commands import Held
-from bridge.exchange.episode import Exchange
+from bridge.exchange.actuator_commands import CommandSnapshot
+from bridge.exchange.episode import StepExchange
 from eplus_node.engine.client import EngineLink, one_for_each
 from eplus_node.engine.group import Engines
 from eplus_node.engine.pool import Position, Supply, made, told_of
@@ -57,7 +57,7 @@ class Snapshot:
     episode: list[int]
     step: list[int]
     engines: Engines
-    held: Held
+    held: CommandSnapshot
     faults: Faulty | None
     positions: list[Position]
     folder: Path
@@ -156,7 +156,7 @@ class Forks:
                 [*exchange.episode],
                 [*exchange.step],
                 engines,
-                exchange.held(),
+                exchange.capture(),
                 self._runner.injection.state() if self._runner.injection is not None else None,
                 held,
                 folder,
@@ -245,13 +245,13 @@ class Forks:
     ) -> Runner:
         parent, slots = self._runner, asked.slots
         of = snapshot or parent.exchange
-        exchange = Exchange(
+        exchange = StepExchange(
             parent.exchange.actuators,
             slots=slots,
             episode=[of.episode[asked.slot]] * slots,
         )
         if not asked.relinquished:
-            exchange.hold((snapshot.held if snapshot else parent.exchange.held()).of_slot(asked.slot, slots))
+            exchange.restore((snapshot.held if snapshot else parent.exchange.capture()).of_slot(asked.slot, slots))
         exchange.ready(dict.fromkeys(range(slots), of.step[asked.slot]))
         runner = Runner(parent.session, parent.plan, manifest, exchange, engines, lambda _: weather)
         present = parent.injection.state() if parent.injection is not None else None
@@ -263,7 +263,7 @@ class Forks:
             runner.declare()
             for topic, message in _NOT_OF_A_BRANCH:
                 runner.inlets.request(topic, message, self._refuse)
-            runner.inlets.watch(keys.CONTROLLER_TOKEN, lambda who: runner.tell(exchange.left(who)))
+            runner.inlets.watch(keys.CONTROLLER_TOKEN, lambda who: runner.tell(exchange.on_disconnect(who)))
             runner.publish()
             runner.show()
         except BaseException:
@@ -280,7 +280,7 @@ class Forks:
     def _place(self, kind: str, *, waits: bool = False) -> tuple[str, Path]:
         """A name and a folder for a fork, if there may be one now."""
         state, limit = self._runner.exchange.state, self._limit
-        if not waits and (state is not State.WAITING or any(self._runner.exchange.ended)):
+        if not waits and (state is not State.WAITING or any(self._runner.exchange.done)):
             raise RequestRejected(_NEVER.format(state if state in (State.STARTING, State.FAILED) else "over"))
         live = len(self.snapshots) + sum(not branch.runner.stopping for branch in self.branches.values())
         if live >= limit:

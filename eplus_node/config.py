@@ -77,7 +77,7 @@ class NodeConfig(BaseModel):
     keep: Path | None = None
     keep_last: Annotated[int, Field(ge=1)] | None = None
     folder: Path | None = None
-    affinity: Affinity = Affinity.APART
+    affinity: Affinity = Affinity.SEPARATE_CORES
     cpu: int | None = None
     engine_cpu: int | None = None
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bridge.faults import LinkFaults, PointFaults, Turn
+from bridge.faults import LinkFaults, PointFaults, Transition
 from topics.errors import ErrorCollector
 from topics.fault_plan import FaultPlan
 
@@ -58,7 +58,7 @@ class Injection:
         """What reaches the engines of what was commanded."""
         if not self._points.disturbs_actuators:
             return values
-        return self._points.commanded(np.frombuffer(values).reshape(self._commands), steps).tobytes()
+        return self._points.apply_to_commands(np.frombuffer(values).reshape(self._commands), steps).tobytes()
 
     def heard(self, values: bytes) -> None:
         """What reached the engines last, of faults that are set amid an episode: an actuator may go on with it."""
@@ -69,14 +69,14 @@ class Injection:
         self.link.move(steps[0])
         if not self._points.disturbs_points:
             return values
-        return self._points.sensed(np.frombuffer(values).reshape(self._shape), steps).tobytes()
+        return self._points.apply_to_sensors(np.frombuffer(values).reshape(self._shape), steps).tobytes()
 
     def told(self) -> list[str]:
         """What began and ended since this was asked last."""
         return [
-            f"{told.fault} {'begins' if told.turn is Turn.BEGAN else 'ends'}"
+            f"{told.fault} {'begins' if told.turn is Transition.BEGAN else 'ends'}"
             + (f" in slot {told.slot}" if told.slot else "")
-            for told in (*self._points.told(), *self.link.told())
+            for told in (*self._points.drain_transitions(), *self.link.drain_transitions())
         ]
 
     def on(self) -> list[str]:

@@ -10,10 +10,10 @@ from functools import partial
 from pathlib import Path
 from types import FrameType
 
-from bridge.exchange.episode import Exchange
+from bridge.exchange.episode import StepExchange
 from bridge.runtime import affinity
 from bridge.runtime.scratch import Scratch, sweep
-from bridge.runtime.signals import ENDING, handled
+from bridge.runtime.signals import TERMINATION_SIGNALS, override_signals
 from bridge.transport.session import open_session
 from eplus_node.branches import Forks
 from eplus_node.config import NodeConfig, Plan, plan
@@ -97,7 +97,7 @@ class Node:
 
     def close(self) -> None:
         """Ends the engines, leaves the bus and clears up; twice is fine. Who asks again meanwhile changes nothing."""
-        with handled(lambda *_: None, *ENDING):  # who asks again only has the end hurried
+        with override_signals(lambda *_: None, *TERMINATION_SIGNALS):  # who asks again only has the end hurried
             self._registry.close()
             self._close.close()
 
@@ -107,7 +107,7 @@ class Node:
         return self.runner.manifest
 
     @property
-    def exchange(self) -> Exchange:
+    def exchange(self) -> StepExchange:
         """Where it stands."""
         return self.runner.exchange
 
@@ -118,7 +118,7 @@ class Node:
         self._engine_cpu, self.cpu = config.engine_cpu, config.cpu
         if config.cpu is None:
             self._engine_cpu, self.cpu = affinity.pick_cores(config.affinity)
-        affinity.pin(self.cpu)
+        affinity.set_affinity(self.cpu)
 
     def _open_bus(self) -> None:
         config = self.config
@@ -185,7 +185,7 @@ class Node:
         """The engines start, then the node shows itself: what it answers first, its presence last."""
         slots = range(self.config.slots)
         config = self.config
-        exchange = Exchange(
+        exchange = StepExchange(
             self.plan.points.actuators,
             slots=config.slots,
             mode=config.mode,
@@ -262,7 +262,7 @@ class Node:
     def serve(self) -> None:
         """Serves until it is told to stop (by a request, a signal, or its owner's end)."""
         gc.freeze()  # what is loaded by now stays; collections need not look at it
-        with handled(self._on_signal, *ENDING):
+        with override_signals(self._on_signal, *TERMINATION_SIGNALS):
             self.runner.serve()
 
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
@@ -330,7 +330,7 @@ class Node:
         exchange = self.exchange
         if exchange.state is State.FAILED and len(slots) < self.config.slots:
             raise errors.RequestRejected("the engines have ended; reset all slots")
-        untouched = [exchange.state is State.WAITING and not exchange.touched[slot] for slot in slots]
+        untouched = [exchange.state is State.WAITING and not exchange.modified[slot] for slot in slots]
         exchange.reset(slots)
         try:
             starts = [
@@ -481,7 +481,7 @@ class Node:
         former += engines.baselines
         engines.baselines = beside
         engines.applied, engines.ruler = snapshot.engines.applied, snapshot.engines.ruler
-        exchange.hold(snapshot.held)
+        exchange.restore(snapshot.held)
         self._begin(dict(enumerate(snapshot.step)), reset.controller, [None] * len(slots), snapshot.faults or NO_FAULTS)
         self._end(former)
         return self._accepted(slots, [EngineStart.SNAPSHOT] * len(slots))

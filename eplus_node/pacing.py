@@ -6,7 +6,7 @@ from collections.abc import Callable
 from time import monotonic
 from typing import TYPE_CHECKING
 
-from bridge.exchange.step_schedule import Pace
+from bridge.exchange.step_schedule import StepSchedule
 from topics import keys
 from topics.errors import EpisodeAborted, RequestRejected
 from topics.messages import Ack, EventKind, Message, Mode, Pause, Resume, SetPace, State, StepRequest
@@ -28,7 +28,7 @@ class Pacing:
 
     def __init__(self, runner: Runner) -> None:
         self._runner = runner
-        self.pace = Pace(runner.plan.period.step_s, runner.manifest.speed)
+        self.pace = StepSchedule(runner.plan.period.step_s, runner.manifest.speed)
         self.paused = False
         self.steps_left = 0
         self._timesteps = 0  # of all episodes and slots: what the schedule counts
@@ -70,13 +70,13 @@ class Pacing:
         self._timesteps += 1
         if self._runner.exchange.mode is not _PACED or self.paused:
             return
-        if self.pace.came(now_s, self._timesteps):
+        if self.pace.record_sample(now_s, self._timesteps):
             self._overran()
 
     def begin(self) -> None:
         """An episode begins at the sample that is published next: the schedule begins there, too."""
         self._into_s, self.steps_left = 0.0, 0
-        self.pace.anchor(monotonic(), self._timesteps)
+        self.pace.rebase(monotonic(), self._timesteps)
 
     def wait(self, now_s: float) -> None:
         """From now on the present step waits no longer than it may; not while the node stands still."""
@@ -108,14 +108,14 @@ class Pacing:
         if self._stands or runner.exchange.mode is not Mode.LOCKSTEP or monotonic() < self._overdue_at_s:
             return
         try:
-            runner.tell(runner.exchange.overdue())
+            runner.tell(runner.exchange.on_deadline())
         except EpisodeAborted as error:
             runner.fail(error)
 
     def _overran(self) -> None:
         pace, exchange = self.pace, self._runner.exchange
         if pace.overruns & (pace.overruns - 1) == 0:  # the first, the second, the fourth…: the count is in the status
-            at_worst = f"{pace.behind_s:.3g} s at worst"
+            at_worst = f"{pace.max_lag_s:.3g} s at worst"
             text = f"overrun {pace.overruns}: the sample of step {exchange.step[0]} came late, {at_worst}"
             self._runner.event(exchange.event(EventKind.PACE, text))
 
@@ -129,7 +129,7 @@ class Pacing:
         self.forget()
         self._into_s = self._went_s(now_s)
         runner.exchange.mode, self.pace.speed = mode, speed
-        self.pace.anchor(now_s, self._timesteps, self._into_s)
+        self.pace.rebase(now_s, self._timesteps, self._into_s)
         self.wait(now_s)
         runner.manifest = runner.manifest.model_copy(update={"mode": mode, "speed": speed})
         runner.outlets.manifest(runner.manifest)
@@ -139,7 +139,7 @@ class Pacing:
         """How far the present timestep has gone by the clock, in simulated seconds."""
         if self.paused:
             return self._into_s
-        return self.pace.into_s(now_s, self._timesteps) if self._runner.exchange.mode is Mode.PACED else 0.0
+        return self.pace.elapsed_in_step_s(now_s, self._timesteps) if self._runner.exchange.mode is Mode.PACED else 0.0
 
     def _pause(self, asked: Pause) -> Message:
         self._into_s = self._went_s(monotonic())
@@ -151,7 +151,7 @@ class Pacing:
         if self.paused:
             now_s = monotonic()
             self.paused, self.steps_left = False, 0
-            self.pace.anchor(now_s, self._timesteps, self._into_s)
+            self.pace.rebase(now_s, self._timesteps, self._into_s)
             self.wait(now_s)
         return self._told("goes on", asked.source)
 

@@ -18,8 +18,8 @@ import numpy as np
 import psutil
 import zenoh
 
-from bridge.exchange.episode import MOST_NAME, Exchange, Input
-from bridge.exchange.latency import Latencies
+from bridge.exchange.episode import MAX_SOURCE_NAME, StepExchange, Trigger
+from bridge.exchange.latency import LatencyWindow
 from bridge.runtime.timer import Timer
 from eplus_node.config import Plan
 from eplus_node.engine.group import Engines
@@ -89,7 +89,7 @@ class Runner:
         session: zenoh.Session,
         plan: Plan,
         manifest: Manifest,
-        exchange: Exchange,
+        exchange: StepExchange,
         engines: Engines,
         weather: Callable[[int], Path],
         observer: Observer | None = None,
@@ -103,7 +103,7 @@ class Runner:
         self.injection: Injection | None = None
         self.pacing = Pacing(self)
         self._told = b""  # to the engines
-        self._step_took, self._cycle = Latencies(), Latencies()
+        self._step_took, self._cycle = LatencyWindow(), LatencyWindow()
         self._sampled_s = 0.0
         self.stopping = False
         self.interrupt = engines.interrupt
@@ -148,14 +148,14 @@ class Runner:
         """Serves until it is told to stop."""
         try:
             while True:
-                if self.exchange.due() and self.pacing.may_go():
+                if self.exchange.ready_to_step() and self.pacing.may_go():
                     self._advance()
-                    if self.exchange.fallback or self.exchange.mode is not _LOCKSTEP:
+                    if self.exchange.fallback_active or self.exchange.mode is not _LOCKSTEP:
                         self._hear_all()  # nobody's answer is waited for
                 else:
                     self._listen(wait=True)
         except Stopped:
-            self.exchange.take(Input.STOP)
+            self.exchange.transition(Trigger.STOP)
             self.event(self.exchange.event(EventKind.STOPPED, "the node was told to stop"))
 
     def leave(self) -> None:
@@ -181,12 +181,12 @@ class Runner:
         self.exchange.now_s = monotonic()
         if self.injection is not None and self.injection.link.disturbs_commands:
             self._hear_late(controller, payload, said)
-        elif not self.exchange.take_usual(controller, payload, said):
+        elif not self.exchange.accept_fast(controller, payload, said):
             self._hear(controller, payload, said)
         return True
 
     def _hear(self, controller: str, payload: bytes, said: str) -> None:
-        event = self.exchange.hear(controller, payload, said)
+        event = self.exchange.receive_command(controller, payload, said)
         if event is not None:
             self.event(event)
 
@@ -220,20 +220,20 @@ class Runner:
         exchange = self.exchange
         self.pacing.goes()
         began_s = exchange.now_s = monotonic()
-        if exchange.commanded.expiring:
+        if exchange.commands.has_expiries:
             self.tell(exchange.expire(self._passed_s))
-        values, ruler = exchange.go()
+        values, ruler = exchange.begin_step()
         if self.injection is not None:
             values = self.injection.commanded(values, exchange.step)
         self._told = values
         try:
-            last = self.engines.step(values, ruler, exchange.moving)
+            last = self.engines.step(values, ruler, exchange.active_slots)
         except SimulatorError as error:
             if self.stopping:
                 self.inlets.clear_shelf(most=MOST_SHELVED)
             self.fail(error)
             return
-        exchange.sampled(last)
+        exchange.finish_step(last)
         self.publish()
         self._step_took.add(exchange.now_s - began_s)
         self.pacing.came(exchange.now_s)
@@ -243,12 +243,12 @@ class Runner:
     def publish(self) -> None:
         """The present sample."""
         exchange, counts, engines = self.exchange, self.exchange.counts, self.engines
-        steps, fell = exchange.step, _FALLBACK if exchange.fallback else _NO_FLAG
+        steps, fell = exchange.step, _FALLBACK if exchange.fallback_active else _NO_FLAG
         now, times, elapsed_s = self._clock(steps)
-        if True in exchange.ended or 0 in steps:
+        if True in exchange.done or 0 in steps:
             flags = [
                 (_TRUNCATED if over else _NO_FLAG if step else _FIRST) | fell
-                for over, step in zip(exchange.ended, steps, strict=True)
+                for over, step in zip(exchange.done, steps, strict=True)
             ]
         else:
             flags = [fell] * len(steps)
@@ -264,7 +264,7 @@ class Runner:
             values=values,
             applied=engines.applied,
             ruler=engines.ruler,
-            rulers=exchange.ruler_names,
+            rulers=exchange.source_names,
             late=counts.late,
             rejected=counts.rejected,
             baseline=engines.baseline_bytes() if engines.baselines else b"",
@@ -279,7 +279,7 @@ class Runner:
         if self._sampled_s:
             self._cycle.add(now_s - self._sampled_s)
         self._sampled_s = now_s
-        exchange.listen()
+        exchange.open_intake()
         self.pacing.wait(now_s)
         self.outlets.points(values, exchange.episode[0], steps[0], now)
         if self._observer is not None:
@@ -317,13 +317,13 @@ class Runner:
         """Episodes begin in some slots, at the sample that is published next: the schedule begins there, too."""
         if self.injection is not None:
             self.injection.begin(slots, seeds)
-        self.exchange.fallback = False
+        self.exchange.fallback_active = False
         self._told, self._sampled_s = b"", 0.0
         self.pacing.begin()
 
     def left(self, who: str) -> None:
         """A controller has gone; the policy takes its place after the time of grace."""
-        events = self.exchange.left(who)
+        events = self.exchange.on_disconnect(who)
         self.tell(events)
         if events:
             grace_s = self.manifest.grace_s
@@ -331,14 +331,14 @@ class Runner:
 
     def _by_policy(self, who: str) -> None:
         try:
-            self.tell(self.exchange.waive(who, self.manifest.grace_s))
+            self.tell(self.exchange.bypass(who, self.manifest.grace_s))
         except EpisodeAborted as error:
             self.fail(error)
 
     def fail(self, error: ZenostatError) -> None:
         """The episode is over for an engine's fault, or by policy; a reset begins another one."""
         self.pacing.forget()
-        self.exchange.take(Input.FAIL)
+        self.exchange.transition(Trigger.FAIL)
         said = errors.to_wire(error)
         self.failure, self.failure_error = said["message"], said["error"]
         self.event(self.exchange.event(EventKind.FAILED, said["message"], error=said["error"]))
@@ -354,7 +354,7 @@ class Runner:
     def _claim(self, claim: Claim) -> Message:
         exchange = self.exchange
         # Who joins within a step has its whole time to answer; who replaces another has what is left of it.
-        waited, known = exchange.missing(), len(exchange.claims.by_name)
+        waited, known = exchange.awaiting(), len(exchange.claims.by_name)
         self.tell(exchange.claim(claim))
         if claim.required and (not waited or len(exchange.claims.by_name) > known):
             self.pacing.wait(exchange.now_s)
@@ -405,7 +405,7 @@ class Runner:
         try:
             write_ = codec.decode(Write, payload, said)
         except errors.BadMessage as error:
-            source = codec.text_field(payload, "source", MOST_NAME) or ANONYMOUS
+            source = codec.text_field(payload, "source", MAX_SOURCE_NAME) or ANONYMOUS
             self.event(self.exchange.rejected(f"{name}: {error}", source))
             return
         self.event(self.exchange.write(name, write_, self._passed_s))
@@ -413,7 +413,7 @@ class Runner:
     @property
     def _passed_s(self) -> float:
         """Simulated time since all slots began."""
-        return self.exchange.commanded.timesteps * self.plan.period.step_s
+        return self.exchange.commands.timesteps * self.plan.period.step_s
 
     def _manifest(self) -> Manifest:
         return self.manifest.model_copy(update={"statistics": self.statistics()})
@@ -422,15 +422,15 @@ class Runner:
         """How it keeps up; any thread may ask."""
         counts = self.exchange.counts
         return Statistics(
-            step=self._step_took.spread(),
-            cycle=self._cycle.spread(),
+            step=self._step_took.summary(),
+            cycle=self._cycle.summary(),
             overruns=self.pacing.pace.overruns,
-            max_lag_s=self.pacing.pace.behind_s,
+            max_lag_s=self.pacing.pace.max_lag_s,
             missed=counts.missed,
             late=counts.late,
             rejected=counts.rejected,
             duplicate=counts.duplicate,
-            rate_limited=counts.flooded + self.inlets.flooded,
+            rate_limited=counts.rate_limited + self.inlets.flooded,
             accepted_late=counts.accepted_late,
         )
 

@@ -13,7 +13,7 @@ import threading
 from collections.abc import Callable
 from time import monotonic
 
-from bridge.runtime.signals import ENDING
+from bridge.runtime.signals import TERMINATION_SIGNALS
 
 PATIENCE_S = 0.5
 """How long an engine that is computing may go on when the node is to end."""
@@ -64,7 +64,7 @@ class Ending:
         signals, hurry_s, until_s = 0, 0.0, 0.0
         while (heard := self._hear(hurry_s)) != _OVER:
             now_s = monotonic()
-            asked = heard == _ASKED or heard in ENDING
+            asked = heard == _ASKED or heard in TERMINATION_SIGNALS
             signals += asked and heard != _ASKED
             if asked and not until_s:
                 hurry_s, until_s = now_s + PATIENCE_S, now_s + self._limit_s

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bridge.exchange.episode import Exchange
+from bridge.exchange.episode import StepExchange
 from topics import codec
 from topics.messages import (
     Action,
@@ -81,15 +81,17 @@ def manifest(
     )
 
 
-def exchange(*actuators: Actuator, mode: Mode = Mode.LOCKSTEP, slots: int = 1) -> Exchange:
+def exchange(*actuators: Actuator, mode: Mode = Mode.LOCKSTEP, slots: int = 1) -> StepExchange:
     """An exchange that waits at sample 0; by default with a heating and a cooling setpoint."""
-    made = Exchange(actuators or (actuator("heat", 15.0, 22.5), actuator("cool", 22.5, 30.0)), slots=slots, mode=mode)
+    made = StepExchange(
+        actuators or (actuator("heat", 15.0, 22.5), actuator("cool", 22.5, 30.0)), slots=slots, mode=mode
+    )
     made.ready()
     return made
 
 
 def claim(
-    at: Exchange, controller: str, level: int = 10, *, actuators: list[str] | None = None, required: bool = True
+    at: StepExchange, controller: str, level: int = 10, *, actuators: list[str] | None = None, required: bool = True
 ) -> list[Event]:
     """A controller claims actuators."""
     return at.claim(Claim(controller=controller, priority=level, actuators=actuators, required=required))
@@ -112,28 +114,28 @@ def command(
 
 
 def answer(
-    at: Exchange, controller: str, values: Sequence[float], mask: Sequence[CommandOp] | None = None
+    at: StepExchange, controller: str, values: Sequence[float], mask: Sequence[CommandOp] | None = None
 ) -> Event | None:
     """The controller answers the present sample."""
     return at.command(controller, command(values, step=at.step, episode=at.episode, mask=mask))
 
 
-def advance(at: Exchange, *, last: bool = False) -> tuple[list[float], list[str]]:
+def advance(at: StepExchange, *, last: bool = False) -> tuple[list[float], list[str]]:
     """One timestep: the values that ruled it (NaN: the building's own) and who set them."""
-    assert at.due(), f"waits for {at.missing()}"
-    values, who = at.go()
-    at.sampled([last] * len(at.moving))
-    at.listen()
-    rulers = [at.ruler_names[i] for i in np.frombuffer(who, "<u2")]
+    assert at.ready_to_step(), f"waits for {at.awaiting()}"
+    values, who = at.begin_step()
+    at.finish_step([last] * len(at.active_slots))
+    at.open_intake()
+    rulers = [at.source_names[i] for i in np.frombuffer(who, "<u2")]
     return np.frombuffer(values, "<f8").tolist(), rulers
 
 
-def ruling(at: Exchange) -> tuple[list[float], list[str]]:
+def ruling(at: StepExchange) -> tuple[list[float], list[str]]:
     """What would rule the next timestep, without simulating it: on a copy."""
     import copy
 
-    values, who = copy.deepcopy(at).go()
-    return np.frombuffer(values, "<f8").tolist(), [at.ruler_names[i] for i in np.frombuffer(who, "<u2")]
+    values, who = copy.deepcopy(at).begin_step()
+    return np.frombuffer(values, "<f8").tolist(), [at.source_names[i] for i in np.frombuffer(who, "<u2")]
 
 
 def wire(of: Command) -> bytes:

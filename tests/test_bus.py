@@ -14,7 +14,7 @@ from nodes import SMALL, NodeProgram, Program, until
 from zenoh.handlers import FifoChannel
 
 import agent_sdk
-from bridge.transport.session import MOST_BYTES
+from bridge.transport.session import MAX_MESSAGE_BYTES
 from topics import codec, keys
 from topics.errors import NodeNotFound, RequestRejected
 from topics.messages import Claim, Event, EventKind, State
@@ -195,8 +195,8 @@ def test_a_message_that_is_too_large_is_refused_by_name_and_a_larger_one_not_tak
     with events_of(bus) as events:
         before = bus.status("office").rejected
         key = keys.COMMAND.at("office", name="huge")
-        bus.session.put(key, bytes(MOST_BYTES + 1))
-        bus.session.put(key, bytes(MOST_BYTES // 2))
+        bus.session.put(key, bytes(MAX_MESSAGE_BYTES + 1))
+        bus.session.put(key, bytes(MAX_MESSAGE_BYTES // 2))
         assert f"at most {codec.MAX_BYTES}" in next_event(events, EventKind.REJECTED).text
         assert bus.status("office").rejected == before + 1
 

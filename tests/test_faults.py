@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from bridge.faults import PointFaults, Told, Turn, read_plan
+from bridge.faults import FaultTransition, PointFaults, Transition, read_plan
 from topics import codec, yaml12
 from topics.errors import InvalidConfig
 from topics.fault_plan import KINDS, WEEKDAYS, FaultPlan
@@ -48,7 +48,7 @@ def series(faults: PointFaults, values: list[float], first: int = 0) -> list[flo
     """What the bus is told of the room's temperature in an episode; the other points must be untouched."""
     told = []
     for step, value in enumerate(values, first):
-        out = faults.sensed(np.array([[value, 18.25, 0.1]]), [step])
+        out = faults.apply_to_sensors(np.array([[value, 18.25, 0.1]]), [step])
         assert out[0, 1:].tolist() == [18.25, 0.1]
         told.append(float(out[0, 0]))
     return told
@@ -56,7 +56,7 @@ def series(faults: PointFaults, values: list[float], first: int = 0) -> list[flo
 
 def commands(faults: PointFaults, values: list[float]) -> list[float]:
     """What the building is told of the cooling setpoint."""
-    return [float(faults.commanded(np.array([[v, 12.0, NAN]]), [k])[0, 0]) for k, v in enumerate(values)]
+    return [float(faults.apply_to_commands(np.array([[v, 12.0, NAN]]), [k])[0, 0]) for k, v in enumerate(values)]
 
 
 def room(kind: str, **given: Any) -> dict[str, Any]:
@@ -114,7 +114,7 @@ def test_what_is_frozen_holds_to_the_bit(value: float, later: list[float]) -> No
     faults = made({"kind": "freeze", "points": "*"})
     raw = np.full((1, 3), value).tobytes()
     for step, other in enumerate([value, *later]):
-        assert faults.sensed(np.full((1, 3), other), [step]).tobytes() == raw
+        assert faults.apply_to_sensors(np.full((1, 3), other), [step]).tobytes() == raw
 
 
 def test_a_fault_that_comes_again_begins_anew() -> None:
@@ -176,16 +176,19 @@ def test_a_disturbed_command_stays_within_the_bounds() -> None:
     assert commands(made(cooling("bias", offset=8.0)), [20.0, 25.0]) == [28.0, 30.0]
     assert commands(made(cooling("bias", offset=-8.0)), [20.0, 11.0]) == [12.0, 10.0]
     damper = made({"kind": "bias", "actuators": "damper", "offset": 1e6})
-    assert damper.commanded(np.array([[20.0, 20.0, 1.0]]), [0]).tolist() == [[20.0, 20.0, 1000001.0]]
+    assert damper.apply_to_commands(np.array([[20.0, 20.0, 1.0]]), [0]).tolist() == [[20.0, 20.0, 1000001.0]]
 
 
 def test_points_and_actuators_of_one_fault_are_on_together_and_told_once() -> None:
     faults = made({"name": "x", "kind": "bias", "offset": 1.0, "points": "power", "actuators": "cooling", "when": SOME})
     for step in range(4):
         on = step in (1, 2)
-        assert faults.sensed(np.array([[0.0, 0.0, 5.0]]), [step])[0, 2] == 5.0 + on
-        assert faults.commanded(np.array([[20.0, 20.0, 20.0]]), [step])[0, 0] == 20.0 + on
-    assert faults.told() == [Told(Turn.BEGAN, "x", 0, 1), Told(Turn.ENDED, "x", 0, 3)]
+        assert faults.apply_to_sensors(np.array([[0.0, 0.0, 5.0]]), [step])[0, 2] == 5.0 + on
+        assert faults.apply_to_commands(np.array([[20.0, 20.0, 20.0]]), [step])[0, 0] == 20.0 + on
+    assert faults.drain_transitions() == [
+        FaultTransition(Transition.BEGAN, "x", 0, 1),
+        FaultTransition(Transition.ENDED, "x", 0, 3),
+    ]
 
 
 # Windows
@@ -193,7 +196,7 @@ def test_points_and_actuators_of_one_fault_are_on_together_and_told_once() -> No
 
 def on_at(when: dict[str, Any], steps: int = 8 * 24 * HOUR, **given: Any) -> set[int]:
     faults = made({"kind": "stuck", "value": 1.0, "points": "power", "when": when}, **given)
-    return {k for k in range(steps) if faults.sensed(np.zeros((1, 3)), [k])[0, 2]}
+    return {k for k in range(steps) if faults.apply_to_sensors(np.zeros((1, 3)), [k])[0, 2]}
 
 
 def moments(on: set[int], begin: datetime = BEGIN) -> list[datetime]:
@@ -269,19 +272,23 @@ def test_what_began_and_ended_is_told_of_each_slot() -> None:
     faults = made(room("bias", name="b", offset=1, when=SOME), slots=2)
     values = np.zeros((2, 3))
     for steps in ([0, 1], [0, 2], [1, 3]):
-        faults.sensed(values, steps)
-    assert faults.told() == [Told(Turn.BEGAN, "b", 1, 1), Told(Turn.BEGAN, "b", 0, 1), Told(Turn.ENDED, "b", 1, 3)]
+        faults.apply_to_sensors(values, steps)
+    assert faults.drain_transitions() == [
+        FaultTransition(Transition.BEGAN, "b", 1, 1),
+        FaultTransition(Transition.BEGAN, "b", 0, 1),
+        FaultTransition(Transition.ENDED, "b", 1, 3),
+    ]
     assert faults.on(0) == ("b",)
     assert faults.on(1) == ()
     faults.reset([0], [None])
-    assert faults.told() == [Told(Turn.ENDED, "b", 0, 1)]
+    assert faults.drain_transitions() == [FaultTransition(Transition.ENDED, "b", 0, 1)]
 
 
 # Chance
 
 
 def noise_of(faults: PointFaults, steps: int, slots: int = 1) -> NDArray[np.float64]:
-    return np.array([faults.sensed(np.zeros((slots, 3)), [k] * slots) for k in range(steps)])
+    return np.array([faults.apply_to_sensors(np.zeros((slots, 3)), [k] * slots) for k in range(steps)])
 
 
 def test_noise_has_its_mean_variance_and_shape() -> None:
@@ -328,7 +335,7 @@ def test_two_faults_alike_have_noise_of_their_own() -> None:
 def test_points_and_actuators_of_one_fault_have_noise_of_their_own() -> None:
     faults = made({**NOISE, "actuators": "damper"})
     sensed = noise_of(faults, 2000)[:, 0, 0]
-    told = np.array([faults.commanded(np.array([[20.0, 20.0, 0.0]]), [k])[0, 2] for k in range(2000)])
+    told = np.array([faults.apply_to_commands(np.array([[20.0, 20.0, 0.0]]), [k])[0, 2] for k in range(2000)])
     assert told.std() == pytest.approx(1.0, rel=0.1)
     assert abs(np.corrcoef(sensed, told)[0, 1]) < 4 / math.sqrt(2000)
 
@@ -336,7 +343,7 @@ def test_points_and_actuators_of_one_fault_have_noise_of_their_own() -> None:
 def test_where_no_spike_is_nothing_is_touched() -> None:
     faults = made({"kind": "spike", "points": "*", "amplitude": 5.0, "probability": 0.5})
     raw = np.full((1, 3), -0.0)
-    found = {faults.sensed(raw, [k])[0, c].tobytes() for k in range(100) for c in range(3)}
+    found = {faults.apply_to_sensors(raw, [k])[0, c].tobytes() for k in range(100) for c in range(3)}
     assert found == {np.float64(v).tobytes() for v in (-0.0, 5.0, -5.0)}
 
 
@@ -377,9 +384,9 @@ def test_a_slot_that_stands_still_says_the_same_again() -> None:
     still, moving = made(*everything, slots=2), made(*everything, slots=2)
     for steps, value in (([0, 0], 1.0), ([0, 1], 2.0), ([0, 2], 3.0), ([1, 3], 4.0)):
         values = np.array([[1.0 if steps[0] == 0 else 4.0] * 3, [value] * 3])
-        found = still.sensed(values, steps)
+        found = still.apply_to_sensors(values, steps)
         if steps[0] != 0 or steps[1] == 0:
-            expected = moving.sensed(values, [steps[0], steps[0]])
+            expected = moving.apply_to_sensors(values, [steps[0], steps[0]])
         assert np.array_equal(found[0], expected[0], equal_nan=True)
 
 
@@ -434,9 +441,9 @@ def inputs(seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 def run(faults: PointFaults, values: Any, wanted: Any, first: int = 0) -> list[tuple[bytes, bytes, Any]]:
     return [
         (
-            faults.sensed(values[k], [k] * SLOTS).tobytes(),
-            faults.commanded(wanted[k], [k] * SLOTS).tobytes(),
-            faults.told(),
+            faults.apply_to_sensors(values[k], [k] * SLOTS).tobytes(),
+            faults.apply_to_commands(wanted[k], [k] * SLOTS).tobytes(),
+            faults.drain_transitions(),
         )
         for k in range(first, len(values))
     ]
@@ -454,8 +461,8 @@ def test_what_no_fault_names_is_untouched_to_the_bit(plan: list[dict[str, Any]],
     for k in range(STEPS):
         steps = [k, k]
         for now, names, side, call in (
-            (values[k], NAMES, "points", faults.sensed),
-            (wanted[k], [a.name for a in ACTUATORS], "actuators", faults.commanded),
+            (values[k], NAMES, "points", faults.apply_to_sensors),
+            (wanted[k], [a.name for a in ACTUATORS], "actuators", faults.apply_to_commands),
         ):
             out = call(now, steps)
             for slot in range(SLOTS):
@@ -486,7 +493,7 @@ def test_a_snapshot_goes_on_as_if_nothing_had_been(plan: list[dict[str, Any]], c
     other.restore(state)
     assert run(other, values, wanted, cut) == went_on
     whole.restore(state)  # the same node goes back
-    whole.told()
+    whole.drain_transitions()
     assert run(whole, values, wanted, cut) == went_on
 
 
@@ -495,11 +502,11 @@ def test_a_branch_of_one_slot_goes_on_in_several() -> None:
     parent, branch = made(*plan, slots=2), made(*plan, slots=3)
     values = np.random.default_rng(3).normal(size=(40, 2, 3))
     for k in range(20):
-        parent.sensed(values[k], [k, k])
+        parent.apply_to_sensors(values[k], [k, k])
     branch.restore([parent.state()[1]] * 3)
     for k in range(20, 40):
-        expected = parent.sensed(values[k], [k, k])[1]
-        found = branch.sensed(np.repeat(values[k, 1:2], 3, axis=0), [k] * 3)
+        expected = parent.apply_to_sensors(values[k], [k, k])[1]
+        found = branch.apply_to_sensors(np.repeat(values[k, 1:2], 3, axis=0), [k] * 3)
         assert [row.tobytes() for row in found] == [expected.tobytes()] * 3
 
 
@@ -534,8 +541,8 @@ def test_a_plan_travels() -> None:
 def test_a_plan_without_faults_is_a_node_in_order() -> None:
     faults = made()
     values, wanted = inputs(0)
-    assert faults.sensed(values, [0]) is values
-    assert faults.commanded(wanted, [0]) is wanted
+    assert faults.apply_to_sensors(values, [0]) is values
+    assert faults.apply_to_commands(wanted, [0]) is wanted
     assert not faults.disturbs_points
     assert not faults.disturbs_actuators
 
@@ -611,9 +618,10 @@ def test_a_plan_that_does_not_fit_the_node_is_refused_with_all_its_mistakes() ->
 @pytest.mark.parametrize("begins", [7, 8, 9, 10])
 def test_a_delay_that_begins_amid_an_episode_lets_no_former_command_through(begins: int) -> None:
     faults = made({"kind": "delay", "actuators": "cooling", "steps": 3})
-    faults.commanded(np.array([[29.0, 12.0, NAN]]), [-1])  # what had been commanded last
+    faults.apply_to_commands(np.array([[29.0, 12.0, NAN]]), [-1])  # what had been commanded last
     told = [
-        float(faults.commanded(np.array([[10.0 + k / 4, 12.0, NAN]]), [k])[0, 0]) for k in range(begins, begins + 8)
+        float(faults.apply_to_commands(np.array([[10.0 + k / 4, 12.0, NAN]]), [k])[0, 0])
+        for k in range(begins, begins + 8)
     ]
     np.testing.assert_array_equal(told, [NAN, NAN, NAN, *(10.0 + k / 4 for k in range(begins, begins + 5))])
 

@@ -221,8 +221,8 @@ def test_the_limits_in_the_documentation_are_those_of_the_code() -> None:
     page = (Path(__file__).parent.parent / "docs" / "security.md").read_text()
     section = page.split("## What a stranger can send", 1)[1].split("\n## ", 1)[0]
     numbers = (
-        codec.MAX_BYTES // 2**20, session.MOST_BYTES // 2**20, codec.MAX_ENTRIES, codec.MAX_ITEMS[Claim],
-        episode.MOST_A_STEP, episode.MOST_NAME,
+        codec.MAX_BYTES // 2**20, session.MAX_MESSAGE_BYTES // 2**20, codec.MAX_ENTRIES, codec.MAX_ITEMS[Claim],
+        episode.MAX_MESSAGES_PER_STEP, episode.MAX_SOURCE_NAME,
         subscriptions.INBOX, subscriptions.MOST_SHELVED, publications.EVENTS_A_STEP, publications.WRITTEN_A_STEP,
     )  # fmt: skip
     rows = [line.split("|")[2].strip() for line in section.splitlines() if line.startswith("| ")][1:]

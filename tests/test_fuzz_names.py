@@ -117,7 +117,7 @@ def test_one_bad_value_among_ten_thousand_is_named_and_changes_nothing() -> None
     event = at.command("c", command(values))
     assert event.kind is EventKind.REJECTED
     assert "a4321 = nan" in event.text
-    assert not at.due()
+    assert not at.ready_to_step()
 
 
 def test_who_writes_has_a_name_of_a_bounded_length() -> None:

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bridge.faults import LinkFaults, Turn
+from bridge.faults import LinkFaults, Transition
 from topics.errors import InvalidConfig
 from topics.fault_plan import FaultPlan
 
@@ -106,11 +106,11 @@ def test_certain_loss_loses_all_and_a_window_ends_it() -> None:
         faulty.move(step)
         lost.append(faulty.incoming("agent", 0.0) == [])
     assert lost == [False] * 4 + [True] * 2 + [False] * 2
-    assert [(told.turn, told.fault, told.step) for told in faulty.told()] == [
-        (Turn.BEGAN, "cut", 4),
-        (Turn.ENDED, "cut", 6),
+    assert [(told.turn, told.fault, told.step) for told in faulty.drain_transitions()] == [
+        (Transition.BEGAN, "cut", 4),
+        (Transition.ENDED, "cut", 6),
     ]
-    assert faulty.told() == []
+    assert faulty.drain_transitions() == []
 
 
 def test_no_fault_is_on_before_the_node_says_where_it_is() -> None:

@@ -12,7 +12,7 @@ from builders import NAN, actuator, advance, answer, claim, command, exchange, r
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bridge.exchange.episode import TRANSITIONS, Exchange, IllegalInput, Input
+from bridge.exchange.episode import TRANSITIONS, IllegalTransition, StepExchange, Trigger
 from topics import codec
 from topics.errors import RequestRejected
 from topics.messages import Command, CommandOp, Event, EventKind, Mode, State, Write
@@ -33,21 +33,21 @@ def same(one: list[float], other: list[float]) -> bool:
     return np.array_equal(one, other, equal_nan=True)
 
 
-def unchanged(at: Exchange, act: Callable[[], object], *, count: str) -> object:
+def unchanged(at: StepExchange, act: Callable[[], object], *, count: str) -> object:
     """What `act` returns, once it is shown to have changed nothing but that count, by one."""
     before = copy.deepcopy(at)
     result = act()
     for name in ("accepted", "rejected", "late", "duplicate"):
         assert getattr(at.counts, name) - getattr(before.counts, name) == (name == count), name
-    assert (at.state, at.episode, at.step, at.missing()) == (
-        before.state, before.episode, before.step, before.missing(),
+    assert (at.state, at.episode, at.step, at.awaiting()) == (
+        before.state, before.episode, before.step, before.awaiting(),
     )  # fmt: skip
     uncounted = dict.fromkeys(("rejected", "late", "duplicate"), 0)  # those of the one who sent it
     assert [c.model_copy(update=uncounted) for c in at.controllers()] == [
         c.model_copy(update=uncounted) for c in before.controllers()
     ]
-    assert at.due() == before.due()
-    assert at.commanded.expiring == before.commanded.expiring
+    assert at.ready_to_step() == before.ready_to_step()
+    assert at.commands.has_expiries == before.commands.has_expiries
     if at.state is State.WAITING:
         assert repr(ruling(at)) == repr(ruling(before))
     return result
@@ -56,18 +56,18 @@ def unchanged(at: Exchange, act: Callable[[], object], *, count: str) -> object:
 # The table
 
 
-PAIRS = [(state, what) for state in State for what in Input]
+PAIRS = [(state, what) for state in State for what in Trigger]
 
 
 @pytest.mark.parametrize(("state", "what"), PAIRS, ids=lambda p: p.value)
-def test_a_pair_has_a_row_or_is_illegal(state: State, what: Input) -> None:
-    at = Exchange((), state=state)
+def test_a_pair_has_a_row_or_is_illegal(state: State, what: Trigger) -> None:
+    at = StepExchange((), state=state)
     if (state, what) in TRANSITIONS:
-        at.take(what)
+        at.transition(what)
         assert at.state is TRANSITIONS[state, what]
         return
-    with pytest.raises(IllegalInput) as raised:
-        at.take(what)
+    with pytest.raises(IllegalTransition) as raised:
+        at.transition(what)
     assert state.value in str(raised.value)
     assert what.value in str(raised.value)
     assert at.state is state
@@ -76,15 +76,15 @@ def test_a_pair_has_a_row_or_is_illegal(state: State, what: Input) -> None:
 def test_the_table_is_that_of_the_drawing() -> None:
     """Written out by hand from the module's drawing: each state, what may happen, where it leads."""
     drawn = {
-        State.STARTING: {Input.READY: State.WAITING, Input.FAIL: State.FAILED, Input.STOP: State.STOPPED},
+        State.STARTING: {Trigger.READY: State.WAITING, Trigger.FAIL: State.FAILED, Trigger.STOP: State.STOPPED},
         State.WAITING: {
-            Input.GO: State.RUNNING, Input.RESET: State.STARTING, Input.FAIL: State.FAILED, Input.STOP: State.STOPPED,
+            Trigger.GO: State.RUNNING, Trigger.RESET: State.STARTING, Trigger.FAIL: State.FAILED, Trigger.STOP: State.STOPPED,
         },
         State.RUNNING: {
-            Input.SAMPLED: State.WAITING, Input.ENDED: State.ENDED, Input.FAIL: State.FAILED, Input.STOP: State.STOPPED,
+            Trigger.SAMPLED: State.WAITING, Trigger.ENDED: State.ENDED, Trigger.FAIL: State.FAILED, Trigger.STOP: State.STOPPED,
         },
-        State.ENDED: {Input.RESET: State.STARTING, Input.STOP: State.STOPPED},
-        State.FAILED: {Input.RESET: State.STARTING, Input.STOP: State.STOPPED},
+        State.ENDED: {Trigger.RESET: State.STARTING, Trigger.STOP: State.STOPPED},
+        State.FAILED: {Trigger.RESET: State.STARTING, Trigger.STOP: State.STOPPED},
         State.STOPPED: {},
     }  # fmt: skip
     assert {(state, what): to for state, row in drawn.items() for what, to in row.items()} == TRANSITIONS
@@ -92,15 +92,15 @@ def test_the_table_is_that_of_the_drawing() -> None:
 
 def test_an_illegal_call_changes_nothing() -> None:
     at = exchange()
-    for call in (lambda: at.sampled([False]), at.ready):
-        with pytest.raises(IllegalInput):
+    for call in (lambda: at.finish_step([False]), at.ready):
+        with pytest.raises(IllegalTransition):
             call()
     assert (at.state, at.step) == (State.WAITING, [0])
     claim(at, "a")
     answer(at, "a", [20.0, 25.0])
-    at.go()
-    for call in (at.go, at.reset, at.ready):
-        with pytest.raises(IllegalInput):
+    at.begin_step()
+    for call in (at.begin_step, at.reset, at.ready):
+        with pytest.raises(IllegalTransition):
             call()
     assert (at.state, at.step, at.episode) == (State.RUNNING, [0], [0])
 
@@ -123,15 +123,15 @@ def test_an_episode_of_n_timesteps_has_n_commands_and_n_plus_1_samples(steps: in
     assert ruled == [([20.0, 25.0 + k / 100], ["agent", "agent"]) for k in range(steps)]
     assert at.counts.accepted == steps
     assert at.state is State.ENDED
-    assert not at.due()
+    assert not at.ready_to_step()
 
 
 def test_nothing_goes_on_without_a_required_controller() -> None:
     at = exchange()
-    assert not at.due()
+    assert not at.ready_to_step()
     claim(at, "helper", 12, required=False)
     assert answer(at, "helper", [20.0, 25.0]) is None
-    assert not at.due()
+    assert not at.ready_to_step()
 
 
 def test_each_required_controller_is_waited_for() -> None:
@@ -139,15 +139,15 @@ def test_each_required_controller_is_waited_for() -> None:
     at = exchange()
     claim(at, "heater", actuators=["heat"])
     claim(at, "cooler", actuators=["cool"])
-    assert at.missing() == ["cooler", "heater"]
+    assert at.awaiting() == ["cooler", "heater"]
     assert answer(at, "heater", [20.0, 0.0], [SET, KEEP]) is None
-    assert not at.due()
-    assert at.missing() == ["cooler"]
+    assert not at.ready_to_step()
+    assert at.awaiting() == ["cooler"]
     assert answer(at, "cooler", [0.0, 25.0], [KEEP, SET]) is None
     assert advance(at) == ([20.0, 25.0], ["heater", "cooler"])
     assert answer(at, "cooler", [0.0, 26.0], [KEEP, SET]) is None
-    assert not at.due()
-    assert at.missing() == ["heater"]
+    assert not at.ready_to_step()
+    assert at.awaiting() == ["heater"]
     assert answer(at, "heater", [0.0, 0.0], [KEEP, KEEP]) is None
     assert advance(at) == ([20.0, 26.0], ["heater", "cooler"])
 
@@ -217,7 +217,7 @@ def test_the_bounds_themselves_are_within() -> None:
 # What is not taken changes nothing
 
 
-def running() -> Exchange:
+def running() -> StepExchange:
     """At sample 2 of episode 0; `agent` has still to answer, `helper` (whose level rules) need not."""
     at = exchange()
     claim(at, "agent", 10)
@@ -297,21 +297,21 @@ def test_a_wrong_command_is_rejected_in_words(controller: str, sent: Command, wo
     said(event, EventKind.REJECTED, *words)
     assert event.source == controller
     assert answer(at, "agent", [20.0, 25.0]) is None  # the right answer is still taken
-    assert at.due()
+    assert at.ready_to_step()
 
 
 @pytest.mark.parametrize("payload", [b"", b"\xc1", b"\x80", wire(command([20.0, 25.0], step=2))[:-1]])
 def test_bytes_that_are_no_command_are_rejected(payload: bytes) -> None:
     at = running()
-    assert unchanged(at, lambda: at.take_usual("agent", payload), count="") is False
-    said(unchanged(at, lambda: at.hear("agent", payload), count="rejected"), EventKind.REJECTED)
+    assert unchanged(at, lambda: at.accept_fast("agent", payload), count="") is False
+    said(unchanged(at, lambda: at.receive_command("agent", payload), count="rejected"), EventKind.REJECTED)
 
 
 def test_a_command_of_another_version_is_rejected_by_name() -> None:
     at = running()
     payload, other = wire(command([20.0, 25.0], step=2)), "application/msgpack;zenostat/2.Command"
-    assert unchanged(at, lambda: at.take_usual("agent", payload, other), count="") is False
-    event = unchanged(at, lambda: at.hear("agent", payload, other), count="rejected")
+    assert unchanged(at, lambda: at.accept_fast("agent", payload, other), count="") is False
+    event = unchanged(at, lambda: at.receive_command("agent", payload, other), count="rejected")
     said(event, EventKind.REJECTED, "zenostat/2.Command", "zenostat/1.Command")
 
 
@@ -342,10 +342,10 @@ BOUNDS = {
 }
 
 
-def told(at: Exchange) -> str:
+def told(at: StepExchange) -> str:
     """All that can be seen of an exchange."""
     array = [] if at.state is not State.WAITING else ruling(at)
-    return repr((at.state, at.episode, at.step, at.counts, at.controllers(), at.missing(), at.due(), array))
+    return repr((at.state, at.episode, at.step, at.counts, at.controllers(), at.awaiting(), at.ready_to_step(), array))
 
 
 def inside(bounds: str) -> list[float]:
@@ -364,12 +364,12 @@ def both_paths_agree(bounds: str, controller: str, sent: Command, *, times: int)
     advance(at)
     payload, slow, before = wire(sent), copy.deepcopy(at), told(at)
     for _ in range(times):
-        expected = slow.hear(controller, payload)
-        if at.take_usual(controller, payload):
+        expected = slow.receive_command(controller, payload)
+        if at.accept_fast(controller, payload):
             event = None
         else:
             assert told(at) == before  # a no of the fast path changes nothing
-            event = at.hear(controller, payload)
+            event = at.receive_command(controller, payload)
         assert event == expected
         assert told(at) == told(slow)
         before = told(at)
@@ -414,7 +414,7 @@ def test_a_usual_command_takes_the_fast_path(count: int) -> None:
         payload = (
             codec.command_head(at.episode, at.step, 8 * count * at.slots) + np.full(count * at.slots, 0.5).tobytes()
         )
-        assert at.take_usual("agent", payload)
+        assert at.accept_fast("agent", payload)
         values, rulers = advance(at)
         assert values == [0.5] * count * at.slots
         assert rulers == ["agent"] * count * at.slots
@@ -424,15 +424,15 @@ def test_a_usual_command_takes_the_fast_path(count: int) -> None:
 def test_the_fast_path_sets_the_level_that_was_claimed() -> None:
     at = exchange()
     claim(at, "agent", 10)
-    assert at.take_usual("agent", wire(command([20.0, 25.0])))
+    assert at.accept_fast("agent", wire(command([20.0, 25.0])))
     at.write("cool", Write(value=28.0, priority=11, source="below"), 0.0)
     at.write("heat", Write(value=16.0, priority=9, source="above"), 0.0)
     assert advance(at) == ([16.0, 25.0], ["above", "agent"])
 
 
-def bare() -> Exchange:
+def bare() -> StepExchange:
     """A building without actuators."""
-    at = Exchange(())
+    at = StepExchange(())
     at.ready()
     return at
 
@@ -440,7 +440,7 @@ def bare() -> Exchange:
 def test_a_building_without_actuators_is_stepped_all_the_same() -> None:
     at = bare()
     claim(at, "agent")
-    assert not at.due()
+    assert not at.ready_to_step()
     assert answer(at, "agent", []) is None
     assert advance(at) == ([], [])
 
@@ -450,10 +450,10 @@ def test_the_fast_path_is_closed_before_the_sample_is_published() -> None:
     at = exchange()
     claim(at, "agent")
     answer(at, "agent", [20.0, 25.0])
-    at.go()
-    at.sampled([False])
-    assert not at.take_usual("agent", wire(command([20.0, 25.0], step=1)))
-    assert not at.take_usual("agent", wire(command([20.0, 25.0], step=0)))
+    at.begin_step()
+    at.finish_step([False])
+    assert not at.accept_fast("agent", wire(command([20.0, 25.0], step=1)))
+    assert not at.accept_fast("agent", wire(command([20.0, 25.0], step=0)))
 
 
 # Claims
@@ -466,7 +466,7 @@ def test_a_second_claim_on_a_level_is_refused_by_name() -> None:
         claim(at, "second", 10)
     assert "level 10 of 'cool' is claimed by 'first'" in str(raised.value)
     assert [c.controller for c in at.controllers()] == ["first"]
-    assert at.missing() == ["first"]
+    assert at.awaiting() == ["first"]
 
 
 @pytest.mark.parametrize(("level", "actuators"), [(11, None), (10, ["heat"])], ids=["level", "actuators"])
@@ -475,7 +475,7 @@ def test_claims_that_do_not_meet_are_both_taken(level: int, actuators: list[str]
     claim(at, "first", 10, actuators=["cool"])
     (event,) = claim(at, "second", level, actuators=actuators)
     said(event, EventKind.CONNECTED, "second")
-    assert at.missing() == ["first", "second"]
+    assert at.awaiting() == ["first", "second"]
 
 
 def test_an_unknown_actuator_is_refused_with_near_names() -> None:
@@ -503,22 +503,22 @@ def test_one_that_has_gone_is_waited_for_until_it_is_back() -> None:
     claim(at, "agent")
     answer(at, "agent", [20.0, 25.0])
     advance(at)
-    (event,) = at.left("agent")
+    (event,) = at.on_disconnect("agent")
     said(event, EventKind.DISCONNECTED, "agent", "waits")
-    assert not at.due()
-    assert at.missing() == ["agent"]
+    assert not at.ready_to_step()
+    assert at.awaiting() == ["agent"]
     assert [c.connected for c in at.controllers()] == [False]
-    assert at.left("agent") == []
+    assert at.on_disconnect("agent") == []
     claim(at, "agent")
     assert [(c.connected, c.accepted) for c in at.controllers()] == [(True, 1)]
-    assert not at.due()
+    assert not at.ready_to_step()
     answer(at, "agent", [21.0, 26.0])
     assert advance(at) == ([21.0, 26.0], ["agent", "agent"])
 
 
 def test_one_that_was_never_there_cannot_leave() -> None:
     at = exchange()
-    assert at.left("nobody") == []
+    assert at.on_disconnect("nobody") == []
 
 
 def test_one_that_has_gone_is_replaced_at_its_level() -> None:
@@ -527,11 +527,11 @@ def test_one_that_has_gone_is_replaced_at_its_level() -> None:
     claim(at, "agent")
     answer(at, "agent", [20.0, 25.0])
     advance(at)
-    at.left("agent")
+    at.on_disconnect("agent")
     gone, joined = claim(at, "other")
     said(gone, EventKind.DISCONNECTED, "other takes over from agent")
     said(joined, EventKind.CONNECTED, "other")
-    assert at.missing() == ["other"]
+    assert at.awaiting() == ["other"]
     assert answer(at, "other", [16.0, 29.0]) is None
     assert advance(at) == ([16.0, 29.0], ["other", "other"])
     with pytest.raises(RequestRejected, match="claimed by 'other'"):
@@ -542,11 +542,11 @@ def test_one_that_has_gone_is_replaced_at_its_level() -> None:
 def test_one_that_has_gone_at_another_level_is_not_replaced() -> None:
     at = exchange()
     claim(at, "agent", 10)
-    at.left("agent")
+    at.on_disconnect("agent")
     claim(at, "other", 11)
     answer(at, "other", [16.0, 29.0])
-    assert at.missing() == ["agent"]
-    assert not at.due()
+    assert at.awaiting() == ["agent"]
+    assert not at.ready_to_step()
 
 
 def test_what_one_set_that_was_replaced_does_not_outlive_it() -> None:
@@ -555,7 +555,7 @@ def test_what_one_set_that_was_replaced_does_not_outlive_it() -> None:
     claim(at, "agent")
     answer(at, "agent", [20.0, 25.0])
     advance(at)
-    at.left("agent")
+    at.on_disconnect("agent")
     claim(at, "other", actuators=["heat"])
     answer(at, "other", [16.0, 0.0], [SET, KEEP])
     values, rulers = advance(at)
@@ -582,7 +582,7 @@ def test_one_that_claims_again_answers_again() -> None:
     answer(at, "agent", [20.0, 25.0])
     (event,) = claim(at, "agent")
     said(event, EventKind.CONNECTED, "again")
-    assert not at.due()
+    assert not at.ready_to_step()
     assert answer(at, "agent", [21.0, 26.0]) is None
     assert advance(at) == ([21.0, 26.0], ["agent", "agent"])
 
@@ -591,8 +591,8 @@ def test_one_that_joins_within_an_episode_is_waited_for_at_once() -> None:
     at = running()
     answer(at, "agent", [20.0, 25.0])
     claim(at, "late-comer", 11)
-    assert not at.due()
-    assert at.missing() == ["late-comer"]
+    assert not at.ready_to_step()
+    assert at.awaiting() == ["late-comer"]
 
 
 def test_the_status_tells_of_each_claim() -> None:
@@ -632,7 +632,7 @@ def test_a_write_answers_nothing() -> None:
     at = exchange()
     claim(at, "agent")
     at.write("cool", Write(value=28.0), 0.0)
-    assert not at.due()
+    assert not at.ready_to_step()
 
 
 def test_a_write_reaches_all_slots() -> None:
@@ -653,13 +653,13 @@ def test_a_write_for_1800_s_rules_two_timesteps_of_900_s(priority: int) -> None:
         ruled.append(advance(at)[1])
     assert ruled == [["", "wall"], ["", "wall"], ["", ""], ["", ""]]
     assert told_of == [(2, EventKind.EXPIRED, "wall")]
-    assert not at.commanded.expiring
+    assert not at.commands.has_expiries
 
 
 def test_a_write_once_the_episode_is_over_is_refused() -> None:
     at = exchange(mode=Mode.FREE)
-    at.go()
-    at.sampled([True])
+    at.begin_step()
+    at.finish_step([True])
     event = at.write("cool", Write(value=28.0, source="wall"), 900.0)
     assert (event.kind, event.source) == (EventKind.REJECTED, "wall")
     assert "the episode is over" in event.text
@@ -701,7 +701,7 @@ def test_a_release_takes_the_expiry_with_it() -> None:
     at = exchange(mode=Mode.FREE)
     at.write("cool", Write(value=28.0, duration_s=900.0), 0.0)
     at.write("cool", Write(value=None), 0.0)
-    assert not at.commanded.expiring
+    assert not at.commands.has_expiries
     assert at.expire(1e9) == []
 
 
@@ -742,7 +742,7 @@ def test_a_level_is_claimed_only_on_the_actuators_that_were_claimed() -> None:
 
 def test_in_free_mode_nobody_is_waited_for() -> None:
     at = exchange(mode=Mode.FREE)
-    assert at.due()
+    assert at.ready_to_step()
     claim(at, "agent")
     values, rulers = advance(at)
     assert same(values, [NAN, NAN])
@@ -757,7 +757,7 @@ def test_in_free_mode_nobody_is_waited_for() -> None:
 def test_in_free_mode_the_end_is_the_end() -> None:
     at = exchange(mode=Mode.FREE)
     advance(at, last=True)
-    assert not at.due()
+    assert not at.ready_to_step()
 
 
 # Reset
@@ -772,14 +772,14 @@ def test_a_reset_releases_everything_and_keeps_the_claims(ended: bool) -> None:
     assert advance(at, last=ended)[1] == ["agent", "wall"]
     at.reset()
     assert (at.state, at.episode) == (State.STARTING, [1])
-    assert not at.due()
+    assert not at.ready_to_step()
     at.ready()
     assert (at.state, at.step) == (State.WAITING, [0])
-    assert not at.commanded.expiring
+    assert not at.commands.has_expiries
     values, rulers = ruling(at)
     assert same(values, [NAN, NAN])
     assert rulers == ["", ""]
-    assert at.missing() == ["agent"]
+    assert at.awaiting() == ["agent"]
     assert answer(at, "agent", [21.0, 26.0]) is None
     assert advance(at) == ([21.0, 26.0], ["agent", "agent"])
 
@@ -808,13 +808,13 @@ def test_counts_are_of_the_nodes_life() -> None:
 def test_touched_tells_whether_sample_0_is_still_that_of_a_fresh_start() -> None:
     at = exchange()
     claim(at, "agent")
-    assert at.touched == [False]
+    assert at.modified == [False]
     answer(at, "agent", [20.0, 25.0])
     advance(at)
-    assert at.touched == [True]
+    assert at.modified == [True]
     at.reset()
     at.ready()
-    assert at.touched == [False]
+    assert at.modified == [False]
 
 
 def test_a_write_that_names_nobody_is_of_somebody() -> None:
@@ -825,5 +825,5 @@ def test_a_write_that_names_nobody_is_of_somebody() -> None:
 
 def test_a_write_after_a_failure_is_refused() -> None:
     at = exchange(mode=Mode.FREE)
-    at.take(Input.FAIL)
+    at.transition(Trigger.FAIL)
     assert at.write("cool", Write(value=28.0, source="wall"), 0.0).kind is EventKind.REJECTED

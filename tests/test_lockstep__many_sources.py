@@ -45,7 +45,7 @@ def test_too_many_claims_are_refused_until_some_have_gone() -> None:
         claim(at, "another", actuators=[f"a{MAX_CLAIMS}"])
     assert "another" not in at.claims.by_name
     claim(at, "c5", actuators=["a5"])  # again
-    at.left("c6")
+    at.on_disconnect("c6")
     at.reset()
     claim(at, "another", actuators=[f"a{MAX_CLAIMS}"])
 

@@ -23,7 +23,7 @@ import agent_sdk
 from agent_sdk import Bus
 from agent_sdk.bus.controller_link import ControlLink
 from agent_sdk.bus.sample import SampleView
-from bridge.exchange.step_schedule import Pace
+from bridge.exchange.step_schedule import StepSchedule
 from cli.pace import read_pace
 from topics.errors import InvalidConfig, RequestRejected
 from topics.messages import EventKind, Mode, Sample, State
@@ -43,59 +43,59 @@ YEAR = {**SMALL, "begin": "01-01", "end": "12-31"}
 
 @pytest.mark.parametrize("speed", [1.0, 7.0, 3600.0])
 def test_a_million_timesteps_do_not_drift(speed: float) -> None:
-    pace = Pace(STEP_S, speed)
-    pace.anchor(1234.5678, 0)
+    pace = StepSchedule(STEP_S, speed)
+    pace.rebase(1234.5678, 0)
     now_s = 0.0
     for step in range(1, 1_000_001):
         now_s = pace.due_s(step) + 0.1 * STEP_S / speed  # each a tenth of a timestep late
-        assert not pace.came(now_s, step)
+        assert not pace.record_sample(now_s, step)
     exact = Fraction(1234.5678) + Fraction(1_000_000) * Fraction(STEP_S) / Fraction(speed)
     assert abs(Fraction(pace.due_s(1_000_000)) - exact) <= 2 * Fraction(math.ulp(now_s))
-    assert (pace.overruns, pace.behind_s) == (0, 0.0)
+    assert (pace.overruns, pace.max_lag_s) == (0, 0.0)
 
 
 def test_an_overrun_is_a_sample_that_came_after_the_next_one_was_due() -> None:
-    pace = Pace(STEP_S, 900.0)  # a timestep a second
-    pace.anchor(100.0, 0)
+    pace = StepSchedule(STEP_S, 900.0)  # a timestep a second
+    pace.rebase(100.0, 0)
     came = {1: 101.0, 2: 103.0, 3: 104.5, 4: 106.25, 5: 106.5, 6: 106.75}
-    late = [step for step, now_s in came.items() if pace.came(now_s, step)]
+    late = [step for step, now_s in came.items() if pace.record_sample(now_s, step)]
     # due: 101, 102, 103, 104, 105, 106; the next of each a second later
     assert late == [3, 4, 5]
     assert pace.overruns == 3
-    assert pace.behind_s == 2.25  # sample 4, due at 104
+    assert pace.max_lag_s == 2.25  # sample 4, due at 104
 
 
 def test_after_an_overrun_the_schedule_is_the_old_one() -> None:
-    pace = Pace(STEP_S, 900.0)
-    pace.anchor(0.0, 0)
-    pace.came(7.5, 1)
+    pace = StepSchedule(STEP_S, 900.0)
+    pace.rebase(0.0, 0)
+    pace.record_sample(7.5, 1)
     assert [pace.due_s(step) for step in (2, 8, 9)] == [2.0, 8.0, 9.0]
 
 
 def test_a_schedule_begins_where_it_is_anchored() -> None:
-    pace = Pace(STEP_S, 60.0)  # 15 s a timestep
-    pace.anchor(1000.0, 40)
+    pace = StepSchedule(STEP_S, 60.0)  # 15 s a timestep
+    pace.rebase(1000.0, 40)
     assert [pace.due_s(step) for step in (40, 41, 44)] == [1000.0, 1015.0, 1060.0]
-    pace.anchor(2000.0, 44)
+    pace.rebase(2000.0, 44)
     assert pace.due_s(45) == 2015.0
 
 
 def test_a_change_of_speed_keeps_how_far_the_timestep_has_gone() -> None:
-    pace = Pace(STEP_S, 60.0)
-    pace.anchor(0.0, 0)
-    into_s = pace.into_s(25.0, 1)  # sample 1 was due at 15; 10 s of 60 since
+    pace = StepSchedule(STEP_S, 60.0)
+    pace.rebase(0.0, 0)
+    into_s = pace.elapsed_in_step_s(25.0, 1)  # sample 1 was due at 15; 10 s of 60 since
     assert into_s == 600.0
     pace.speed = 30.0
-    pace.anchor(25.0, 1, into_s)
+    pace.rebase(25.0, 1, into_s)
     assert pace.due_s(2) == 35.0  # 300 s are left, at 30
 
 
 def test_what_is_behind_is_not_caught_up_after_a_change() -> None:
-    pace = Pace(STEP_S, 900.0)
-    pace.anchor(0.0, 0)
-    into_s = pace.into_s(50.0, 3)
+    pace = StepSchedule(STEP_S, 900.0)
+    pace.rebase(0.0, 0)
+    into_s = pace.elapsed_in_step_s(50.0, 3)
     assert into_s == STEP_S
-    pace.anchor(50.0, 3, into_s)
+    pace.rebase(50.0, 3, into_s)
     assert [pace.due_s(4), pace.due_s(5)] == [50.0, 51.0]
 
 
@@ -106,8 +106,8 @@ def test_what_is_behind_is_not_caught_up_after_a_change() -> None:
     step=st.integers(0, 10**7),
 )
 def test_timesteps_are_of_one_length(step_s: float, speed: float, origin_s: float, step: int) -> None:
-    pace = Pace(step_s, speed)
-    pace.anchor(origin_s, 0)
+    pace = StepSchedule(step_s, speed)
+    pace.rebase(origin_s, 0)
     exact = Fraction(origin_s) + step * Fraction(step_s) / Fraction(speed)
     assert float(exact) == pytest.approx(pace.due_s(step), rel=1e-15, abs=0)
 

@@ -8,12 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
-from bridge.exchange.priority_array import LEVELS, THE_BUILDING, PriorityArray
+from bridge.exchange.priority_array import BASELINE_SOURCE, PRIORITIES, PriorityArray
 
 SLOTS, ACTUATORS = 2, 3
 NAMES = [f"controller {i}" for i in range(5)]
 
-levels = st.integers(1, LEVELS)
+levels = st.integers(1, PRIORITIES)
 finite = st.floats(allow_nan=False, allow_infinity=False)
 who = st.sampled_from(NAMES)
 cells = st.lists(finite | st.none(), min_size=SLOTS * ACTUATORS, max_size=SLOTS * ACTUATORS)
@@ -70,7 +70,7 @@ class Model(RuleBasedStateMachine):
     @invariant()
     def the_lowest_occupied_level_rules(self) -> None:
         if hasattr(self, "array"):
-            expected = [cell[min(cell)] if cell else (None, THE_BUILDING) for cell in self.model]
+            expected = [cell[min(cell)] if cell else (None, BASELINE_SOURCE) for cell in self.model]
             assert resolved(self.array) == expected
 
 
@@ -84,7 +84,7 @@ def test_lower_rules_release_falls_to_the_next_and_empty_is_the_building() -> No
     for level, name, value in ((10, "controller", 24.0), (8, "person", 22.0), (1, "fire", 15.0)):
         array.put_one(level, array.source(name), 0, value)
     assert resolved(array) == [(15.0, "fire")]
-    for level, next_ruler in ((1, (22.0, "person")), (8, (24.0, "controller")), (10, (None, THE_BUILDING))):
+    for level, next_ruler in ((1, (22.0, "person")), (8, (24.0, "controller")), (10, (None, BASELINE_SOURCE))):
         array.put_one(level, array.source("anybody"), 0, np.nan)
         assert resolved(array) == [next_ruler]
 
@@ -108,10 +108,10 @@ def test_another_source_at_the_same_level_is_named() -> None:
 
 def test_a_name_has_one_index_and_the_building_has_the_first() -> None:
     array = PriorityArray(1, 1)
-    assert array.source(THE_BUILDING) == 0
+    assert array.source(BASELINE_SOURCE) == 0
     assert array.source("a") == array.source("a") == 1
     assert array.source("b") == 2
-    assert array.names == [THE_BUILDING, "a", "b"]
+    assert array.names == [BASELINE_SOURCE, "a", "b"]
 
 
 def test_a_flood_of_names_that_hold_nothing_stays_small() -> None:
@@ -127,4 +127,4 @@ def test_a_flood_of_names_that_hold_nothing_stays_small() -> None:
 
 @pytest.mark.parametrize(("slots", "actuators"), [(1, 0), (3, 0), (3, 2)])
 def test_an_array_that_nobody_set_is_the_buildings(slots: int, actuators: int) -> None:
-    assert resolved(PriorityArray(slots, actuators)) == [(None, THE_BUILDING)] * (slots * actuators)
+    assert resolved(PriorityArray(slots, actuators)) == [(None, BASELINE_SOURCE)] * (slots * actuators)

@@ -24,10 +24,10 @@ from test_certificates import expire
 from zenoh.handlers import FifoChannel
 
 import agent_sdk
-from bridge.transport.access_control import ALL_MESSAGES, ROLES, May, control, may, rules
+from bridge.transport.access_control import ALL_MESSAGES, ROLES, Permission, acl_config, may, rules
 from bridge.transport.certificates import Identity, add, make
 from bridge.transport.session import check_endpoint, exposure, open_session
-from bridge.transport.tls_diagnosis import why_refused
+from bridge.transport.tls_diagnosis import diagnose_tls
 from topics import codec, keys
 from topics.errors import AddressInUse, InvalidConfig, NodeNotFound, UsageError
 from topics.keys import TOPICS, Role
@@ -128,7 +128,7 @@ def ask(session: zenoh.Session, topic: keys.Topic, question: Any = None) -> list
 
 # The rules, without Zenoh
 
-SEND, HEAR, ASK, SHOW, SEE = May.SEND, May.HEAR, May.ASK, May.SHOW, May.SEE
+SEND, HEAR, ASK, SHOW, SEE = Permission.SEND, Permission.HEAR, Permission.ASK, Permission.SHOW, Permission.SEE
 RIGHTS = {  # topic: (controller, monitor)
     "manifest": ({HEAR, ASK}, {HEAR, ASK}),
     "sample": ({HEAR, ASK}, {HEAR, ASK}),
@@ -185,7 +185,7 @@ def test_no_key_lies_outside_of_the_table() -> None:
 
 
 def test_zenoh_denies_what_no_rule_allows() -> None:
-    made = control()
+    made = acl_config()
     assert (made["enabled"], made["default_permission"]) == (True, "deny")
     assert {rule["permission"] for rule in made["rules"]} == {"allow"}
     assert {one["id"]: one["cert_common_names"] for one in made["subjects"]} == {
@@ -458,9 +458,9 @@ def test_why_there_is_no_session(node: NodeProgram, pki: Path, strange_pki: Path
 
 def test_the_other_side_s_refusal_is_told(node: NodeProgram, pki: Path, strange_pki: Path) -> None:
     shown = Identity(pki / "ca.pem", strange_pki / "controller.pem", strange_pki / "controller.key")
-    assert f"{node.endpoint} refused the session over TLS: " in why_refused(node.endpoint, shown)
+    assert f"{node.endpoint} refused the session over TLS: " in diagnose_tls(node.endpoint, shown)
     good = Identity(pki / "ca.pem", pki / "controller.pem", pki / "controller.key")
-    assert "refused" not in why_refused(node.endpoint, good)
+    assert "refused" not in diagnose_tls(node.endpoint, good)
 
 
 def test_a_node_is_reached_under_the_names_in_its_certificate(pki: Path) -> None:

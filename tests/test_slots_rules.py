@@ -8,14 +8,14 @@ from builders import NAN, answer, claim, command, exchange, ruling
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bridge.exchange.episode import Exchange
-from bridge.exchange.priority_array import LEVELS, PriorityArray
+from bridge.exchange.episode import StepExchange
+from bridge.exchange.priority_array import PRIORITIES, PriorityArray
 from topics.messages import Command, CommandOp, EventKind, Mode, State, Write
 
 KEEP, SET, RELEASE = CommandOp.KEEP, CommandOp.SET, CommandOp.RELINQUISH
 
 
-def answers(at: Exchange, controller: str, slots: dict[int, tuple[float, float]]) -> object:
+def answers(at: StepExchange, controller: str, slots: dict[int, tuple[float, float]]) -> object:
     """The controller answers these slots and leaves the others out."""
     values = [v for slot in range(at.slots) for v in slots.get(slot, (0.0, 0.0))]
     steps = [step if slot in slots else None for slot, step in enumerate(at.step)]
@@ -24,17 +24,17 @@ def answers(at: Exchange, controller: str, slots: dict[int, tuple[float, float]]
     )
 
 
-def go(at: Exchange, last: tuple[int, ...] = ()) -> tuple[list[int], np.ndarray]:
+def go(at: StepExchange, last: tuple[int, ...] = ()) -> tuple[list[int], np.ndarray]:
     """One timestep: who moved, and what ruled, shape (slots, actuators)."""
-    assert at.due(), at.missing()
-    values, _ = at.go()
-    moving = [*at.moving]
-    at.sampled([slot in last for slot in moving])
-    at.listen()
+    assert at.ready_to_step(), at.awaiting()
+    values, _ = at.begin_step()
+    moving = [*at.active_slots]
+    at.finish_step([slot in last for slot in moving])
+    at.open_intake()
     return moving, np.frombuffer(values).reshape(at.shape)
 
 
-def three() -> Exchange:
+def three() -> StepExchange:
     at = exchange(slots=3)
     claim(at, "agent")
     return at
@@ -67,7 +67,7 @@ def test_a_value_for_a_slot_that_stands_still_is_not_looked_at() -> None:
     assert event is not None
     assert event.kind is EventKind.REJECTED
     assert "99" in event.text
-    assert not at.due()
+    assert not at.ready_to_step()
 
 
 def test_no_slot_at_all_is_no_answer() -> None:
@@ -75,7 +75,7 @@ def test_no_slot_at_all_is_no_answer() -> None:
     event = answers(at, "agent", {})
     assert event is not None
     assert event.kind is EventKind.REJECTED
-    assert not at.due()
+    assert not at.ready_to_step()
 
 
 def test_the_slots_that_any_required_controller_answers_move() -> None:
@@ -84,11 +84,11 @@ def test_the_slots_that_any_required_controller_answers_move() -> None:
     claim(at, "second", 9, actuators=["heat"])
     claim(at, "helper", 8, actuators=["heat"], required=False)
     assert answers(at, "agent", {0: (20.0, 25.0)}) is None
-    assert not at.due()
+    assert not at.ready_to_step()
     mask = bytes([KEEP, KEEP, SET, KEEP, SET, KEEP])
     both = np.array([0.0, 0.0, 21.0, 0.0, 22.0, 0.0]).tobytes()
     assert at.command("second", Command(episode=[0] * 3, step=[None, 0, None], operations=mask, values=both)) is None
-    at2 = at.due()
+    at2 = at.ready_to_step()
     assert at2
     assert at.command("helper", Command(episode=[0] * 3, step=[None, None, 0], operations=mask, values=both)) is None
     moving, values = go(at)
@@ -135,7 +135,7 @@ def test_the_exchange_ends_with_its_last_slot() -> None:
     at = three()
     answer(at, "agent", [20.0, 25.0] * 3)
     go(at, last=(1,))
-    assert (at.state, at.ended) == (State.WAITING, [False, True, False])
+    assert (at.state, at.done) == (State.WAITING, [False, True, False])
     event = answer(at, "agent", [20.0, 25.0] * 3)
     assert event is not None
     assert "slot 1 is over" in event.text
@@ -161,9 +161,9 @@ def test_a_slot_begins_anew_while_the_others_stand() -> None:
     at.reset([1])
     assert at.state is State.STARTING
     at.ready({1: 0})
-    assert (at.episode, at.step, at.ended) == ([0, 1, 0], [1, 0, 1], [False] * 3)
-    assert at.touched == [True, False, True]
-    assert at.missing() == ["agent"]
+    assert (at.episode, at.step, at.done) == ([0, 1, 0], [1, 0, 1], [False] * 3)
+    assert at.modified == [True, False, True]
+    assert at.awaiting() == ["agent"]
     values, rulers = ruling(at)
     np.testing.assert_array_equal(values, [20.0, 25.0, NAN, NAN, 20.0, 25.0])
     assert rulers == ["agent", "agent", "", "", "agent", "agent"]
@@ -176,13 +176,13 @@ def test_an_answer_from_before_another_slot_began_anew_is_given_again() -> None:
     """The sample is published again; what was answered to the former one moves nobody."""
     at = three()
     assert answers(at, "agent", {0: (20.0, 25.0)}) is None
-    assert at.due()
+    assert at.ready_to_step()
     at.reset([1])
     at.ready({1: 0})
-    assert not at.due()
+    assert not at.ready_to_step()
     event = at.command("agent", command([20.0, 25.0] * 3, step=[0, 0, 0], episode=[0, 0, 0]))
     assert event is not None
-    assert at.missing() == ["agent"]
+    assert at.awaiting() == ["agent"]
     assert answers(at, "agent", {2: (20.0, 25.0)}) is None
     assert go(at)[0] == [2]
 
@@ -194,7 +194,7 @@ def test_when_all_are_over_one_may_begin_anew() -> None:
     assert at.state is State.ENDED
     at.reset([2])
     at.ready({2: 0})
-    assert (at.state, at.ended, at.step) == (State.WAITING, [True, True, False], [1, 1, 0])
+    assert (at.state, at.done, at.step) == (State.WAITING, [True, True, False], [1, 1, 0])
     assert answers(at, "agent", {2: (20.0, 25.0)}) is None
     assert go(at, last=(2,))[0] == [2]
     assert at.state is State.ENDED
@@ -206,10 +206,10 @@ def test_all_slots_begin_anew_by_any_name_of_them(slots: list[int] | None) -> No
     answer(at, "agent", [20.0, 25.0] * 3)
     at.write("heat", Write(value=18.0, priority=8, duration_s=1e6), 0.0)
     go(at)
-    at.left("agent")
+    at.on_disconnect("agent")
     at.reset(slots)
     at.ready()
-    assert (at.episode, at.step, at.commanded.expiring, at.controllers()) == ([1] * 3, [0] * 3, False, [])
+    assert (at.episode, at.step, at.commands.has_expiries, at.controllers()) == ([1] * 3, [0] * 3, False, [])
     assert ruling(at)[1] == [""] * 6
 
 
@@ -225,7 +225,7 @@ def test_a_written_value_outlives_the_beginning_of_one_slot_elsewhere() -> None:
 # What holds, kept and gone back to
 
 
-def held() -> Exchange:
+def held() -> StepExchange:
     """Three slots that differ, with a value that expires after 1,800 s, at step 2."""
     at = three()
     answer(at, "agent", [20.0, 25.0] * 3)
@@ -238,19 +238,19 @@ def held() -> Exchange:
 
 def test_what_held_holds_again_and_what_came_later_does_not() -> None:
     at = held()
-    kept, before = at.held(), ruling(at)
+    kept, before = at.capture(), ruling(at)
     answer(at, "agent", [22.0, 30.0] * 3)
     at.write("heat", Write(value=15.0, priority=1, source="late"), 1800.0)
     at.write("cool", Write(value=None, priority=8, source="person"), 1800.0)
     go(at)
-    assert not at.commanded.expiring
+    assert not at.commands.has_expiries
     for _ in range(2):
         at.reset()
-        at.hold(kept)
+        at.restore(kept)
         at.ready({0: 1, 1: 2, 2: 1})
         assert str(ruling(at)) == str(before)
-        assert at.commanded.expiring
-        assert at.touched == [True] * 3
+        assert at.commands.has_expiries
+        assert at.modified == [True] * 3
         assert [event.kind for event in at.expire(2700.0)] == [EventKind.EXPIRED]
         assert ruling(at)[0] == [20.0, 25.0, 21.0, 26.0, 20.0, 25.0]
         answer(at, "agent", [22.0, 30.0] * 3)
@@ -260,15 +260,15 @@ def test_what_held_holds_again_and_what_came_later_does_not() -> None:
 def test_whoever_claimed_since_keeps_its_claim_and_rules_under_its_own_name() -> None:
     """The names of who rules go back, too; a newcomer's is added to them."""
     at = held()
-    kept = at.held()
+    kept = at.capture()
     claim(at, "newcomer", 9)
     for who in ("agent", "newcomer"):
         answer(at, who, [22.0, 30.0] * 3)
     go(at)
     at.reset()
-    at.hold(kept)
+    at.restore(kept)
     at.ready()
-    assert at.missing() == ["agent", "newcomer"]
+    assert at.awaiting() == ["agent", "newcomer"]
     answer(at, "newcomer", [16.0, 24.0] * 3, [SET, KEEP] * 3)
     answer(at, "agent", [0.0, 0.0] * 3, [KEEP, KEEP] * 3)
     assert ruling(at) == ([16.0, 29.0] * 3, ["newcomer", "person"] * 3)
@@ -279,7 +279,7 @@ def test_what_held_in_one_slot_goes_along_to_as_many_as_are_wanted() -> None:
     for slot, expected in enumerate([[20.0, 29.0], [21.0, 29.0], [20.0, 29.0]]):
         branch = exchange(slots=2)
         branch.reset()
-        branch.hold(at.held().of_slot(slot, 2))
+        branch.restore(at.capture().of_slot(slot, 2))
         branch.ready({0: 2, 1: 2})
         assert ruling(branch) == (expected * 2, ["agent", "person"] * 2)
         claim(branch, "other")
@@ -295,28 +295,28 @@ def test_what_is_written_for_a_time_holds_so_long_whichever_slot_begins_anew_or_
     for _ in range(4):
         answer(at, "agent", [20.0, 25.0] * 3)
         go(at)
-    at.write("cool", Write(value=29.0, priority=8, duration_s=1800.0, source="person"), 900.0 * at.commanded.timesteps)
+    at.write("cool", Write(value=29.0, priority=8, duration_s=1800.0, source="person"), 900.0 * at.commands.timesteps)
     at.reset([0])
     at.ready({0: 0})
-    kept = at.held()
+    kept = at.capture()
     for _ in range(2):
-        assert at.expire(900.0 * at.commanded.timesteps) == []
+        assert at.expire(900.0 * at.commands.timesteps) == []
         answer(at, "agent", [20.0, 25.0] * 3)
         go(at)
-    assert [event.kind for event in at.expire(900.0 * at.commanded.timesteps)] == [EventKind.EXPIRED]
+    assert [event.kind for event in at.expire(900.0 * at.commands.timesteps)] == [EventKind.EXPIRED]
     for branch, slot in ((exchange(slots=3), None), (exchange(slots=1), 1)):
-        branch.hold(kept if slot is None else kept.of_slot(slot, 1))
-        assert branch.expire(900.0 * branch.commanded.timesteps) == []
-        assert branch.commanded.expiring
-        assert [event.kind for event in branch.expire(900.0 * (branch.commanded.timesteps + 2))] == [EventKind.EXPIRED]
+        branch.restore(kept if slot is None else kept.of_slot(slot, 1))
+        assert branch.expire(900.0 * branch.commands.timesteps) == []
+        assert branch.commands.has_expiries
+        assert [event.kind for event in branch.expire(900.0 * (branch.commands.timesteps + 2))] == [EventKind.EXPIRED]
     at.reset()
-    assert at.commanded.timesteps == 0
+    assert at.commands.timesteps == 0
 
 
 SLOTS, ACTUATORS = 3, 2
 rows = st.lists(
     st.tuples(
-        st.integers(1, LEVELS),
+        st.integers(1, PRIORITIES),
         st.sampled_from("abc"),
         st.lists(st.floats(-9, 9) | st.just(NAN), min_size=SLOTS * ACTUATORS, max_size=SLOTS * ACTUATORS),
         st.lists(st.booleans(), min_size=SLOTS * ACTUATORS, max_size=SLOTS * ACTUATORS),
@@ -377,7 +377,7 @@ def test_a_slots_part_rules_as_that_slot_does(before: list, after: list, slot: i
 def test_releasing_slots_leaves_the_others_as_they_are(puts: list, slots: set[int]) -> None:
     array = arrays(puts)
     expected = [[("nan", "")] * ACTUATORS if slot in slots else row for slot, row in enumerate(told(array))]
-    array.release(sorted(slots))
+    array.relinquish_slots(sorted(slots))
     assert told(array) == expected
 
 

@@ -26,7 +26,7 @@ from agent_sdk.bus.controller_link import ControlLink
 from agent_sdk.bus.sample import SampleView
 from bridge.runtime import affinity
 from bridge.runtime.affinity import Affinity
-from bridge.transport.access_control import May, may
+from bridge.transport.access_control import Permission, may
 from bridge.transport.session import DEFAULT_ENDPOINT, FORKED, open_session
 from bridge.transport.wakeup import Wake
 from topics import codec, keys
@@ -87,7 +87,7 @@ def connect(
     endpoint: str = DEFAULT_ENDPOINT,
     *,
     wait: bool = False,
-    affinity: Affinity = Affinity.APART,
+    affinity: Affinity = Affinity.SEPARATE_CORES,
     core: int | None = None,
     keys: Path | None = None,
     role: Role = Role.CONTROLLER,
@@ -358,7 +358,7 @@ class Bus:
         self.session.put(key, codec.encode(message), encoding=said, congestion_control=CongestionControl.BLOCK)
 
     def _ask(self, topic: keys.Topic, node: str, question: Message | None, answer: type[R]) -> R:
-        if self.role is not None and May.ASK not in may(self.role, topic):
+        if self.role is not None and Permission.ASK not in may(self.role, topic):
             raise InvalidConfig(f"a {self.role} may not ask {topic.key}; connect with the certificate of another role")
         try:
             replies = self.session.get(
@@ -468,5 +468,5 @@ class Bus:
 
 def _placed(wanted: Affinity, core: int | None) -> AbstractContextManager[None]:
     if wanted is Affinity.TOGETHER:
-        affinity.pin(core)
+        affinity.set_affinity(core)
     return affinity.threads_started_on(None if wanted is Affinity.OFF else core)

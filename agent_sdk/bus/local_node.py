@@ -20,7 +20,7 @@ import psutil
 from bridge.runtime import affinity
 from bridge.runtime.affinity import Affinity
 from bridge.runtime.scratch import Scratch
-from bridge.runtime.signals import handled
+from bridge.runtime.signals import override_signals
 from topics.errors import NodeLost, from_wire
 from topics.messages import Manifest
 
@@ -118,7 +118,7 @@ def undisturbed() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():  # it interrupts no other
         yield
         return
-    with handled(signal.SIG_IGN, signal.SIGINT):
+    with override_signals(signal.SIG_IGN, signal.SIGINT):
         yield
 
 

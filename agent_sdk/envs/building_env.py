@@ -134,7 +134,7 @@ class BuildingEnv(Named, gym.Env[Observation, Any]):
         branches: int | None = None,
         unresponsive_s: float | None = None,
         faults: str | Path | None = None,
-        affinity: Affinity | str = Affinity.APART,
+        affinity: Affinity | str = Affinity.SEPARATE_CORES,
         render_mode: str | None = None,
         keys: str | Path | None = None,
         link: Link | None = None,

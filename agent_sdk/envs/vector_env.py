@@ -71,7 +71,7 @@ class BuildingVectorEnv(Named, VectorEnv[Observations, Any, NDArray[Any]]):
         connect: str | None = None,
         node: str | None = None,
         level: int = 10,
-        affinity: Affinity | str = Affinity.APART,
+        affinity: Affinity | str = Affinity.SEPARATE_CORES,
         render_mode: str | None = None,
         keys: str | Path | None = None,
         link: SlotsLink | None = None,

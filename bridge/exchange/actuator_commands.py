@@ -11,14 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.exchange.claims import Claimant
+from bridge.exchange.claims import ClaimHolder
 from bridge.exchange.priority_array import PriorityArray
 from topics import codec
 from topics.errors import BadMessage, did_you_mean
 from topics.messages import Actuator, Command, CommandOp, Write
 from topics.units import with_unit
 
-_FEW = 8
+_SMALL = 8
 """Values that are looked at one by one in less time than it takes to make arrays of them."""
 
 
@@ -27,25 +27,25 @@ class Expiry:
     """A single point that is released when so much simulated time has passed since all slots began."""
 
     at_s: float
-    level: int
+    priority: int
     actuator: int
     source: str
 
 
 @dataclass(frozen=True, slots=True)
-class Held:
+class CommandSnapshot:
     """What was commanded up to a sample and holds on: a part of a snapshot."""
 
     array: PriorityArray
     expiries: tuple[Expiry, ...] = ()
     timesteps: int = 0
 
-    def of_slot(self, slot: int, slots: int) -> Held:
+    def of_slot(self, slot: int, slots: int) -> CommandSnapshot:
         """What holds in one slot, for each of `slots` new ones."""
-        return Held(self.array.of_slot(slot, slots), self.expiries, self.timesteps)
+        return CommandSnapshot(self.array.of_slot(slot, slots), self.expiries, self.timesteps)
 
 
-class Commanded:
+class ActuatorCommands:
     """Of one node.
 
     Args:
@@ -65,7 +65,7 @@ class Commanded:
         high = [most if a.high is None else a.high for a in actuators]
         self._bounds = np.tile(np.array([low, high]).reshape(2, -1), slots)
         self._clipped = np.empty(self._bounds.shape[1])
-        self._few = len(low) * slots <= _FEW
+        self._few = len(low) * slots <= _SMALL
         self._low, self._high = low * slots, high * slots
         self._index = {a.name: i for i, a in enumerate(actuators)}
         self._expiries: list[Expiry] = []
@@ -78,18 +78,18 @@ class Commanded:
         self.array.clear()
         self._expiries, self.timesteps = [], 0
 
-    def held(self) -> Held:
+    def capture(self) -> CommandSnapshot:
         """What holds now."""
-        return Held(self.array.copy(), tuple(self._expiries), self.timesteps)
+        return CommandSnapshot(self.array.copy(), tuple(self._expiries), self.timesteps)
 
-    def hold(self, held: Held) -> None:
+    def restore(self, held: CommandSnapshot) -> None:
         """Has that hold again."""
         self.array.restore(held.array)
         self._expiries, self.timesteps = [*held.expiries], held.timesteps
 
     # A controller's command
 
-    def put_usual(self, claimant: Claimant, raw: bytes) -> bool:
+    def put_fast(self, claimant: ClaimHolder, raw: bytes) -> bool:
         """Sets all actuators of all slots to raw values, if it is plain that they are within bounds; whether it was.
 
         False also for some that are (of many, -0.0 at a bound of 0): `put` looks at them closely.
@@ -104,10 +104,10 @@ class Commanded:
             np.fmin(np.fmax(np.frombuffer(raw), low, out=clipped), high, out=clipped)
             if clipped.tobytes() != raw:
                 return False
-        self.array.put_all(claimant.level, claimant.source, raw)
+        self.array.put_all(claimant.priority, claimant.source, raw)
         return True
 
-    def put(self, claimant: Claimant, command: Command, answered: Sequence[int]) -> None:
+    def put(self, claimant: ClaimHolder, command: Command, answered: Sequence[int]) -> None:
         """Sets and releases what a command says, in the slots that it answers.
 
         Raises:
@@ -116,27 +116,27 @@ class Commanded:
         """
         values = codec.floats(command.values, self._shape, "values")
         whole = len(answered) == self._shape[0]
-        if command.operations is None and claimant.whole and whole:
+        if command.operations is None and claimant.covers_all and whole:
             self._check(values)
-            self.array.put_all(claimant.level, claimant.source, command.values)
+            self.array.put_all(claimant.priority, claimant.source, command.values)
             return
         mask = self._mask(claimant, command)
         if not whole:
             mask = np.where(np.isin(np.arange(self._shape[0]), answered)[:, None], mask, np.uint8(CommandOp.KEEP))
         self._check(np.where(mask == CommandOp.SET, values, self._bounds[0].reshape(self._shape)))
         self.array.put(
-            claimant.level, claimant.source, np.where(mask == CommandOp.SET, values, np.nan), mask != CommandOp.KEEP
+            claimant.priority, claimant.source, np.where(mask == CommandOp.SET, values, np.nan), mask != CommandOp.KEEP
         )
 
-    def _mask(self, claimant: Claimant, command: Command) -> NDArray[np.uint8]:
+    def _mask(self, claimant: ClaimHolder, command: Command) -> NDArray[np.uint8]:
         if command.operations is None:
             mask = np.full(self._shape, CommandOp.SET, np.uint8)
         else:
             mask = codec.uint8s(command.operations, self._shape, "mask")
         if mask.size and mask.max() > CommandOp.RELINQUISH:
             raise BadMessage(f"mask has {int(mask.max())}; 0 keeps, 1 sets, 2 releases")
-        if (mask[:, ~claimant.allowed] != CommandOp.KEEP).any():
-            _, index = np.argwhere((mask != CommandOp.KEEP) & ~claimant.allowed)[0]
+        if (mask[:, ~claimant.mask] != CommandOp.KEEP).any():
+            _, index = np.argwhere((mask != CommandOp.KEEP) & ~claimant.mask)[0]
             raise BadMessage(f"{self._actuators[index].name!r} is not among the actuators it claimed")
         return mask
 
@@ -173,7 +173,7 @@ class Commanded:
         """Sets or releases one actuator of all slots; says so in words."""
         occupied = self.array.occupied(write.priority, index)
         self.array.put_one(write.priority, source, index, np.nan if write.value is None else write.value)
-        self._expiries = [e for e in self._expiries if (e.level, e.actuator) != (write.priority, index)]
+        self._expiries = [e for e in self._expiries if (e.priority, e.actuator) != (write.priority, index)]
         actuator = self._actuators[index]
         if write.value is None:
             level = f"at priority {write.priority}"
@@ -182,13 +182,13 @@ class Commanded:
             self._expiries.append(Expiry(elapsed_s + write.duration_s, write.priority, index, write.source))
         return f"{actuator.name} = {with_unit(f'{write.value:g}', actuator.unit)} at priority {write.priority}"
 
-    def claimed(self, claimant: Claimant) -> None:
+    def drop_superseded_expiries(self, claimant: ClaimHolder) -> None:
         """What was written for a time where somebody claims holds no longer than the claim says."""
-        level, allowed = claimant.level, claimant.allowed
-        self._expiries = [e for e in self._expiries if not (e.level == level and allowed[e.actuator])]
+        level, allowed = claimant.priority, claimant.mask
+        self._expiries = [e for e in self._expiries if not (e.priority == level and allowed[e.actuator])]
 
     @property
-    def expiring(self) -> bool:
+    def has_expiries(self) -> bool:
         """Whether anything was written for a time."""
         return bool(self._expiries)
 
@@ -197,5 +197,5 @@ class Commanded:
         over = [e for e in self._expiries if e.at_s <= elapsed_s]
         self._expiries = [e for e in self._expiries if e.at_s > elapsed_s]
         for e in over:
-            self.array.put_one(e.level, 0, e.actuator, np.nan)
-        return [(f"{self._actuators[e.actuator].name} released at priority {e.level}", e.source) for e in over]
+            self.array.put_one(e.priority, 0, e.actuator, np.nan)
+        return [(f"{self._actuators[e.actuator].name} released at priority {e.priority}", e.source) for e in over]

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.exchange.latency import Latencies
+from bridge.exchange.latency import LatencyWindow
 from bridge.exchange.priority_array import PriorityArray
 from topics.errors import RequestRejected, did_you_mean
 from topics.messages import Actuator, Claim
@@ -22,7 +22,7 @@ MAX_CLAIMS = 1000
 
 
 @dataclass(slots=True)
-class Record:
+class ControllerStats:
     """How a controller has done: its messages, the timesteps that went on without it, how fast it answers."""
 
     accepted: int = 0
@@ -31,11 +31,11 @@ class Record:
     duplicate: int = 0
     missed: int = 0
     accepted_late: int = 0
-    response: Latencies = field(default_factory=Latencies)
+    response: LatencyWindow = field(default_factory=LatencyWindow)
 
 
 @dataclass(slots=True)
-class Claimant:
+class ClaimHolder:
     """A controller's claim: its level, which actuators, and how it is doing.
 
     `waived`: it has gone, and the policy goes on without it. `silent`: it missed the deadline, and has not answered
@@ -43,17 +43,17 @@ class Claimant:
     """
 
     name: str
-    level: int
-    allowed: NDArray[np.bool_]
+    priority: int
+    mask: NDArray[np.bool_]
     required: bool
     source: int
-    whole: bool
-    record: Record
-    present: bool = True
-    waived: bool = False
-    silent: bool = False
-    joined_s: float = 0.0
-    left_s: float = 0.0
+    covers_all: bool
+    stats: ControllerStats
+    connected: bool = True
+    bypassed: bool = False
+    unresponsive: bool = False
+    connected_at_s: float = 0.0
+    disconnected_at_s: float = 0.0
 
 
 class Claims:
@@ -68,12 +68,12 @@ class Claims:
     """
 
     def __init__(self, actuators: tuple[Actuator, ...], array: PriorityArray) -> None:
-        self.by_name: dict[str, Claimant] = {}
+        self.by_name: dict[str, ClaimHolder] = {}
         self._actuators = actuators
         self._array = array
         self._index = {a.name: i for i, a in enumerate(actuators)}
 
-    def take(self, claim: Claim, now_s: float = 0.0) -> tuple[Claimant, list[str]]:
+    def claim(self, claim: Claim, now_s: float = 0.0) -> tuple[ClaimHolder, list[str]]:
         """Takes or renews a claim; also returns the absent controllers that it replaces.
 
         Raises:
@@ -91,16 +91,16 @@ class Claims:
             self._give_up(self.by_name.pop(name), kept=allowed)
         old = self.by_name.get(claim.controller)
         if old is not None:
-            self._give_up(old, kept=allowed if old.level == claim.priority else np.zeros_like(allowed))
-        taken = self.by_name[claim.controller] = Claimant(
+            self._give_up(old, kept=allowed if old.priority == claim.priority else np.zeros_like(allowed))
+        taken = self.by_name[claim.controller] = ClaimHolder(
             claim.controller,
             claim.priority,
             allowed,
             claim.required,
             self._array.source(claim.controller, self.sources),
-            whole=bool(allowed.all()),
-            record=old.record if old else Record(),
-            joined_s=now_s,
+            covers_all=bool(allowed.all()),
+            stats=old.stats if old else ControllerStats(),
+            connected_at_s=now_s,
         )
         return taken, replaced
 
@@ -109,20 +109,20 @@ class Claims:
         """The claimants' places among the sources."""
         return [claimant.source for claimant in self.by_name.values()]
 
-    def holder(self, level: int, actuator: int) -> Claimant | None:
+    def holder(self, level: int, actuator: int) -> ClaimHolder | None:
         """Who has claimed a level of an actuator."""
-        return next((c for c in self.by_name.values() if c.level == level and c.allowed[actuator]), None)
+        return next((c for c in self.by_name.values() if c.priority == level and c.mask[actuator]), None)
 
     def begin_episode(self) -> None:
         """Forgets controllers that have gone; call it after the array was cleared."""
-        self.by_name = {name: c for name, c in self.by_name.items() if c.present}
+        self.by_name = {name: c for name, c in self.by_name.items() if c.connected}
         for claimant in self.by_name.values():
             claimant.source = self._array.source(claimant.name)
-            claimant.silent = False
+            claimant.unresponsive = False
 
-    def release(self, claimant: Claimant) -> None:
+    def relinquish(self, claimant: ClaimHolder) -> None:
         """Gives back what a claimant has set; it keeps its claim."""
-        self._give_up(claimant, kept=np.zeros_like(claimant.allowed))
+        self._give_up(claimant, kept=np.zeros_like(claimant.mask))
 
     def _select(self, names: list[str] | None) -> NDArray[np.bool_]:
         allowed = np.full(len(self._actuators), names is None)
@@ -134,21 +134,21 @@ class Claims:
 
     def _refuse_held(self, claim: Claim, allowed: NDArray[np.bool_]) -> None:
         for other in self.by_name.values():
-            clash = other.allowed & allowed
-            if other.name != claim.controller and other.level == claim.priority and other.present and clash.any():
+            clash = other.mask & allowed
+            if other.name != claim.controller and other.priority == claim.priority and other.connected and clash.any():
                 which = self._actuators[int(np.flatnonzero(clash)[0])].name
                 raise RequestRejected(
                     f"level {claim.priority} of {which!r} is claimed by {other.name!r}; "
                     "claim another level, or wait until it has left"
                 )
 
-    def _replaces(self, claim: Claim, allowed: NDArray[np.bool_], other: Claimant) -> bool:
+    def _replaces(self, claim: Claim, allowed: NDArray[np.bool_], other: ClaimHolder) -> bool:
         # A building without actuators has controllers all the same: they set the pace.
-        meets = bool((other.allowed & allowed).any()) or not self._actuators
-        return not other.present and other.name != claim.controller and other.level == claim.priority and meets
+        meets = bool((other.mask & allowed).any()) or not self._actuators
+        return not other.connected and other.name != claim.controller and other.priority == claim.priority and meets
 
-    def _give_up(self, claimant: Claimant, kept: NDArray[np.bool_]) -> None:
+    def _give_up(self, claimant: ClaimHolder, kept: NDArray[np.bool_]) -> None:
         """Releases what a claimant has set, but for the actuators that the next claim on its level covers."""
-        where = np.tile(claimant.allowed & ~kept, (self._array.shape[0], 1))
+        where = np.tile(claimant.mask & ~kept, (self._array.shape[0], 1))
         if where.any():
-            self._array.put(claimant.level, claimant.source, np.full(self._array.shape, np.nan), where)
+            self._array.put(claimant.priority, claimant.source, np.full(self._array.shape, np.nan), where)

@@ -27,8 +27,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from bridge.exchange.actuator_commands import Commanded, Held
-from bridge.exchange.claims import Claimant, Claims
+from bridge.exchange.actuator_commands import ActuatorCommands, CommandSnapshot
+from bridge.exchange.claims import ClaimHolder, Claims
 from bridge.exchange.priority_array import MAX_SOURCES
 from topics import codec
 from topics.errors import BadMessage, EpisodeAborted
@@ -46,22 +46,22 @@ from topics.messages import (
     Write,
 )
 
-MOST_A_STEP = 100
+MAX_MESSAGES_PER_STEP = 100
 """Messages of one controller in one step that are looked at, besides its usual commands."""
 
-_STRANGERS = ""  # no controller can have this name
+_UNKNOWN_CONTROLLERS = ""  # no controller can have this name
 
-_USUAL = codec.encoding(Command)
+_COMMAND_ENCODING = codec.encoding(Command)
 
-MOST_TEXT = 20_000
-MOST_NAME = 128
+MAX_EVENT_TEXT = 20_000
+MAX_SOURCE_NAME = 128
 """Characters of an event's text, and of the name of who writes: samples and events repeat it."""
 
-_REMEMBERED = 64
+_STEP_TIMES_KEPT = 64
 """Timesteps of which is known when they went on, to say how late a command is."""
 
 
-class Input(StrEnum):
+class Trigger(StrEnum):
     """What can happen to an episode."""
 
     READY = "ready"
@@ -73,29 +73,29 @@ class Input(StrEnum):
     STOP = "stop"
 
 
-TRANSITIONS: dict[tuple[State, Input], State] = {
-    (State.STARTING, Input.READY): State.WAITING,
-    (State.WAITING, Input.GO): State.RUNNING,
-    (State.RUNNING, Input.SAMPLED): State.WAITING,
-    (State.RUNNING, Input.ENDED): State.ENDED,
-    (State.WAITING, Input.RESET): State.STARTING,
-    (State.ENDED, Input.RESET): State.STARTING,
-    (State.FAILED, Input.RESET): State.STARTING,
-    **{(s, Input.FAIL): State.FAILED for s in (State.STARTING, State.WAITING, State.RUNNING)},
-    **{(s, Input.STOP): State.STOPPED for s in State if s is not State.STOPPED},
+TRANSITIONS: dict[tuple[State, Trigger], State] = {
+    (State.STARTING, Trigger.READY): State.WAITING,
+    (State.WAITING, Trigger.GO): State.RUNNING,
+    (State.RUNNING, Trigger.SAMPLED): State.WAITING,
+    (State.RUNNING, Trigger.ENDED): State.ENDED,
+    (State.WAITING, Trigger.RESET): State.STARTING,
+    (State.ENDED, Trigger.RESET): State.STARTING,
+    (State.FAILED, Trigger.RESET): State.STARTING,
+    **{(s, Trigger.FAIL): State.FAILED for s in (State.STARTING, State.WAITING, State.RUNNING)},
+    **{(s, Trigger.STOP): State.STOPPED for s in State if s is not State.STOPPED},
 }
 
 
 # For each timestep: Python 3.11 looks at an enum's member by raising and catching an error.
-_GO, _SAMPLED, _OVER, _WAITING, _LOCKSTEP = Input.GO, Input.SAMPLED, Input.ENDED, State.WAITING, Mode.LOCKSTEP
+_GO, _SAMPLED, _OVER, _WAITING, _LOCKSTEP = Trigger.GO, Trigger.SAMPLED, Trigger.ENDED, State.WAITING, Mode.LOCKSTEP
 
 
-class IllegalInput(RuntimeError):
+class IllegalTransition(RuntimeError):
     """An input that the present state has no row for: a mistake in the program, not of a peer."""
 
 
 @dataclass(slots=True)
-class Counts:
+class MessageCounts:
     """Messages of the node's life."""
 
     accepted: int = 0
@@ -103,12 +103,12 @@ class Counts:
     late: int = 0
     duplicate: int = 0
     missed: int = 0
-    flooded: int = 0
+    rate_limited: int = 0
     accepted_late: int = 0
 
 
 @dataclass(slots=True)
-class Exchange:
+class StepExchange:
     """The state of one node's exchange.
 
     Attributes:
@@ -135,17 +135,17 @@ class Exchange:
     state: State = State.STARTING
     episode: list[int] = field(default_factory=list)
     step: list[int] = field(default_factory=list)
-    counts: Counts = field(default_factory=Counts)
-    commanded: Commanded = field(init=False)
+    counts: MessageCounts = field(default_factory=MessageCounts)
+    commands: ActuatorCommands = field(init=False)
     claims: Claims = field(init=False)
-    touched: list[bool] = field(init=False)
-    ended: list[bool] = field(init=False)
-    moving: Sequence[int] = field(init=False)
-    fallback: bool = False
+    modified: list[bool] = field(init=False)
+    done: list[bool] = field(init=False)
+    active_slots: Sequence[int] = field(init=False)
+    fallback_active: bool = False
     _falls: bool = False
     _told_s: float = 0.0
     _overdue_s: float | None = None
-    _went: deque[tuple[list[int], list[int], float]] = field(default_factory=lambda: deque(maxlen=_REMEMBERED))
+    _went: deque[tuple[list[int], list[int], float]] = field(default_factory=lambda: deque(maxlen=_STEP_TIMES_KEPT))
     _heard: dict[str, int] = field(default_factory=dict)
     _answers: set[int] = field(default_factory=set)
     _pending: set[str] = field(default_factory=set)
@@ -157,12 +157,12 @@ class Exchange:
     def __post_init__(self) -> None:
         self.episode = self.episode or [0] * self.slots
         self.step = self.step or [0] * self.slots
-        self.touched = [False] * self.slots
-        self.ended = [False] * self.slots
-        self.moving = self._all = range(self.slots)
+        self.modified = [False] * self.slots
+        self.done = [False] * self.slots
+        self.active_slots = self._all = range(self.slots)
         self._moved = [True] * self.slots
-        self.commanded = Commanded(self.actuators, self.slots)
-        self.claims = Claims(self.actuators, self.commanded.array)
+        self.commands = ActuatorCommands(self.actuators, self.slots)
+        self.claims = Claims(self.actuators, self.commands.array)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -170,11 +170,11 @@ class Exchange:
         return self.slots, len(self.actuators)
 
     @property
-    def ruler_names(self) -> list[str]:
+    def source_names(self) -> list[str]:
         """Names that the indices of `go` refer to."""
-        return self.commanded.array.names
+        return self.commands.array.names
 
-    def take(self, what: Input) -> None:
+    def transition(self, what: Trigger) -> None:
         """Moves on by the table.
 
         Raises:
@@ -183,40 +183,40 @@ class Exchange:
         try:
             self.state = TRANSITIONS[self.state, what]
         except KeyError:
-            raise IllegalInput(f"{what!r} cannot happen to a node that is {self.state!r}") from None
+            raise IllegalTransition(f"{what!r} cannot happen to a node that is {self.state!r}") from None
 
     # The engine's side
 
     def ready(self, begun: Mapping[int, int] | None = None) -> None:
         """The engines wait: those of `begun` (slot to sample; None: all, at sample 0) at an episode's first sample."""
-        self.take(Input.READY)
-        self.step, self.touched, self.ended = [*self.step], [*self.touched], [*self.ended]
+        self.transition(Trigger.READY)
+        self.step, self.modified, self.done = [*self.step], [*self.modified], [*self.done]
         for slot, step in (begun if begun is not None else dict.fromkeys(self._all, 0)).items():
             self.step[slot] = step
-            self.touched[slot] = step > 0
-            self.ended[slot] = False
-        self.listen()
+            self.modified[slot] = step > 0
+            self.done[slot] = False
+        self.open_intake()
 
-    def sampled(self, last: Sequence[bool]) -> None:
+    def finish_step(self, last: Sequence[bool]) -> None:
         """The engines have simulated a timestep; `last` of each slot that moved. Call `listen` once it is published."""
-        if self.moving is self._all:
+        if self.active_slots is self._all:
             steps, ended = [step + 1 for step in self.step], [*last]
         else:
-            steps, ended = [*self.step], [*self.ended]
-            for slot, over in zip(self.moving, last, strict=True):
+            steps, ended = [*self.step], [*self.done]
+            for slot, over in zip(self.active_slots, last, strict=True):
                 steps[slot] += 1
                 ended[slot] = over
-        self.take(_OVER if all(ended) else _SAMPLED)
-        self.step, self.ended = steps, ended
-        self.commanded.timesteps += 1
+        self.transition(_OVER if all(ended) else _SAMPLED)
+        self.step, self.done = steps, ended
+        self.commands.timesteps += 1
 
-    def listen(self) -> None:
+    def open_intake(self) -> None:
         """Gets ready for the answers to the present sample; apart from `sampled` so that the sample goes first."""
         waived: set[str] = set()
         self._pending = set()
         for claimant in self.claims.by_name.values():
             if claimant.required:
-                (waived if claimant.waived else self._pending).add(claimant.name)
+                (waived if claimant.bypassed else self._pending).add(claimant.name)
         self._falls = bool(waived)
         if waived and not self._pending and self.deadline_s is not None:
             self._pending = waived  # nobody is there: the deadline sets the pace
@@ -225,32 +225,32 @@ class Exchange:
             self._heard = {}
         self._answered = set()
         self._answers = set()
-        self._head = b"" if any(self.ended) else codec.command_head(self.episode, self.step, self.commanded.size)
+        self._head = b"" if any(self.done) else codec.command_head(self.episode, self.step, self.commands.size)
 
     def reset(self, slots: Sequence[int] | None = None) -> None:
         """A new episode begins, in all slots or in some: what was set there is released.
 
         Claims of controllers that are there stay; those that are gone are forgotten once all slots begin anew.
         """
-        self.take(Input.RESET)
+        self.transition(Trigger.RESET)
         if slots is None or len(set(slots)) == self.slots:
             self.episode = [episode + 1 for episode in self.episode]
-            self.commanded.clear()
+            self.commands.clear()
             self.claims.begin_episode()
             return
         self.episode = [episode + (slot in slots) for slot, episode in enumerate(self.episode)]
-        self.commanded.array.release(slots)
+        self.commands.array.relinquish_slots(slots)
 
-    def held(self) -> Held:
+    def capture(self) -> CommandSnapshot:
         """What holds at the present sample."""
-        return self.commanded.held()
+        return self.commands.capture()
 
-    def hold(self, held: Held) -> None:
+    def restore(self, held: CommandSnapshot) -> None:
         """Has that hold again; between `reset` and `ready`, or at the very beginning."""
-        self.commanded.hold(held)
+        self.commands.restore(held)
         self.claims.begin_episode()
 
-    def due(self) -> bool:
+    def ready_to_step(self) -> bool:
         """Whether the next timestep may be simulated now."""
         if self.state is not _WAITING:
             return False
@@ -263,26 +263,26 @@ class Exchange:
                 return True
         return False
 
-    def missing(self) -> list[str]:
+    def awaiting(self) -> list[str]:
         """Required controllers that have not answered the present sample."""
         return sorted(self._pending)
 
-    def go(self) -> tuple[bytes, bytes]:
+    def begin_step(self) -> tuple[bytes, bytes]:
         """Starts the timestep: the values that rule it (float64, NaN: the building's own) and who set them (uint16)."""
-        self.take(_GO)
-        self.fallback = self._falls and self._missed()
+        self.transition(_GO)
+        self.fallback_active = self._falls and self._missed()
         self._went.append((self.episode, self.step, self.now_s))
         if not self._answers or len(self._answers) == self.slots or self.mode is not _LOCKSTEP:
-            self.moving = self._all
+            self.active_slots = self._all
         else:
-            self.moving = sorted(self._answers)
-        if any(self.ended):
-            self.moving = [slot for slot in self.moving if not self.ended[slot]]
-        if self.moving is self._all:
-            self.touched = self._moved
+            self.active_slots = sorted(self._answers)
+        if any(self.done):
+            self.active_slots = [slot for slot in self.active_slots if not self.done[slot]]
+        if self.active_slots is self._all:
+            self.modified = self._moved
         else:
-            self.touched = [was or slot in self.moving for slot, was in enumerate(self.touched)]
-        return self.commanded.array.resolve()
+            self.modified = [was or slot in self.active_slots for slot, was in enumerate(self.modified)]
+        return self.commands.array.resolve()
 
     def _missed(self) -> bool:
         """Counts the required controllers without which the timestep goes on; whether there are any."""
@@ -290,10 +290,10 @@ class Exchange:
         missed = [
             c
             for c in self.claims.by_name.values()
-            if c.required and (c.name not in self._answered if lockstep else c.waived)
+            if c.required and (c.name not in self._answered if lockstep else c.bypassed)
         ]
         for claimant in missed:
-            claimant.record.missed += 1
+            claimant.stats.missed += 1
         self.counts.missed += bool(missed)
         return bool(missed)
 
@@ -306,31 +306,31 @@ class Exchange:
             Refused: unknown actuators, or another present controller holds the level on one of them.
         """
         renewed = claim.controller in self.claims.by_name
-        claimant, gone = self.claims.take(claim, self.now_s)
-        self.commanded.claimed(claimant)
+        claimant, gone = self.claims.claim(claim, self.now_s)
+        self.commands.drop_superseded_expiries(claimant)
         for name in (*gone, claim.controller):
             self._pending.discard(name)
             self._answered.discard(name)
         if claim.required and self.state is State.WAITING:
             # Who was waited for only so that the deadline sets the pace is not any more.
-            self._pending -= {other.name for other in self.claims.by_name.values() if other.waived}
+            self._pending -= {other.name for other in self.claims.by_name.values() if other.bypassed}
             self._pending.add(claim.controller)
         how = "again" if renewed else f"at level {claim.priority}"
         left = [self.event(EventKind.DISCONNECTED, f"{claim.controller} takes over from {name}", name) for name in gone]
         return [*left, self.event(EventKind.CONNECTED, f"{claim.controller} controls {how}", claim.controller)]
 
-    def left(self, name: str) -> list[Event]:
+    def on_disconnect(self, name: str) -> list[Event]:
         """A controller has gone; its claim waits for it."""
         claimant = self.claims.by_name.get(name)
-        if claimant is None or not claimant.present:
+        if claimant is None or not claimant.connected:
             return []
-        claimant.present, claimant.left_s = False, self.now_s
+        claimant.connected, claimant.disconnected_at_s = False, self.now_s
         waits = claimant.required and self.mode is Mode.LOCKSTEP and self.policy is Policy.WAIT
         return [
             self.event(EventKind.DISCONNECTED, f"{name} has gone{', the node waits for it' if waits else ''}", name)
         ]
 
-    def waive(self, name: str, grace_s: float = 0.0) -> list[Event]:
+    def bypass(self, name: str, grace_s: float = 0.0) -> list[Event]:
         """A controller has been gone for the time of grace: the policy goes on without it, unless it is back.
 
         One that was back and has left again has its time of grace again.
@@ -339,23 +339,23 @@ class Exchange:
             EpisodeAborted: that is the policy.
         """
         claimant = self.claims.by_name.get(name)
-        if claimant is None or claimant.present or claimant.waived or self.policy is Policy.WAIT:
+        if claimant is None or claimant.connected or claimant.bypassed or self.policy is Policy.WAIT:
             return []
-        if self.now_s - claimant.left_s < grace_s:
+        if self.now_s - claimant.disconnected_at_s < grace_s:
             return []
         under_way = self.state in (State.WAITING, State.RUNNING)
         if self.policy is Policy.ABORT and claimant.required and under_way:
             raise EpisodeAborted(f"{name} has gone, and the policy is to abort the episode then")
-        claimant.waived = True
+        claimant.bypassed = True
         self._falls = self._falls or claimant.required
         if self.policy is Policy.RELINQUISH:
             self._answered.discard(name)  # what it answered is released as well
-        if self.deadline_s is None or any(c.required and not c.waived for c in self.claims.by_name.values()):
+        if self.deadline_s is None or any(c.required and not c.bypassed for c in self.claims.by_name.values()):
             self._pending.discard(name)
         event = self._fall_back(claimant, "has gone")
         return [event] if under_way else []
 
-    def overdue(self) -> list[Event]:
+    def on_deadline(self) -> list[Event]:
         """The deadline of the present step is over.
 
         Raises:
@@ -368,65 +368,65 @@ class Exchange:
             self._overdue_s = self.now_s
         if self.policy is Policy.WAIT:
             return []
-        names = ", ".join(self.missing())
+        names = ", ".join(self.awaiting())
         if self.policy is Policy.ABORT:
             raise EpisodeAborted(f"{names} gave no command within {self.deadline_s:g} s")
         events = []
-        for name in self.missing():
+        for name in self.awaiting():
             claimant = self.claims.by_name[name]
-            if not claimant.silent and not claimant.waived:
-                claimant.silent = True
+            if not claimant.unresponsive and not claimant.bypassed:
+                claimant.unresponsive = True
                 events.append(self._fall_back(claimant, f"gave no command within {self.deadline_s:g} s"))
         self._pending.clear()
         self._answers = set(self._all)
         self._falls = True
         return events
 
-    def _fall_back(self, claimant: Claimant, why: str) -> Event:
+    def _fall_back(self, claimant: ClaimHolder, why: str) -> Event:
         if self.policy is Policy.RELINQUISH:
-            self.claims.release(claimant)
+            self.claims.relinquish(claimant)
         what = "is released" if self.policy is Policy.RELINQUISH else "holds"
         return self.event(EventKind.FALLBACK, f"{claimant.name} {why}; what it commanded {what}", claimant.name)
 
-    def take_usual(self, controller: str, payload: bytes, said: str = "") -> bool:
+    def accept_fast(self, controller: str, payload: bytes, said: str = "") -> bool:
         """Takes the bytes of a usual command: all actuators of one controller, for the present step.
 
         It is known by its head and needs no decoding; false (and nothing changed) for any other, as for one whose
         encoding `said` names another class or version.
         """
-        if said != _USUAL and not codec.encoding_matches(Command, said):
+        if said != _COMMAND_ENCODING and not codec.encoding_matches(Command, said):
             return False
-        head, size = self._head, self.commanded.size
+        head, size = self._head, self.commands.size
         if head and controller in self._pending and len(payload) == len(head) + size and payload.startswith(head):
             claimant, raw = self.claims.by_name[controller], payload[len(head) :]
-            usual = claimant.whole and not claimant.silent and self.state is _WAITING
-            if usual and self.commanded.put_usual(claimant, raw):
+            usual = claimant.covers_all and not claimant.unresponsive and self.state is _WAITING
+            if usual and self.commands.put_fast(claimant, raw):
                 self._took(claimant, self._all)
                 return True
         return False
 
-    def hear(self, controller: str, payload: bytes, said: str = "") -> Event | None:
+    def receive_command(self, controller: str, payload: bytes, said: str = "") -> Event | None:
         """Takes the bytes of any command; an event if there is something to say, above all if it was not taken.
 
         Of one controller's messages that are no usual commands, only the first hundred of a step are looked at: a
         flood is counted and passed over. All who have claimed nothing are one in this, whatever they call themselves.
         """
-        who = controller if controller in self.claims.by_name else _STRANGERS
+        who = controller if controller in self.claims.by_name else _UNKNOWN_CONTROLLERS
         heard = self._heard[who] = self._heard.get(who, 0) + 1
-        if heard > MOST_A_STEP:
-            self.counts.flooded += 1
+        if heard > MAX_MESSAGES_PER_STEP:
+            self.counts.rate_limited += 1
             return None
         try:
             return self.command(controller, codec.decode(Command, payload, said))
         except BadMessage as error:
             return self.rejected(str(error), controller)
 
-    def _took(self, claimant: Claimant, answered: Sequence[int]) -> None:
+    def _took(self, claimant: ClaimHolder, answered: Sequence[int]) -> None:
         if claimant.required:
             self._answers.update(answered)
-        record = claimant.record
+        record = claimant.stats
         record.accepted += 1
-        record.response.add(self.now_s - max(self._told_s, claimant.joined_s))
+        record.response.add(self.now_s - max(self._told_s, claimant.connected_at_s))
         self.counts.accepted += 1
         self._pending.discard(claimant.name)
         self._answered.add(claimant.name)
@@ -443,28 +443,28 @@ class Exchange:
             return self.rejected(f"the node is {self.state}", controller)
         if self.state is not State.WAITING or controller in self._answered:
             self.counts.duplicate += 1
-            claimant.record.duplicate += 1
+            claimant.stats.duplicate += 1
             text = f"step {self.step} was answered already" if self.state is not State.ENDED else "the episode is over"
             return self.event(EventKind.DUPLICATE, text, controller)
-        over = next((slot for slot in answered if self.ended[slot]), None)
+        over = next((slot for slot in answered if self.done[slot]), None)
         if over is not None or not answered:
             what = f"slot {over} is over; reset it, or" if answered else "no slot is answered;"
             return self.rejected(f"{what} leave out (step None) only those that are to stand still", controller)
         try:
-            self.commanded.put(claimant, command, answered)
+            self.commands.put(claimant, command, answered)
         except BadMessage as error:
             return self.rejected(str(error), controller)
         self._took(claimant, answered)
         return self._back_in_time(claimant)
 
-    def _back_in_time(self, claimant: Claimant) -> Event | None:
+    def _back_in_time(self, claimant: ClaimHolder) -> Event | None:
         """What is to be said of a command that was taken, but after the deadline, or as the first one again."""
-        if claimant.silent:
-            claimant.silent = False
+        if claimant.unresponsive:
+            claimant.unresponsive = False
             return self.event(EventKind.CONNECTED, f"{claimant.name} answers again", claimant.name)
-        if self._overdue_s is not None and claimant.joined_s <= self._overdue_s:
+        if self._overdue_s is not None and claimant.connected_at_s <= self._overdue_s:
             self.counts.accepted_late += 1
-            claimant.record.accepted_late += 1
+            claimant.stats.accepted_late += 1
             text = f"was taken, though after the deadline of {self.deadline_s:g} s"
             return self._late_event(EventKind.ACCEPTED_LATE, text, claimant.name, self._overdue_s)
         return None
@@ -473,7 +473,7 @@ class Exchange:
         self.counts.late += 1
         claimant = self.claims.by_name.get(source)
         if claimant is not None:
-            claimant.record.late += 1
+            claimant.stats.late += 1
         return self._late_event(EventKind.LATE, text, source, since_s)
 
     def _late_event(self, kind: EventKind, text: str, source: str, since_s: float | None) -> Event:
@@ -509,25 +509,25 @@ class Exchange:
                 f"{name}: the episode is over, and nothing would feel it; reset it first", write.source
             )
         try:
-            index = self.commanded.find(name, write)
+            index = self.commands.find(name, write)
         except BadMessage as error:
             return self.rejected(str(error), write.source)
         holder = self.claims.holder(write.priority, index)
         if holder is not None:
             return self.rejected(f"level {write.priority} of {name!r} is claimed by {holder.name!r}", write.source)
-        array, name_ = self.commanded.array, write.source or ANONYMOUS
+        array, name_ = self.commands.array, write.source or ANONYMOUS
         if write.value is not None and not array.has_room(name_, self.claims.sources):
             text = f"{name}: {MAX_SOURCES} sources hold actuators, which is the most; release what some of them hold"
             return self.rejected(text, write.source)
-        self.touched = self._moved
+        self.modified = self._moved
         who = array.source(name_, self.claims.sources)
-        return self.event(EventKind.WRITTEN, self.commanded.write(index, write, who, elapsed_s), write.source)
+        return self.event(EventKind.WRITTEN, self.commands.write(index, write, who, elapsed_s), write.source)
 
     def expire(self, elapsed_s: float) -> list[Event]:
         """Releases what was written for a time that is over."""
-        over = self.commanded.expire(elapsed_s)
+        over = self.commands.expire(elapsed_s)
         if over:
-            self.touched = self._moved
+            self.modified = self._moved
         return [self.event(EventKind.EXPIRED, text, source) for text, source in over]
 
     # Words
@@ -536,12 +536,12 @@ class Exchange:
         """Counts a message that was not taken, and the event that names it."""
         self.counts.rejected += 1
         if source in self.claims.by_name:
-            self.claims.by_name[source].record.rejected += 1
+            self.claims.by_name[source].stats.rejected += 1
         return self.event(EventKind.REJECTED, text, source)
 
     def event(self, kind: EventKind, text: str, source: str = "", error: str = "") -> Event:
         """An event at the present episode and step."""
-        text, source = text[:MOST_TEXT], source[:MOST_NAME]
+        text, source = text[:MAX_EVENT_TEXT], source[:MAX_SOURCE_NAME]
         return Event(kind=kind, text=text, source=source, error=error, episode=self.episode[0], step=self.step[0])
 
     def controllers(self) -> list[ControllerStatus]:
@@ -549,19 +549,19 @@ class Exchange:
         return [
             ControllerStatus(
                 controller=c.name,
-                priority=c.level,
-                actuators=int(c.allowed.sum()),
+                priority=c.priority,
+                actuators=int(c.mask.sum()),
                 required=c.required,
-                connected=c.present,
-                accepted=c.record.accepted,
-                late=c.record.late,
-                rejected=c.record.rejected,
-                duplicate=c.record.duplicate,
-                missed=c.record.missed,
-                bypassed=c.waived,
-                unresponsive=c.silent,
-                accepted_late=c.record.accepted_late,
-                response=c.record.response.spread(),
+                connected=c.connected,
+                accepted=c.stats.accepted,
+                late=c.stats.late,
+                rejected=c.stats.rejected,
+                duplicate=c.stats.duplicate,
+                missed=c.stats.missed,
+                bypassed=c.bypassed,
+                unresponsive=c.unresponsive,
+                accepted_late=c.stats.accepted_late,
+                response=c.stats.response.summary(),
             )
             for c in [*self.claims.by_name.values()]
         ]

@@ -8,10 +8,10 @@ import numpy as np
 
 from topics.messages import LatencySummary
 
-_KEPT = 4096
+_WINDOW = 4096
 
 
-class Latencies:
+class LatencyWindow:
     """Durations in seconds: how many there were, the longest, and the latest 4,096.
 
     The ring grows as it fills, so that a controller that came and went has not left a hole of 32 kB in the heap.
@@ -26,19 +26,19 @@ class Latencies:
 
     def add(self, duration_s: float) -> None:
         """One more."""
-        if self._count < _KEPT:
+        if self._count < _WINDOW:
             self._ring.append(duration_s)
         else:
-            self._ring[self._count % _KEPT] = duration_s
+            self._ring[self._count % _WINDOW] = duration_s
         self._count += 1
         if duration_s > self._most_s:
             self._most_s = duration_s
 
-    def spread(self) -> LatencySummary:
+    def summary(self) -> LatencySummary:
         """Their median, 99th percentile (nearest rank) and maximum; any thread may ask."""
         count = self._count
         if not count:
             return LatencySummary()
-        latest = np.array(self._ring[: min(count, _KEPT)])
+        latest = np.array(self._ring[: min(count, _WINDOW)])
         median, p99 = np.percentile(latest, (50, 99), method="closest_observation")
         return LatencySummary(count=count, median_ms=1e3 * median, p99_ms=1e3 * p99, max_ms=1e3 * self._most_s)

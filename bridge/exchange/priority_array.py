@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from topics.codec import INDEX
 
-LEVELS = 16
-THE_BUILDING = ""
+PRIORITIES = 16
+BASELINE_SOURCE = ""
 """Name of the building's own control among the rulers."""
 
 MAX_SOURCES = 4096
@@ -49,9 +49,9 @@ class PriorityArray:
         """Releases everything and forgets the sources, for a new episode."""
         self._rows: dict[int, _Row] = {}
         self._released = (np.full(self._size, np.nan).tobytes(), bytes(INDEX.itemsize * self._size))
-        self.names: list[str] = [THE_BUILDING]
+        self.names: list[str] = [BASELINE_SOURCE]
 
-    def release(self, slots: Sequence[int]) -> None:
+    def relinquish_slots(self, slots: Sequence[int]) -> None:
         """Releases everything in some slots, for a new episode there."""
         where = np.zeros(self.shape, np.bool_)
         where[list(slots)] = True

@@ -3,6 +3,6 @@
 from bridge.faults.link_faults import LinkFaults
 from bridge.faults.plan_file import read_plan
 from bridge.faults.point_faults import PointFaults
-from bridge.faults.schedule import Told, Turn
+from bridge.faults.schedule import FaultTransition, Transition
 
-__all__ = ["LinkFaults", "PointFaults", "Told", "Turn", "read_plan"]
+__all__ = ["FaultTransition", "LinkFaults", "PointFaults", "Transition", "read_plan"]

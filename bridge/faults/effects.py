@@ -9,8 +9,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.faults.random_streams import Draws, Law
-from bridge.faults.schedule import Windows
+from bridge.faults.random_streams import Distribution, RandomStream
+from bridge.faults.schedule import FaultSchedule
 from topics.fault_plan import Bias, Clip, Delay, Drift, Drop, Freeze, Gain, Noise, PointFault, Quantize, Spike, Stuck
 
 Floats = NDArray[np.float64]
@@ -31,15 +31,15 @@ class Effect(ABC):
     """
 
     remembers: ClassVar[bool] = False
-    law: ClassVar[Law] = Law.UNIFORM
+    law: ClassVar[Distribution] = Distribution.UNIFORM
 
     def __init__(
         self,
         row: int,
         columns: NDArray[np.intp],
-        windows: Windows,
+        windows: FaultSchedule,
         step_h: float,
-        new_draws: Callable[[Law], Draws],
+        new_draws: Callable[[Distribution], RandomStream],
     ) -> None:
         self.row, self.columns, self.windows, self.step_h = row, columns, windows, step_h
         self.fault: Any = windows.faults[row]
@@ -102,11 +102,11 @@ class _Quantise(Effect):
 
 class _Clip(Effect):
     def disturb(self, values: Floats) -> Floats:
-        return limited(values, self.fault.low, self.fault.high)
+        return clipped(values, self.fault.low, self.fault.high)
 
 
 class _Noise(Effect):
-    law = Law.NORMAL
+    law = Distribution.NORMAL
 
     def disturb(self, values: Floats) -> Floats:
         return values + float(self.fault.sigma) * self.draws.at(self.windows.at)
@@ -132,7 +132,7 @@ class _Freeze(Effect):
         return self.memory
 
 
-class _Unheard(Effect):
+class _HoldLast(Effect):
     """An actuator that hears nothing keeps what it heard last."""
 
     remembers = True
@@ -161,7 +161,7 @@ class _Delay(Effect):
         return former
 
 
-def limited(values: Floats, low: Any, high: Any) -> Floats:
+def clipped(values: Floats, low: Any, high: Any) -> Floats:
     """`values` within bounds (None: unbounded); those that are within stay as they are to the bit, NaN too."""
     if low is not None:
         values = np.where(values < low, low, values)
@@ -170,7 +170,7 @@ def limited(values: Floats, low: Any, high: Any) -> Floats:
     return values
 
 
-SENSED: dict[type[PointFault], type[Effect]] = {
+SENSOR_EFFECTS: dict[type[PointFault], type[Effect]] = {
     Bias: _Bias,
     Gain: _Gain,
     Drift: _Drift,
@@ -185,5 +185,5 @@ SENSED: dict[type[PointFault], type[Effect]] = {
 }
 """What a kind of fault does to sensors and meters."""
 
-COMMANDED: dict[type[PointFault], type[Effect]] = {**SENSED, Drop: _Unheard}
+ACTUATOR_EFFECTS: dict[type[PointFault], type[Effect]] = {**SENSOR_EFFECTS, Drop: _HoldLast}
 """What it does to actuators."""

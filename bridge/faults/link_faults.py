@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from bridge.faults.random_streams import Draws, Episodes, Law, flow_key
-from bridge.faults.schedule import Grid, Told, Windows
+from bridge.faults.random_streams import Distribution, EpisodeKeys, RandomStream, flow_key
+from bridge.faults.schedule import FaultSchedule, FaultTransition, StepGrid
 from topics.fault_plan import Duplicate, FaultPlan, Jitter, Latency, LinkFault, Loss, Reorder
 
 _SAMPLES = ""  # no controller has this name
@@ -26,7 +26,7 @@ _SAMPLES = ""  # no controller has this name
 class _Flow:
     """One flow's faults by row, with the numbers of each; how many messages it has had, and when its last is due."""
 
-    faults: list[tuple[int, Any, Draws]]
+    faults: list[tuple[int, Any, RandomStream]]
     number: int = 0
     last_due_s: float = field(default=-np.inf)
 
@@ -48,8 +48,8 @@ class LinkFaults:
 
     def __init__(self, plan: FaultPlan, *, step_s: float, begin: datetime, end: datetime | None = None) -> None:
         self.plan = plan
-        self._episodes = Episodes(1)
-        self._windows = Windows(plan, LinkFault, Grid(step_s, begin, end), self._episodes)
+        self._episodes = EpisodeKeys(1)
+        self._windows = FaultSchedule(plan, LinkFault, StepGrid(step_s, begin, end), self._episodes)
         self._flows: dict[str, _Flow] = {}
         self.counts: Counter[str] = Counter(dict.fromkeys(self._windows.names, 0))
         self.disturbs_samples = any(fault.samples for fault in self._windows.faults)
@@ -69,9 +69,9 @@ class LinkFaults:
         """
         self._windows.move([step])
 
-    def told(self) -> list[Told]:
+    def drain_transitions(self) -> list[FaultTransition]:
         """What began or ended since this was asked last."""
-        return self._windows.told()
+        return self._windows.drain_transitions()
 
     def outgoing(self, now_s: float) -> list[float]:
         """Of a sample that is sent now, how many seconds later each copy of it comes.
@@ -97,7 +97,9 @@ class LinkFaults:
                     (
                         row,
                         fault,
-                        Draws(self.plan.seed, (*self._windows.keys[row], *key), Law.UNIFORM, 1, self._episodes),
+                        RandomStream(
+                            self.plan.seed, (*self._windows.keys[row], *key), Distribution.UNIFORM, 1, self._episodes
+                        ),
                     )
                     for row, fault in enumerate(self._windows.faults)
                     if (fault.samples if name == _SAMPLES else any(fnmatchcase(name, p) for p in fault.commands))

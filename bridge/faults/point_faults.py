@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from bridge.faults.effects import COMMANDED, SENSED, Effect, Floats, limited
-from bridge.faults.random_streams import Draws, Episodes
-from bridge.faults.schedule import Grid, Told, Windows
+from bridge.faults.effects import ACTUATOR_EFFECTS, SENSOR_EFFECTS, Effect, Floats, clipped
+from bridge.faults.random_streams import EpisodeKeys, RandomStream
+from bridge.faults.schedule import FaultSchedule, FaultTransition, StepGrid
 from topics.errors import ErrorCollector, InvalidConfig, did_you_mean
 from topics.fault_plan import FaultPlan, PointFault, Stuck
 from topics.messages import Actuator
@@ -53,15 +53,17 @@ class PointFaults:
     ) -> None:
         self.plan = plan
         self._slots = slots
-        self._episodes = Episodes(slots)
+        self._episodes = EpisodeKeys(slots)
         gathered = ErrorCollector()
         check_points(plan, points, actuators, gathered)
-        windows = gathered.collect(lambda: Windows(plan, PointFault, Grid(step_s, begin, end), self._episodes))
+        windows = gathered.collect(
+            lambda: FaultSchedule(plan, PointFault, StepGrid(step_s, begin, end), self._episodes)
+        )
         gathered.raise_if_any()
         assert windows is not None
         self._windows = windows
-        self._points = self._effects(SENSED, "points", points, step_s)
-        self._actuators = self._effects(COMMANDED, "actuators", [a.name for a in actuators], step_s)
+        self._points = self._effects(SENSOR_EFFECTS, "points", points, step_s)
+        self._actuators = self._effects(ACTUATOR_EFFECTS, "actuators", [a.name for a in actuators], step_s)
         self._low = np.array([-np.inf if a.low is None else a.low for a in actuators])
         self._high = np.array([np.inf if a.high is None else a.high for a in actuators])
 
@@ -74,7 +76,7 @@ class PointFaults:
             columns = np.array([c for c, name in enumerate(names) if _any_of(asked, name)], np.intp)
             if len(columns):
                 key = (*self._windows.keys[row], int(side == "actuators"))
-                new_draws = partial(Draws, self.plan.seed, key, width=len(columns), episodes=self._episodes)
+                new_draws = partial(RandomStream, self.plan.seed, key, width=len(columns), episodes=self._episodes)
                 made.append(kinds[type(fault)](row, columns, self._windows, step_s / 3600.0, new_draws))
         return made
 
@@ -102,7 +104,7 @@ class PointFaults:
         for effect in (*self._points, *self._actuators):
             effect.memory[list(chosen)] = np.nan
 
-    def sensed(self, values: Floats, steps: Sequence[int]) -> Floats:
+    def apply_to_sensors(self, values: Floats, steps: Sequence[int]) -> Floats:
         """What goes on the bus.
 
         Args:
@@ -114,7 +116,7 @@ class PointFaults:
         """
         return self._disturbed(self._points, values, steps) if self._points else values
 
-    def commanded(self, values: Floats, steps: Sequence[int]) -> Floats:
+    def apply_to_commands(self, values: Floats, steps: Sequence[int]) -> Floats:
         """What reaches the building.
 
         Args:
@@ -129,7 +131,7 @@ class PointFaults:
         out = self._disturbed(self._actuators, values, steps)
         if out is values:
             return values
-        return np.where(out != values, limited(out, self._low, self._high), out)
+        return np.where(out != values, clipped(out, self._low, self._high), out)
 
     def _disturbed(self, effects: Iterable[Effect], values: Floats, steps: Sequence[int]) -> Floats:
         self._windows.move(steps)
@@ -146,9 +148,9 @@ class PointFaults:
                 effect.disturb(out[:, effect.columns])
         return out
 
-    def told(self) -> list[Told]:
+    def drain_transitions(self) -> list[FaultTransition]:
         """What began or ended since this was asked last."""
-        return self._windows.told()
+        return self._windows.drain_transitions()
 
     def on(self, slot: int = 0) -> tuple[str, ...]:
         """The names of the faults that are on in a slot."""

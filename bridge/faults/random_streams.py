@@ -20,7 +20,7 @@ BLOCK = 64
 Key = tuple[int, ...]
 
 
-class Law(IntEnum):
+class Distribution(IntEnum):
     """What is drawn, and for what; no two uses of a fault share numbers."""
 
     NORMAL = 0
@@ -43,7 +43,7 @@ def _words(text: str) -> tuple[int, int]:
     return int.from_bytes(digest[:4], "little"), int.from_bytes(digest[4:8], "little")
 
 
-class Episodes:
+class EpisodeKeys:
     """Which episode each slot is in.
 
     Attributes:
@@ -68,10 +68,10 @@ class Episodes:
         self.version += 1
 
 
-class Draws:
+class RandomStream:
     """The numbers of one fault, `width` at each step of each slot."""
 
-    def __init__(self, seed: int, key: Key, law: Law, width: int, episodes: Episodes) -> None:
+    def __init__(self, seed: int, key: Key, law: Distribution, width: int, episodes: EpisodeKeys) -> None:
         self._seed, self._key, self._law, self._episodes = seed, (*key, int(law)), law, episodes
         slots = len(episodes.keys)
         self._numbers = np.empty((slots, BLOCK, width))
@@ -96,4 +96,4 @@ class Draws:
         source = np.random.SeedSequence(self._seed, spawn_key=(*self._key, *episode, block))
         generator = np.random.Generator(np.random.PCG64(source))
         shape = self._numbers.shape[1:]
-        return generator.standard_normal(shape) if self._law is Law.NORMAL else generator.random(shape)
+        return generator.standard_normal(shape) if self._law is Distribution.NORMAL else generator.random(shape)

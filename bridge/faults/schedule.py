@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.faults.random_streams import Draws, Episodes, Key, Law, fault_key
+from bridge.faults.random_streams import Distribution, EpisodeKeys, Key, RandomStream, fault_key
 from topics.errors import ErrorCollector, InvalidConfig
 from topics.fault_plan import WEEKDAYS, AnyFault, FaultPlan, When, moment
 
@@ -21,24 +21,24 @@ _DAY_S, _WEEK_S = 86_400, 7 * 86_400
 _NEVER = -1
 
 
-class Turn(StrEnum):
+class Transition(StrEnum):
     """What happened to a fault."""
 
     BEGAN = "began"
     ENDED = "ended"
 
 
-class Told(NamedTuple):
+class FaultTransition(NamedTuple):
     """A fault of a slot began or ended at a step; ended: it is not on there any more."""
 
-    turn: Turn
+    turn: Transition
     fault: str
     slot: int
     step: int
 
 
 @dataclass(frozen=True, slots=True)
-class Grid:
+class StepGrid:
     """The samples of an episode: `step_s` apart since `begin` (sample 0) until `end`, where that is known."""
 
     step_s: float
@@ -67,7 +67,7 @@ class Grid:
         return f"every {self.step_s:g} s from {self.begin.isoformat(timespec='minutes')}{end}"
 
 
-def span(when: When, grid: Grid) -> tuple[int, int]:
+def span(when: When, grid: StepGrid) -> tuple[int, int]:
     """The first step of a window, and the one that is not in it any more."""
     year = grid.begin.year
     first = [0, when.from_step or 0, grid.ceil(when.from_s or 0.0)]
@@ -83,7 +83,7 @@ def span(when: When, grid: Grid) -> tuple[int, int]:
     return max(first), min(end)
 
 
-def clock(when: When, grid: Grid) -> NDArray[np.bool_] | None:
+def clock(when: When, grid: StepGrid) -> NDArray[np.bool_] | None:
     """Of each sample of the first week, whether hours and weekdays let the fault be on; None: all of them do."""
     if when.hours is None and when.weekdays is None:
         return None
@@ -100,7 +100,7 @@ def clock(when: When, grid: Grid) -> NDArray[np.bool_] | None:
     return on
 
 
-def check(name: str, when: When, grid: Grid) -> None:
+def check(name: str, when: When, grid: StepGrid) -> None:
     """Raises `InvalidConfig` if the window holds no sample at all."""
     first, end = span(when, grid)
     on = clock(when, grid)
@@ -111,7 +111,7 @@ def check(name: str, when: When, grid: Grid) -> None:
         raise InvalidConfig(f"fault {name!r} is never on: no sample is in its window; samples are {grid}")
 
 
-class Windows:
+class FaultSchedule:
     """The faults of a plan that are of some kind, and whether each is on in each slot.
 
     A burst that begins where another ends goes on from it.
@@ -126,7 +126,7 @@ class Windows:
         InvalidConfig: windows without a sample; all of them.
     """
 
-    def __init__(self, plan: FaultPlan, kind: type[AnyFault], grid: Grid, episodes: Episodes) -> None:
+    def __init__(self, plan: FaultPlan, kind: type[AnyFault], grid: StepGrid, episodes: EpisodeKeys) -> None:
         chosen = [
             (name, fault_key(fault.name, position), fault)
             for position, (name, fault) in enumerate(zip(plan.names, plan.faults, strict=True))
@@ -144,7 +144,12 @@ class Windows:
         self._span = np.array([span(when, grid) for when in whens], np.int64).reshape(-1, 2).T[:, :, None]
         self._week = [(row, on) for row, when in enumerate(whens) if (on := clock(when, grid)) is not None]
         self._bursts = [
-            (row, when.probability, when.lasts_steps or 1, Draws(plan.seed, self.keys[row], Law.BEGIN, 1, episodes))
+            (
+                row,
+                when.probability,
+                when.lasts_steps or 1,
+                RandomStream(plan.seed, self.keys[row], Distribution.BEGIN, 1, episodes),
+            )
             for row, when in enumerate(whens)
             if when.probability is not None
         ]
@@ -154,7 +159,7 @@ class Windows:
         self._until = np.zeros(shape, np.int64)
         self.at = np.full(self._slots, _NEVER, np.int64)
         self._steps: list[int] = []
-        self._told: list[Told] = []
+        self._told: list[FaultTransition] = []
 
     def move(self, steps: Sequence[int]) -> None:
         """The slots are at these steps now; a slot may stay where it is."""
@@ -176,10 +181,10 @@ class Windows:
             self.since = np.where(on, np.where(self.on, self.since, at), _NEVER)
             self.on = on
             for row, slot in np.argwhere(changed).tolist():
-                turn = Turn.BEGAN if on[row, slot] else Turn.ENDED
-                self._told.append(Told(turn, self.names[row], slot, self._steps[slot]))
+                turn = Transition.BEGAN if on[row, slot] else Transition.ENDED
+                self._told.append(FaultTransition(turn, self.names[row], slot, self._steps[slot]))
 
-    def told(self) -> list[Told]:
+    def drain_transitions(self) -> list[FaultTransition]:
         """What began or ended since this was asked last."""
         told, self._told = self._told, []
         return told
@@ -188,7 +193,7 @@ class Windows:
         """New episodes: whatever is on ends with the former one."""
         for row, slot in np.argwhere(self.on).tolist():
             if slot in slots:
-                self._told.append(Told(Turn.ENDED, self.names[row], slot, int(self.at[slot])))
+                self._told.append(FaultTransition(Transition.ENDED, self.names[row], slot, int(self.at[slot])))
         self._forget(slots)
 
     def _forget(self, slots: Sequence[int]) -> None:

@@ -29,7 +29,7 @@ class Affinity(StrEnum):
     `TOGETHER`: as `NODE`, and the controller's own thread there as well. `OFF`: wherever the system likes.
     """
 
-    APART = "apart"
+    SEPARATE_CORES = "apart"
     NODE = "node"
     TOGETHER = "together"
     OFF = "off"
@@ -61,18 +61,18 @@ def pick_cores(wanted: Affinity) -> tuple[int | None, int | None]:
     cores = sorted(os.sched_getaffinity(0))
     if len(cores) < 2:
         return None, None
-    first = next(_turn) * (2 if wanted is Affinity.APART else 1)
+    first = next(_turn) * (2 if wanted is Affinity.SEPARATE_CORES else 1)
     engine, node = cores[first % len(cores)], cores[(first + 1) % len(cores)]
-    return (engine, node) if wanted is Affinity.APART else (engine, engine)
+    return (engine, node) if wanted is Affinity.SEPARATE_CORES else (engine, engine)
 
 
-def pin(core: int | None) -> None:
+def set_affinity(core: int | None) -> None:
     """Places the calling thread, and all threads and processes that it starts from now on."""
     if core is not None and supported():
         os.sched_setaffinity(0, {core})
 
 
-def give_way() -> None:
+def lower_priority() -> None:
     """Has the calling thread, and those that it starts from now on, stand back where others want the core.
 
     For monitors, once their Zenoh session is open: the session's own threads go on to receive in time. Ten is as

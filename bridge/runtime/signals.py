@@ -7,12 +7,12 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-ENDING = (signal.SIGINT, signal.SIGTERM)
+TERMINATION_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 """What Ctrl-C sends, and what `kill` sends."""
 
 
 @contextmanager
-def handled(handler: Callable[[int, Any], Any] | signal.Handlers, *numbers: signal.Signals) -> Iterator[None]:
+def override_signals(handler: Callable[[int, Any], Any] | signal.Handlers, *numbers: signal.Signals) -> Iterator[None]:
     """Has `handler` called on these signals, and puts back what was there before. In the main thread only."""
     before = {number: signal.signal(number, handler) for number in numbers}
     try:

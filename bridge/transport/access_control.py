@@ -16,14 +16,14 @@ from topics import keys
 from topics.keys import TOPICS, Delivery, Role, Topic
 
 
-class Flow(StrEnum):
+class Direction(StrEnum):
     """The direction of a message, as the node or router sees it."""
 
     IN = "ingress"
     OUT = "egress"
 
 
-class May(StrEnum):
+class Permission(StrEnum):
     """What a role may do with a topic."""
 
     SEND = "send"
@@ -38,7 +38,7 @@ class May(StrEnum):
 class Rule:
     """Messages of these kinds with these keys may pass in this direction."""
 
-    flow: Flow
+    flow: Direction
     messages: tuple[str, ...]
     keys: tuple[str, ...]
 
@@ -59,14 +59,17 @@ ALL_MESSAGES = (
 ROLES = (Role.NODE, Role.CONTROLLER, Role.MONITOR)
 """The roles that rules and certificates are made for."""
 
-_RULES: dict[May, tuple[tuple[Flow, tuple[str, ...]], ...]] = {
-    May.SEND: ((Flow.IN, ("put",)), (Flow.OUT, ("declare_subscriber",))),
-    May.HEAR: ((Flow.IN, ("declare_subscriber",)), (Flow.OUT, ("put",))),
-    May.ASK: ((Flow.IN, ("query",)), (Flow.OUT, ("reply", "declare_queryable"))),
-    May.SHOW: ((Flow.IN, ("liveliness_token",)), (Flow.OUT, ("declare_liveliness_subscriber", "liveliness_query"))),
-    May.SEE: (
-        (Flow.IN, ("declare_liveliness_subscriber", "liveliness_query")),
-        (Flow.OUT, ("liveliness_token", "reply")),
+_RULES: dict[Permission, tuple[tuple[Direction, tuple[str, ...]], ...]] = {
+    Permission.SEND: ((Direction.IN, ("put",)), (Direction.OUT, ("declare_subscriber",))),
+    Permission.HEAR: ((Direction.IN, ("declare_subscriber",)), (Direction.OUT, ("put",))),
+    Permission.ASK: ((Direction.IN, ("query",)), (Direction.OUT, ("reply", "declare_queryable"))),
+    Permission.SHOW: (
+        (Direction.IN, ("liveliness_token",)),
+        (Direction.OUT, ("declare_liveliness_subscriber", "liveliness_query")),
+    ),
+    Permission.SEE: (
+        (Direction.IN, ("declare_liveliness_subscriber", "liveliness_query")),
+        (Direction.OUT, ("liveliness_token", "reply")),
     ),
 }
 
@@ -76,39 +79,43 @@ def common_name(role: Role) -> str:
     return f"zenostat-{role}"
 
 
-def may(role: Role, topic: Topic) -> tuple[May, ...]:
+def may(role: Role, topic: Topic) -> tuple[Permission, ...]:
     """What a role may do with a topic. A monitor only reads: it sends nothing, also where anyone else may."""
     if role is Role.NODE:
         return _node_may(topic)
     commands = role is Role.CONTROLLER and topic.sender is not Role.NODE
     if topic.delivery is Delivery.TOKEN:
-        return (May.SHOW, May.SEE) if commands else (May.SEE,)
+        return (Permission.SHOW, Permission.SEE) if commands else (Permission.SEE,)
     if topic.delivery is Delivery.QUERY:
-        return (May.ASK,) if commands or topic.sender is Role.ANYONE else ()
+        return (Permission.ASK,) if commands or topic.sender is Role.ANYONE else ()
     if topic.sender is Role.NODE:
-        return (May.HEAR, May.ASK) if topic.reply else (May.HEAR,)
-    return (May.SEND,) if commands else ()
+        return (Permission.HEAR, Permission.ASK) if topic.reply else (Permission.HEAR,)
+    return (Permission.SEND,) if commands else ()
 
 
-def _node_may(topic: Topic) -> tuple[May, ...]:
+def _node_may(topic: Topic) -> tuple[Permission, ...]:
     if topic.delivery is Delivery.TOKEN:
-        return (May.SHOW, May.SEE)
+        return (Permission.SHOW, Permission.SEE)
     if topic.delivery is Delivery.QUERY:
-        return (May.ASK, May.ANSWER)
-    return (May.SEND, May.HEAR, May.ASK, May.ANSWER) if topic.reply else (May.SEND, May.HEAR)
+        return (Permission.ASK, Permission.ANSWER)
+    return (
+        (Permission.SEND, Permission.HEAR, Permission.ASK, Permission.ANSWER)
+        if topic.reply
+        else (Permission.SEND, Permission.HEAR)
+    )
 
 
 def rules(role: Role) -> tuple[Rule, ...]:
     """The rules for a link to a program of that role."""
     if role is Role.NODE:
         everything = (*(topic.at("*", name="*") for topic in TOPICS), keys.stream("*"))
-        return tuple(Rule(flow, ALL_MESSAGES, everything) for flow in Flow)
+        return tuple(Rule(flow, ALL_MESSAGES, everything) for flow in Direction)
     found: list[Rule] = []
     for kind, parts in _RULES.items():
         topics = [topic for topic in TOPICS if kind in may(role, topic)]
         for flow, messages in parts if topics else ():
             found.append(
-                Rule(flow, messages, _keys(topics, listens="declare_subscriber" in messages and flow is Flow.IN))
+                Rule(flow, messages, _keys(topics, listens="declare_subscriber" in messages and flow is Direction.IN))
             )
     return tuple(found)
 
@@ -118,7 +125,7 @@ def _keys(topics: Iterable[Topic], *, listens: bool) -> tuple[str, ...]:
     return (*found, keys.stream("*")) if listens else tuple(found)
 
 
-def control() -> dict[str, Any]:
+def acl_config() -> dict[str, Any]:
     """Zenoh's `access_control`: nothing is allowed but what the rules of the link's role allow."""
     made = {role: [_zenoh(f"{role}-{i}", rule) for i, rule in enumerate(rules(role))] for role in ROLES}
     return {

@@ -34,7 +34,7 @@ from topics.keys import Role, check_name
 
 AUTHORITY = "ca"
 DAYS = 365
-MOST_DAYS = 3650
+MAX_DAYS = 3650
 """How long an authority is good, and so the most for a certificate of a new one."""
 
 _LOCAL = ("localhost", "127.0.0.1", "::1")
@@ -83,7 +83,7 @@ def make(folder: Path, *, hosts: Sequence[str] = (), days: int = DAYS, force: bo
     """
     faults = ErrorCollector()
     names = faults.collect(lambda: _hosts(hosts))
-    faults.collect(lambda: _days(days, MOST_DAYS))
+    faults.collect(lambda: _days(days, MAX_DAYS))
     if not force:
         faults.collect(lambda: _refuse_existing(folder, [AUTHORITY, *ROLES]))
     faults.raise_if_any()
@@ -177,7 +177,7 @@ def _authority(key: ec.EllipticCurvePrivateKey) -> x509.Certificate:
     name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "zenostat-authority")])
     usage = _usage(signs_certificates=True)
     return (
-        _begun(name, name, key.public_key(), MOST_DAYS)
+        _begun(name, name, key.public_key(), MAX_DAYS)
         .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
         .add_extension(usage, critical=True)
         .sign(key, hashes.SHA256())

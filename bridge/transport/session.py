@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import zenoh
 
-from bridge.transport.access_control import ROLES, control
+from bridge.transport.access_control import ROLES, acl_config
 from topics import codec
 from topics.errors import AddressInUse, BusError, ErrorCollector, InvalidConfig, NodeNotFound
 from topics.keys import Role
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 DEFAULT_TLS_ENDPOINT = "tls/127.0.0.1:7447"
-MOST_BYTES = 4 * codec.MAX_BYTES
+MAX_MESSAGE_BYTES = 4 * codec.MAX_BYTES
 """Larger messages are dropped as they come in, by Zenoh: they would fill the memory before anybody could look."""
 
 _CONNECT_MS = 2000
@@ -188,7 +188,7 @@ def _settings(listen: Sequence[str], connect: Sequence[str], *, wait: bool, mode
         "connect/timeout_ms": -1 if wait else _CONNECT_MS,
         "connect/exit_on_failure": not wait,
         "scouting/multicast/enabled": False,
-        "transport/link/rx/max_message_size": MOST_BYTES,
+        "transport/link/rx/max_message_size": MAX_MESSAGE_BYTES,
         # Each session would have a file in /dev/shm, which stays if its process is killed.
         "transport/shared_memory/enabled": False,
     }
@@ -208,7 +208,7 @@ def _closed(shown: Identity) -> dict[str, Any]:
             "verify_name_on_connect": True,
             "close_link_on_expiration": True,
         },
-        "access_control": control(),
+        "access_control": acl_config(),
     }
 
 
@@ -229,8 +229,8 @@ def _explained(error: zenoh.ZError, listen: Sequence[str], connect: Sequence[str
         )
     if "Unable to connect" in text or "Timeout" in text:
         if shown is not None:
-            from bridge.transport.tls_diagnosis import why_refused
+            from bridge.transport.tls_diagnosis import diagnose_tls
 
-            return NodeNotFound("\n".join(why_refused(endpoint, shown) for endpoint in connect))
+            return NodeNotFound("\n".join(diagnose_tls(endpoint, shown) for endpoint in connect))
         return NodeNotFound(f"nobody listens on {' or '.join(connect)}; start a node there: zenostat node --help")
     return BusError(text.split(" at /")[0])

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from bridge.transport.certificates import Identity
 
-_PATIENCE_S = 2.0
+_TIMEOUT_S = 2.0
 
 
-def why_refused(endpoint: str, shown: Identity) -> str:
+def diagnose_tls(endpoint: str, shown: Identity) -> str:
     """What failed at `tls/HOST:PORT`, and what would be right."""
     host, _, port = endpoint.partition("/")[2].rpartition(":")
     host = host.strip("[]")
@@ -20,7 +20,7 @@ def why_refused(endpoint: str, shown: Identity) -> str:
     context.load_cert_chain(shown.certificate, shown.key)
     try:
         with (
-            socket.create_connection((host, int(port)), _PATIENCE_S) as link,
+            socket.create_connection((host, int(port)), _TIMEOUT_S) as link,
             context.wrap_socket(link, server_hostname=host) as secured,
         ):
             secured.recv(1)  # who listens says only now whether it takes this side's certificate

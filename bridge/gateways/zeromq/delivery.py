@@ -27,12 +27,12 @@ from dataclasses import dataclass, field
 
 from bridge.gateways.zeromq.frames import Request, denied
 from bridge.gateways.zeromq.node_state import REFUSALS, NodeView, Owner, answers, leads_to, refusals
-from bridge.gateways.zeromq.zenoh_side import BusSide, Said
+from bridge.gateways.zeromq.zenoh_side import BusMessage, BusSide
 from topics import codec, keys
 from topics.errors import NodeLost, NodeNotFound, RequestRejected, ZenostatError, from_wire
 from topics.messages import Ack, Claim, Command, Event, EventKind, Message, Sample, State, Status, Write
 
-Answer = Callable[[Request, Message | Said], None]
+Answer = Callable[[Request, Message | BusMessage], None]
 _BUSY = (State.RUNNING, State.STARTING)
 
 
@@ -48,7 +48,7 @@ class Pending:
 
     request: Request
     node: NodeView
-    lane: Lane
+    lane: DeliveryQueue
     owner: Owner | None = None
     answered: frozenset[tuple[int, int, int]] = frozenset()
     sent: bool = False
@@ -58,7 +58,7 @@ class Pending:
 
 
 @dataclass(slots=True, eq=False)
-class Lane:
+class DeliveryQueue:
     """What waits under one name at one node; `busy` while one of it is on its way."""
 
     node: str
@@ -68,7 +68,7 @@ class Lane:
     pending: Pending | None = None
 
 
-class Lanes:
+class DeliveryQueues:
     """All lanes.
 
     Args:
@@ -81,17 +81,17 @@ class Lanes:
         self._bus = bus
         self._nodes = nodes
         self._answer = answer
-        self._lanes: dict[tuple[str, str], Lane] = {}
+        self._lanes: dict[tuple[str, str], DeliveryQueue] = {}
         self._claiming: list[Owner] = []
 
     def take(self, request: Request) -> None:
         """A claim, command or write."""
         source = _source(request)
-        lane = self._lanes.setdefault((request.node, source), Lane(request.node, source))
+        lane = self._lanes.setdefault((request.node, source), DeliveryQueue(request.node, source))
         lane.waiting.append(request)
         self._next(lane)
 
-    def _next(self, lane: Lane) -> None:
+    def _next(self, lane: DeliveryQueue) -> None:
         while lane.waiting and not lane.busy:
             request, lane.busy = lane.waiting.popleft(), True
             node = self._nodes.get(lane.node)
@@ -106,7 +106,7 @@ class Lanes:
         if not lane.waiting and not lane.busy:
             self._lanes.pop((lane.node, lane.source), None)
 
-    def _finish(self, lane: Lane, request: Request, answer: Message | Said) -> None:
+    def _finish(self, lane: DeliveryQueue, request: Request, answer: Message | BusMessage) -> None:
         """Answers; the next one of the lane is begun by the caller."""
         lane.busy, lane.pending = False, None
         self._answer(request, answer)
@@ -118,14 +118,14 @@ class Lanes:
 
     # Claims
 
-    def _claim(self, lane: Lane, node: NodeView, request: Request) -> None:
+    def _claim(self, lane: DeliveryQueue, node: NodeView, request: Request) -> None:
         """Presence first: a node that has taken a claim must learn of the controller's end, however soon it comes."""
         claim, peer, name = request.message, request.peer, lane.source
         assert isinstance(claim, Claim)
         owner = Owner(name, peer.route, peer.fd, claim.required, self._bus.token(node.name, name))
         self._claiming.append(owner)
 
-        def then(said: Said | None) -> None:
+        def then(said: BusMessage | None) -> None:
             if owner in self._claiming:  # else its connection has ended
                 self._claiming.remove(owner)
                 former: Owner | None = owner
@@ -158,7 +158,7 @@ class Lanes:
 
     # Commands
 
-    def _command(self, lane: Lane, node: NodeView, request: Request) -> None:
+    def _command(self, lane: DeliveryQueue, node: NodeView, request: Request) -> None:
         owner = node.owners.get(lane.source)
         if owner is None or owner.route != request.peer.route:
             how = "has claimed nothing" if owner is None else "was claimed again through another connection"
@@ -175,7 +175,7 @@ class Lanes:
         else:
             self._send(pending)
 
-    def _counted(self, pending: Pending, said: Said | None) -> None:
+    def _counted(self, pending: Pending, said: BusMessage | None) -> None:
         """The counts before the command."""
         status = self._status(pending, said)
         if status is not None and pending.owner is not None:
@@ -197,7 +197,7 @@ class Lanes:
         pending.asked = True
         self._bus.ask(keys.WEATHER, pending.node.name, b"", lambda said: self._passed(pending, said))
 
-    def _passed(self, pending: Pending, said: Said | None) -> None:
+    def _passed(self, pending: Pending, said: BusMessage | None) -> None:
         """The node's own thread has been there."""
         if pending.lane.pending is not pending:
             return
@@ -211,7 +211,7 @@ class Lanes:
             heard = node.heard
             self._bus.ask(keys.STATUS, node.name, b"", lambda said: self._stands(pending, heard, said))
 
-    def _stands(self, pending: Pending, heard: int, said: Said | None) -> None:
+    def _stands(self, pending: Pending, heard: int, said: BusMessage | None) -> None:
         """The counts after the command."""
         status = self._status(pending, said)
         if status is None or pending.owner is None:
@@ -226,7 +226,7 @@ class Lanes:
             pending.counted = refusals(status) if status.state not in _BUSY else None
             self._ask(pending)
 
-    def _status(self, pending: Pending, said: Said | None) -> Status | None:
+    def _status(self, pending: Pending, said: BusMessage | None) -> Status | None:
         if pending.lane.pending is not pending:
             return None
         if said is None:

@@ -11,11 +11,11 @@ from dataclasses import dataclass, field
 
 import zenoh
 
-from bridge.gateways.zeromq.delivery import Lanes
+from bridge.gateways.zeromq.delivery import DeliveryQueues
 from bridge.gateways.zeromq.frames import Peer, Request, answer, denied, read, split
 from bridge.gateways.zeromq.node_state import NodeView
 from bridge.gateways.zeromq.sockets import DEFAULT_COMMAND, DEFAULT_PUBLISH, Sockets, check_endpoint
-from bridge.gateways.zeromq.zenoh_side import BusSide, Said
+from bridge.gateways.zeromq.zenoh_side import BusMessage, BusSide
 from topics import codec, errors, keys
 from topics.errors import (
     BadMessage,
@@ -100,9 +100,9 @@ class Gateway:
             undo.callback(self.close)
             self._sockets = self._close.enter_context(Sockets(publish, command, lease_s=lease_s))
             self.publish, self.command = self._sockets.publish, self._sockets.command
-            self._bus = BusSide(session, self._sockets.shelve)
+            self._bus = BusSide(session, self._sockets.post)
             self._close.callback(self._bus.close)
-            self._lanes = Lanes(self._bus, self._nodes, self._answer)
+            self._lanes = DeliveryQueues(self._bus, self._nodes, self._answer)
             there = self._bus.nodes(self.node)  # first: Zenoh answers emptily while a history of tokens is on its way
             self._bus.listen(self.node, self._heard, self._presence)
             for name in there:
@@ -123,13 +123,13 @@ class Gateway:
     def stop(self) -> None:
         """Ends `run`; any thread or signal handler may call it."""
         self._stopped = True
-        self._sockets.shelve(lambda: None)
+        self._sockets.post(lambda: None)
 
     def run(self) -> None:
         """Passes messages on until it is stopped."""
         while not self._stopped:
             self._sockets.wait()
-            self._sockets.clear_shelf()
+            self._sockets.run_pending()
             for prefix in self._sockets.subscriptions():
                 self._catch_up(prefix)
             for frames, fd in self._sockets.requests(self._lanes.gone):
@@ -138,12 +138,12 @@ class Gateway:
 
     # From the bus
 
-    def _heard(self, said: Said) -> None:
+    def _heard(self, said: BusMessage) -> None:
         """A node's manifest, sample or event; what is none is passed over."""
         with suppress(BadMessage):
             self._take(said)
 
-    def _take(self, said: Said) -> None:
+    def _take(self, said: BusMessage) -> None:
         if said.key == keys.MANIFEST.at(keys.node_of(said.key)):
             self._meet(said)
             return
@@ -161,7 +161,7 @@ class Gateway:
             node.note_event(event)
             self._lanes.event(node, event)
 
-    def _meet(self, said: Said | None) -> None:
+    def _meet(self, said: BusMessage | None) -> None:
         """A manifest: of a node that has come, or that has changed."""
         if said is None or said.denied:
             return
@@ -174,7 +174,7 @@ class Gateway:
         node.latest[said.key.encode()] = _frames(said)
         self._publish(said)
 
-    def _first_sample(self, said: Said | None) -> None:
+    def _first_sample(self, said: BusMessage | None) -> None:
         """The sample that a node stands at which came after the gateway, or was there before it."""
         node = self._nodes.get(keys.node_of(said.key)) if said is not None else None
         if said is not None and node is not None and said.key.encode() not in node.latest:
@@ -202,7 +202,7 @@ class Gateway:
         if not announced.instances:
             self._settle(name)
 
-    def _came(self, name: str, said: Said | None) -> None:
+    def _came(self, name: str, said: BusMessage | None) -> None:
         """An announced node has said what it is; its sample is asked for only now, so that it finds its node."""
         self._meet(said)
         if name in self._nodes:
@@ -226,9 +226,9 @@ class Gateway:
         if not node.stopped:
             error = NodeLost(f"node {node.name!r} is gone")
             event = Event(kind=EventKind.FAILED, text=str(error), error=errors.to_wire(error)["error"])
-            self._publish(Said(keys.EVENT.at(node.name), codec.encoding(Event), codec.encode(event)))
+            self._publish(BusMessage(keys.EVENT.at(node.name), codec.encoding(Event), codec.encode(event)))
 
-    def _publish(self, said: Said) -> None:
+    def _publish(self, said: BusMessage) -> None:
         self._sockets.put(_frames(said))
 
     def _catch_up(self, prefix: bytes) -> None:
@@ -279,17 +279,17 @@ class Gateway:
         question = None if fetched else request.payload
         self._bus.ask(request.row, request.node, question, lambda said: self._answer(request, said or denied(lost)))
 
-    def _answer(self, request: Request, answered: Message | Said) -> None:
+    def _answer(self, request: Request, answered: Message | BusMessage) -> None:
         self._send(request.peer, request.topic, answered)
 
-    def _send(self, peer: Peer, topic: bytes, answered: Message | Said) -> None:
+    def _send(self, peer: Peer, topic: bytes, answered: Message | BusMessage) -> None:
         if isinstance(answered, Message):
-            said = Said("", codec.encoding(type(answered)), codec.encode(answered))
+            said = BusMessage("", codec.encoding(type(answered)), codec.encode(answered))
         else:
             said = answered
         self.counts.denied += said.encoding == codec.encoding(ErrorReply)
         self._sockets.send(answer(peer, topic, said.encoding, said.payload))
 
 
-def _frames(said: Said) -> list[bytes]:
+def _frames(said: BusMessage) -> list[bytes]:
     return [said.key.encode(), said.encoding.encode(), said.payload]

@@ -119,7 +119,7 @@ class Sockets:
 
     # Any thread
 
-    def shelve(self, work: Callable[[], None]) -> None:
+    def post(self, work: Callable[[], None]) -> None:
         """Has the sockets' own thread do something."""
         self._shelf.append(work)
         with suppress(OSError):  # full: it is awake; closed: nobody does anything any more
@@ -131,7 +131,7 @@ class Sockets:
         """Until anything has come, or connections are to be looked at."""
         self._poller.poll(int(CHECK_S * 1000) if self._connected or self._subscribed else None)
 
-    def clear_shelf(self) -> None:
+    def run_pending(self) -> None:
         """Does what other threads have put on the shelf."""
         with suppress(BlockingIOError):
             self._woken.recv(4096)

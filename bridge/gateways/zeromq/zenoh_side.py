@@ -22,11 +22,11 @@ from topics.messages import ErrorReply, Message
 
 _QUESTION_S = 600.0  # a node's death is noticed at once; a start of a large building takes long
 
-Shelve = Callable[[Callable[[], None]], None]
+Post = Callable[[Callable[[], None]], None]
 
 
 @dataclass(frozen=True, slots=True)
-class Said:
+class BusMessage:
     """A message as it came: key, encoding, payload."""
 
     key: str
@@ -39,7 +39,7 @@ class Said:
         return self.encoding == codec.encoding(ErrorReply)
 
 
-Then = Callable[[Said | None], None]
+ReplyCallback = Callable[[BusMessage | None], None]
 """What is done with an answer; None: nobody answered."""
 
 
@@ -51,7 +51,7 @@ class BusSide:
         shelve: has the gateway's thread do something; Zenoh's threads call it.
     """
 
-    def __init__(self, session: zenoh.Session, shelve: Shelve) -> None:
+    def __init__(self, session: zenoh.Session, shelve: Post) -> None:
         self._session = session
         self._shelve = shelve
         self._close = ExitStack()
@@ -64,11 +64,13 @@ class BusSide:
         while self._tokens:
             self._tokens.popitem()[1].undeclare()  # type: ignore[no-untyped-call]
 
-    def listen(self, node: str, heard: Callable[[Said], None], presence: Callable[[str, str, bool], None]) -> None:
+    def listen(
+        self, node: str, heard: Callable[[BusMessage], None], presence: Callable[[str, str, bool], None]
+    ) -> None:
         """What a node (`*`: all) says under one chunk, and which instance of it is there or gone."""
 
         def on_message(message: zenoh.Sample) -> None:
-            said = Said(str(message.key_expr), str(message.encoding), message.payload.to_bytes())
+            said = BusMessage(str(message.key_expr), str(message.encoding), message.payload.to_bytes())
             self._shelve(lambda: heard(said))
 
         def on_token(token: zenoh.Sample) -> None:
@@ -95,14 +97,14 @@ class BusSide:
             raise NodeNotFound(f"no node {wanted!r} on the bus; {did_you_mean(wanted, found)}")
         return [wanted]
 
-    def fetch(self, topic: Topic, node: str) -> Said | None:
+    def fetch(self, topic: Topic, node: str) -> BusMessage | None:
         """What a node answers at once, waited for."""
         for reply in self._session.get(topic.at(node)):
             if reply.ok is not None:
-                return Said(str(reply.ok.key_expr), str(reply.ok.encoding), reply.ok.payload.to_bytes())
+                return BusMessage(str(reply.ok.key_expr), str(reply.ok.encoding), reply.ok.payload.to_bytes())
         return None
 
-    def ask(self, topic: Topic, node: str, question: bytes | None, then: Then) -> None:
+    def ask(self, topic: Topic, node: str, question: bytes | None, then: ReplyCallback) -> None:
         """Asks a node; `then` is done by the gateway's thread."""
         key, answered = topic.at(node), False
 
@@ -110,11 +112,11 @@ class BusSide:
             nonlocal answered
             answered = True
             if reply.ok is not None:
-                said = Said(key, str(reply.ok.encoding), reply.ok.payload.to_bytes())
+                said = BusMessage(key, str(reply.ok.encoding), reply.ok.payload.to_bytes())
             else:
                 why = reply.err.payload.to_string() if reply.err else "no reason given"
                 denied = ErrorReply(**errors.to_wire(PeerError(f"node {node!r} did not answer {topic.key}: {why}")))
-                said = Said(key, codec.encoding(ErrorReply), codec.encode(denied))
+                said = BusMessage(key, codec.encoding(ErrorReply), codec.encode(denied))
             self._shelve(lambda: then(said))
 
         def on_end() -> None:
