@@ -178,15 +178,15 @@ def environment(found: dict[str, Any], pace: Pace, *, monitors: int = 0, **more:
 
 def engines(found: dict[str, Any], pace: Pace, *, count: int) -> None:
     """Engines of one node that step together by its sockets alone: no bus, no node, no controller."""
-    from eplus_node.engine.client import EngineLink, Run
-    from eplus_node.engine.group import Engines
+    from eplus_node.engine.client import EngineClient, EngineSpec
+    from eplus_node.engine.group import EngineGroup
 
     folder = Path(tempfile.mkdtemp())
     checked, files = scenes.prepared(found, folder)
     cores, points, period = sorted(os.sched_getaffinity(0)), checked.points, checked.period
-    run = Run(files.model, files.weather, folder, period.steps, period.steps_per_hour, points)
+    run = EngineSpec(files.model, files.weather, folder, period.steps, period.steps_per_hour, points)
     with ExitStack() as stack:
-        first = EngineLink(run)
+        first = EngineClient(run)
         stack.callback(first.close)
         first.receive()
         links = []
@@ -197,7 +197,7 @@ def engines(found: dict[str, Any], pace: Pace, *, count: int) -> None:
             stack.callback(links[-1].close)
             links[-1].receive()
         values = np.tile(scenes.setpoints(points.actuators), count).tobytes()
-        together, nobody = Engines(links), bytes(len(values) // 8)
+        together, nobody = EngineGroup(links), bytes(len(values) // 8)
         together.begin(range(count))
         _in_turn(lambda: together.step(values, nobody, range(count)), pace)
 

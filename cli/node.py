@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from eplus_node.config import NodeConfig
     from eplus_node.node import Node
-    from eplus_node.server import Observer, Runner
+    from eplus_node.server import NodeServer, Observer
 
 
 def node(
@@ -180,7 +180,7 @@ class _Watch:
         self._bar = bars.add_task(f"{name}: starting", total=None, rate="")
         self._shown = 0.0
 
-    def __call__(self, node: Runner) -> None:
+    def __call__(self, node: NodeServer) -> None:
         now, state = time.monotonic(), node.exchange.state
         if now - self._shown < 0.1 and state is State.WAITING and not node.exchange.awaiting():
             return

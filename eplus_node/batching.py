@@ -22,7 +22,7 @@ BATCH_S = 0.1
 _BATCH_BYTES = 1 << 20
 
 
-class Batches:
+class SampleBatcher:
     """One node's.
 
     Args:

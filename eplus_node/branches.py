@@ -17,12 +17,12 @@ from pathlib import Path
 
 from bridge.exchange.actuator_commands import CommandSnapshot
 from bridge.exchange.episode import StepExchange
-from eplus_node.engine.client import EngineLink, one_for_each
-from eplus_node.engine.group import Engines
-from eplus_node.engine.pool import Position, Supply, made, told_of
+from eplus_node.engine.client import EngineClient, start_all
+from eplus_node.engine.group import EngineGroup
+from eplus_node.engine.pool import EnginePool, EpisodeWeather, made, weather_fields
 from eplus_node.fault_injection import NO_FAULTS
 from eplus_node.fault_injection import State as Faulty
-from eplus_node.server import Runner
+from eplus_node.server import NodeServer
 from models.scenario.episode import Source
 from topics import keys
 from topics.errors import ForkFailed, RequestRejected, did_you_mean
@@ -56,10 +56,10 @@ class Snapshot:
     owner: str
     episode: list[int]
     step: list[int]
-    engines: Engines
+    engines: EngineGroup
     held: CommandSnapshot
     faults: Faulty | None
-    positions: list[Position]
+    positions: list[EpisodeWeather]
     folder: Path
 
     def drop(self) -> None:
@@ -80,7 +80,7 @@ class Branch:
     """
 
     def __init__(
-        self, runner: Runner, owner: str, folder: Path, cpus: tuple[int, ...], over: Callable[[str], None]
+        self, runner: NodeServer, owner: str, folder: Path, cpus: tuple[int, ...], over: Callable[[str], None]
     ) -> None:
         self.runner, self.owner = runner, owner
         self._folder, self._cpus, self._over = folder, cpus, over
@@ -107,15 +107,15 @@ class Branch:
 
     def stop(self) -> None:
         """Tells it to end; any thread may."""
-        self.runner.hurry()
-        self.runner.inlets.shelve(self.runner.leave)
+        self.runner.interrupt()
+        self.runner.inlets.post(self.runner.stop_serving)
 
     def join(self) -> None:
         """Waits for its end."""
         self._thread.join()
 
 
-class Forks:
+class BranchManager:
     """All snapshots and branches of a node.
 
     Args:
@@ -125,7 +125,7 @@ class Forks:
         limit: of snapshots and branches at a time.
     """
 
-    def __init__(self, runner: Runner, folder: Path, *, cpus: tuple[int, ...], limit: int) -> None:
+    def __init__(self, runner: NodeServer, folder: Path, *, cpus: tuple[int, ...], limit: int) -> None:
         self._runner = runner
         self._cpus = cpus
         self._folder = folder
@@ -134,7 +134,7 @@ class Forks:
         self.snapshots: dict[str, Snapshot] = {}
         self.branches: dict[str, Branch] = {}
 
-    def snapshot(self, asked: TakeSnapshot, positions: Callable[[Path], list[Position]]) -> Snapshot:
+    def snapshot(self, asked: TakeSnapshot, positions: Callable[[Path], list[EpisodeWeather]]) -> Snapshot:
         """Keeps where the node stands.
 
         Args:
@@ -180,7 +180,7 @@ class Forks:
         self.find(name)
         self.snapshots.pop(name).drop()
 
-    def branch(self, asked: CreateBranch, supplies: Sequence[Supply]) -> Branch:
+    def branch(self, asked: CreateBranch, supplies: Sequence[EnginePool]) -> Branch:
         """Has the node go on twice.
 
         Args:
@@ -218,9 +218,9 @@ class Forks:
             raise ForkFailed(f"no branch of node {self._runner.manifest.node!r}: {error}") from None
         return branch
 
-    def _engines(self, of: Engines, asked: CreateBranch, folder: Path) -> Engines:
+    def _engines(self, of: EngineGroup, asked: CreateBranch, folder: Path) -> EngineGroup:
         link = of.links[asked.slot]
-        return of.of_slot(asked.slot, one_for_each(range(asked.slots), lambda _: self._child(link, folder)))
+        return of.of_slot(asked.slot, start_all(range(asked.slots), lambda _: self._child(link, folder)))
 
     def _branch_manifest(self, name: str, slots: int, weather: Source) -> Manifest:
         of = self._runner.manifest
@@ -229,7 +229,7 @@ class Forks:
                 "node": name,
                 "branch_of": of.node,
                 "slots": slots,
-                **told_of(weather),
+                **weather_fields(weather),
                 "baseline": False,
                 "warnings": (),
                 "mode": Mode.LOCKSTEP,
@@ -241,8 +241,8 @@ class Forks:
         )
 
     def _branch_runner(
-        self, manifest: Manifest, engines: Engines, asked: CreateBranch, snapshot: Snapshot | None, weather: Path
-    ) -> Runner:
+        self, manifest: Manifest, engines: EngineGroup, asked: CreateBranch, snapshot: Snapshot | None, weather: Path
+    ) -> NodeServer:
         parent, slots = self._runner, asked.slots
         of = snapshot or parent.exchange
         exchange = StepExchange(
@@ -253,7 +253,7 @@ class Forks:
         if not asked.relinquished:
             exchange.restore((snapshot.held if snapshot else parent.exchange.capture()).of_slot(asked.slot, slots))
         exchange.ready(dict.fromkeys(range(slots), of.step[asked.slot]))
-        runner = Runner(parent.session, parent.plan, manifest, exchange, engines, lambda _: weather)
+        runner = NodeServer(parent.session, parent.plan, manifest, exchange, engines, lambda _: weather)
         present = parent.injection.state() if parent.injection is not None else None
         faults = (snapshot.faults if snapshot is not None else present) or NO_FAULTS
         try:
@@ -263,9 +263,9 @@ class Forks:
             runner.declare()
             for topic, message in _NOT_OF_A_BRANCH:
                 runner.inlets.request(topic, message, self._refuse)
-            runner.inlets.watch(keys.CONTROLLER_TOKEN, lambda who: runner.tell(exchange.on_disconnect(who)))
+            runner.inlets.watch(keys.CONTROLLER_TOKEN, lambda who: runner.publish_events(exchange.on_disconnect(who)))
             runner.publish()
-            runner.show()
+            runner.announce()
         except BaseException:
             runner.close()
             raise
@@ -291,7 +291,7 @@ class Forks:
         name = f"{kind}{next(self._numbers)}"
         return name, made(self._folder / name)
 
-    def _child(self, link: EngineLink, folder: Path) -> EngineLink:
+    def _child(self, link: EngineClient, folder: Path) -> EngineClient:
         own = made(folder / str(next(self._numbers)))
         child = link.fork(replace(link.run, folder=own, keep=False, cpus=self._cpus, poll=False, branch=True))
         try:
@@ -301,7 +301,7 @@ class Forks:
             raise
         return child
 
-    def beside(self, link: EngineLink) -> EngineLink:
+    def fork_baseline(self, link: EngineClient) -> EngineClient:
         """A fork that goes on beside an engine, for the baseline.
 
         Raises:
@@ -313,11 +313,11 @@ class Forks:
         def forget() -> None:
             self.branches.pop(name, None)
 
-        self._runner.inlets.shelve(forget)
+        self._runner.inlets.post(forget)
 
     # The others' ends
 
-    def left(self, owner: str) -> None:
+    def on_disconnect(self, owner: str) -> None:
         """A controller has gone: what it asked for ends."""
         for name in [name for name, snapshot in self.snapshots.items() if snapshot.owner == owner]:
             self.drop(name)
@@ -325,15 +325,15 @@ class Forks:
             if branch.owner == owner:
                 branch.stop()
 
-    def look(self) -> None:
+    def notify_all(self) -> None:
         """Has each branch look after its engines; any thread may."""
         for branch in [*self.branches.values()]:
-            branch.runner.inlets.wake()
+            branch.runner.inlets.notify()
 
     def hurry(self) -> None:
         """Has no branch wait for an engine that is computing; any thread may."""
         for branch in [*self.branches.values()]:
-            branch.runner.hurry()
+            branch.runner.interrupt()
 
     def close(self) -> None:
         """Ends all; twice is fine."""
@@ -352,7 +352,7 @@ class Forks:
         return _told(kept, memory=memory), _told(running, memory=memory)
 
 
-def _told(forks: Sequence[tuple[str, str, list[int], Engines]], *, memory: bool) -> list[ForkStatus]:
+def _told(forks: Sequence[tuple[str, str, list[int], EngineGroup]], *, memory: bool) -> list[ForkStatus]:
     return [
         ForkStatus(
             name=name,

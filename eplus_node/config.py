@@ -13,7 +13,7 @@ from bridge.faults import read_plan
 from bridge.runtime.affinity import Affinity
 from bridge.transport.session import DEFAULT_ENDPOINT
 from eplus_node.engine.registry import UNRESPONSIVE_S
-from eplus_node.fault_injection import Injection
+from eplus_node.fault_injection import FaultInjection
 from models import catalog
 from models.building import conflicts
 from models.building import model as building
@@ -210,7 +210,7 @@ def plan(config: NodeConfig) -> Plan:
     warnings = tuple(conflicts.rivals(model.objects, chosen.actuators)) + _waits_for_what_is_lost(config, injected)
     planned = Plan(config, scenario, model, tuple(found), period, chosen, task, warnings, injected)
     if injected is not None:
-        Injection(injected, planned, config.slots)  # so that its mistakes are known before anything starts
+        FaultInjection(injected, planned, config.slots)  # so that its mistakes are known before anything starts
     return planned
 
 

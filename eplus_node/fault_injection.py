@@ -21,7 +21,7 @@ NO_FAULTS: State = (FaultPlan(), [], {})
 """What a snapshot of an undisturbed node goes back to."""
 
 
-class Injection:
+class FaultInjection:
     """The faults of one runner.
 
     Args:
@@ -54,7 +54,7 @@ class Injection:
         if 0 in slots:
             self.link.reset(seeds[list(slots).index(0)])
 
-    def commanded(self, values: bytes, steps: Sequence[int]) -> bytes:
+    def apply_to_commands(self, values: bytes, steps: Sequence[int]) -> bytes:
         """What reaches the engines of what was commanded."""
         if not self._points.disturbs_actuators:
             return values
@@ -62,16 +62,18 @@ class Injection:
 
     def heard(self, values: bytes) -> None:
         """What reached the engines last, of faults that are set amid an episode: an actuator may go on with it."""
-        self.commanded(values, [-1] * self._shape[0])  # before an episode no fault is on; those that remember do so
+        self.apply_to_commands(
+            values, [-1] * self._shape[0]
+        )  # before an episode no fault is on; those that remember do so
 
-    def sensed(self, values: bytes, steps: Sequence[int]) -> bytes:
+    def apply_to_sensors(self, values: bytes, steps: Sequence[int]) -> bytes:
         """What goes on the bus of what EnergyPlus says."""
         self.link.move(steps[0])
         if not self._points.disturbs_points:
             return values
         return self._points.apply_to_sensors(np.frombuffer(values).reshape(self._shape), steps).tobytes()
 
-    def told(self) -> list[str]:
+    def drain_transitions(self) -> list[str]:
         """What began and ended since this was asked last."""
         return [
             f"{told.fault} {'begins' if told.turn is Transition.BEGAN else 'ends'}"

@@ -15,15 +15,15 @@ from bridge.runtime import affinity
 from bridge.runtime.scratch import Scratch, sweep
 from bridge.runtime.signals import TERMINATION_SIGNALS, override_signals
 from bridge.transport.session import open_session
-from eplus_node.branches import Forks
+from eplus_node.branches import BranchManager
 from eplus_node.config import NodeConfig, Plan, plan
-from eplus_node.engine.client import EngineLink, one_for_each
-from eplus_node.engine.group import Engines
-from eplus_node.engine.pool import Supply, Waiting, told_of
+from eplus_node.engine.client import EngineClient, start_all
+from eplus_node.engine.group import EngineGroup
+from eplus_node.engine.pool import EnginePool, EngineTemplate, weather_fields
 from eplus_node.engine.registry import EngineRegistry
 from eplus_node.fault_injection import NO_FAULTS
 from eplus_node.fault_injection import State as Faulty
-from eplus_node.server import Observer, Runner, Stopped
+from eplus_node.server import NodeServer, Observer, Stopped
 from eplus_node.shutdown import LIMIT_S, Ending
 from models import energyplus
 from topics import VERSION, codec, errors, keys
@@ -72,7 +72,7 @@ class Node:
         self._scratch: Scratch | None = None
         limit_s = LIMIT_S if config.keep is None else _KEEP_S
         self._ending = Ending(self._hurry, self._give_up if program else None, limit_s)
-        self._runs: Runner | None = None
+        self._runs: NodeServer | None = None
         self._close = ExitStack()
 
     # Life
@@ -150,19 +150,19 @@ class Node:
         self._close.callback(self._scratch.remove)
         self._folder = self._scratch.folder
 
-    def _supply(self) -> list[Supply]:
-        waiting, slots = Waiting(), self.config.slots
+    def _supply(self) -> list[EnginePool]:
+        waiting, slots = EngineTemplate(), self.config.slots
         if slots == 1:
             cpus = () if self._engine_cpu is None else (self._engine_cpu,)
             poll, spare = self._engine_cpu != self.cpu, self._without(cpus)
             return [
-                Supply(self.plan, self._folder, waiting, cpus=cpus, spare=spare, poll=poll, registry=self._registry)
+                EnginePool(self.plan, self._folder, waiting, cpus=cpus, spare=spare, poll=poll, registry=self._registry)
             ]
         # In blocks, the node's core last: engines there may have it before it has told all others to go.
         cores = sorted(self._cpus, key=lambda core: core == self.cpu) if self.cpu is not None else []
         own = [(cores[slot * len(cores) // slots],) if cores else () for slot in range(slots)]
         return [
-            Supply(
+            EnginePool(
                 self.plan,
                 self._folder,
                 waiting,
@@ -192,10 +192,10 @@ class Node:
             policy=config.policy,
             deadline_s=config.deadline_s,
         )
-        engines = Engines(self._engines(slots, exchange.episode))
+        engines = EngineGroup(self._engines(slots, exchange.episode))
         self._close.callback(engines.end)
         engines.begin(slots)
-        self.runner = Runner(
+        self.runner = NodeServer(
             self.session, self.plan, self._manifest(), exchange, engines, self._weather_file, self._observer
         )
         self.runner.interrupt, self.runner.on_stop = self._registry.interrupt, self._stop_asked
@@ -204,7 +204,7 @@ class Node:
             self._close.callback(self._registry.interrupt)  # all at once, which is quicker than one by one
         if self.plan.faults is not None:
             self.runner.inject(self.plan.faults)
-        self.forks = Forks(self.runner, self._folder, cpus=self._cpus, limit=self.config.branches)
+        self.forks = BranchManager(self.runner, self._folder, cpus=self._cpus, limit=self.config.branches)
         self._close.callback(self.forks.close)
         self._runs = self.runner
         self._compare(slots)
@@ -222,12 +222,12 @@ class Node:
         self._close.callback(signal.signal, signal.SIGCHLD, signal.getsignal(signal.SIGCHLD))
         signal.signal(signal.SIGCHLD, self._on_child)
         runner.exchange.ready()
-        runner.begin([*range(self.config.slots)], [None] * self.config.slots)
+        runner.begin_episodes([*range(self.config.slots)], [None] * self.config.slots)
         self._tell_begin("")
         for warning in self.plan.warnings:
             runner.event(runner.exchange.event(EventKind.WARNING, warning))
         runner.publish()
-        runner.show()
+        runner.announce()
         if any(token < self.instance for token in self._tokens()):
             self._refuse_second(self.config.name)  # two that started at once: the one with the lower id stays
 
@@ -237,7 +237,7 @@ class Node:
             node=config.name,
             instance=self.instance,
             building=plan.building.name,
-            **told_of(source),
+            **weather_fields(source),
             begin=plan.period.time(0).isoformat(),
             end=plan.period.time(plan.period.steps).isoformat(),
             steps_per_hour=plan.period.steps_per_hour,
@@ -267,17 +267,17 @@ class Node:
 
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
         # Nothing is raised here: it could be anywhere, in the midst of a thread's start as well.
-        self.runner.inlets.next(self.runner.leave)
+        self.runner.inlets.post_first(self.runner.stop_serving)
 
     def _stop_asked(self) -> None:
-        self.runner.hurry()
+        self.runner.interrupt()
         self._ending.ask()
 
     def _hurry(self, signals: int) -> None:
         """Waits for no engine any more, unless it finishes files that are kept; any thread may."""
         self._registry.close()
         if self._runs is not None:
-            self._runs.hurry()
+            self._runs.interrupt()
             self.forks.hurry()
         if signals > 1 or self.config.keep is None or self._runs is None:
             self._registry.interrupt()
@@ -291,28 +291,28 @@ class Node:
         os._exit(0)
 
     def _on_child(self, _number: int, _frame: FrameType | None) -> None:
-        self.runner.inlets.wake()  # an engine's end is seen while nothing else comes
-        self.forks.look()
+        self.runner.inlets.notify()  # an engine's end is seen while nothing else comes
+        self.forks.notify_all()
 
     def _left(self, who: str) -> None:
-        self.runner.left(who)
-        self.forks.left(who)
+        self.runner.on_disconnect(who)
+        self.forks.on_disconnect(who)
 
     # Episodes
 
-    def _engines(self, slots: range | list[int], episode: list[int]) -> list[EngineLink]:
+    def _engines(self, slots: range | list[int], episode: list[int]) -> list[EngineClient]:
         """Engines at sample 0 of the present episodes of some slots."""
         supplies = self._supplies
         for slot in slots:
             supplies[slot].begin()
-        return one_for_each(slots, lambda slot: supplies[slot].engine(episode[slot]))
+        return start_all(slots, lambda slot: supplies[slot].engine(episode[slot]))
 
     def _compare(self, slots: range | list[int]) -> None:
         """Forks the engines that nobody commands beside the ones of some slots."""
         engines = self.runner.engines
         if not self.config.baseline:
             return
-        made = one_for_each(slots, lambda slot: self.forks.beside(engines.links[slot]))
+        made = start_all(slots, lambda slot: self.forks.fork_baseline(engines.links[slot]))
         if not engines.baselines:
             engines.baselines = made
             return
@@ -334,14 +334,14 @@ class Node:
         exchange.reset(slots)
         try:
             starts = [
-                self._supplies[slot].turn(seed, exchange.episode[slot], untouched=same)
+                self._supplies[slot].next_episode(seed, exchange.episode[slot], untouched=same)
                 for slot, seed, same in zip(slots, seeds, untouched, strict=True)
             ]
         except SimulatorError as error:
             self.runner.fail(error)
             raise
         # The answer goes out before the start, which takes seconds in large buildings.
-        self.runner.inlets.next(lambda: self._restart(slots, starts, seeds, reset.controller))
+        self.runner.inlets.post_first(lambda: self._restart(slots, starts, seeds, reset.controller))
         return self._accepted(slots, starts)
 
     def _seeds(self, reset: Reset, slots: list[int]) -> list[int | None]:
@@ -359,7 +359,7 @@ class Node:
                 engine_start=start,
                 weather=supply.source.name,
                 noise_parameters=supply.files.drawn,
-                output_dir=supply.outputs,
+                output_dir=supply.output_dir,
             )
             for start, supply in zip(starts, [self._supplies[slot] for slot in slots], strict=True)
         ]
@@ -393,9 +393,9 @@ class Node:
         if quick:
             self._end(former)
         for slot in slots:
-            self._supplies[slot].look_ahead(self.exchange.episode[slot])
+            self._supplies[slot].prefetch(self.exchange.episode[slot])
 
-    def _end(self, links: list[EngineLink]) -> None:
+    def _end(self, links: list[EngineClient]) -> None:
         for link in links:
             link.end(failed=self.exchange.state is State.FAILED)
 
@@ -403,7 +403,7 @@ class Node:
         """Episodes begin (slot to sample), of engines that are there; with the faults of a snapshot."""
         runner = self.runner
         runner.exchange.ready(at)
-        runner.begin([*at], seeds)
+        runner.begin_episodes([*at], seeds)
         told = runner.manifest
         if faults is not None:
             runner.inject(faults[0])
@@ -470,9 +470,9 @@ class Node:
                 partial(supply.fork, link, number)
                 for supply, link, number in zip(self._supplies, snapshot.engines.links, episode, strict=True)
             ),
-            *(partial(self.forks.beside, link) for link in snapshot.engines.baselines),
+            *(partial(self.forks.fork_baseline, link) for link in snapshot.engines.baselines),
         ]
-        made = one_for_each(forks, lambda fork: fork())
+        made = start_all(forks, lambda fork: fork())
         made, beside = made[: self.config.slots], made[self.config.slots :]
         for supply, position in zip(self._supplies, held, strict=True):
             supply.go_back(position)

@@ -12,7 +12,7 @@ from topics.errors import EpisodeAborted, RequestRejected
 from topics.messages import Ack, EventKind, Message, Mode, Pause, Resume, SetPace, State, StepRequest
 
 if TYPE_CHECKING:
-    from eplus_node.server import Runner
+    from eplus_node.server import NodeServer
 
 _PACED = Mode.PACED
 
@@ -26,7 +26,7 @@ class Pacing:
         steps_left: timesteps to go while it is paused.
     """
 
-    def __init__(self, runner: Runner) -> None:
+    def __init__(self, runner: NodeServer) -> None:
         self._runner = runner
         self.pace = StepSchedule(runner.plan.period.step_s, runner.manifest.speed)
         self.paused = False
@@ -46,7 +46,7 @@ class Pacing:
 
     # A timestep
 
-    def may_go(self) -> bool:
+    def may_step(self) -> bool:
         """Whether the next timestep is due by the clock; if not, the runner's thread is woken when it is."""
         if self._stands:
             return False
@@ -55,17 +55,17 @@ class Pacing:
         due_s = self.pace.due_s(self._timesteps + 1)
         if monotonic() >= due_s:
             return True
-        self._call_at(due_s, self._runner.inlets.wake)
+        self._call_at(due_s, self._runner.inlets.notify)
         return False
 
-    def goes(self) -> None:
+    def step_started(self) -> None:
         """A timestep begins."""
         if self._alarm is not None:
-            self.forget()
+            self.cancel()
         if self.steps_left:
             self.steps_left, self._into_s = self.steps_left - 1, 0.0
 
-    def came(self, now_s: float) -> None:
+    def record_sample(self, now_s: float) -> None:
         """Its sample has come."""
         self._timesteps += 1
         if self._runner.exchange.mode is not _PACED or self.paused:
@@ -84,9 +84,9 @@ class Pacing:
         deadline_s = exchange.deadline_s
         if deadline_s is not None and exchange.mode is Mode.LOCKSTEP and not self._stands:
             self._overdue_at_s = now_s + deadline_s
-            self._call_at(self._overdue_at_s, lambda: self._runner.inlets.shelve(self._overdue))
+            self._call_at(self._overdue_at_s, lambda: self._runner.inlets.post(self._overdue))
 
-    def forget(self) -> None:
+    def cancel(self) -> None:
         """Nothing is to be done later any more."""
         alarm, self._alarm = self._alarm, None
         if alarm is not None:
@@ -99,7 +99,7 @@ class Pacing:
 
     def _call_at(self, due_s: float, call: Callable[[], None]) -> None:
         """Has the timer's thread do something later, in place of what it was to do later."""
-        self.forget()
+        self.cancel()
         self._alarm = self._runner.timer.at(due_s, call)
 
     def _overdue(self) -> None:
@@ -108,7 +108,7 @@ class Pacing:
         if self._stands or runner.exchange.mode is not Mode.LOCKSTEP or monotonic() < self._overdue_at_s:
             return
         try:
-            runner.tell(runner.exchange.on_deadline())
+            runner.publish_events(runner.exchange.on_deadline())
         except EpisodeAborted as error:
             runner.fail(error)
 
@@ -126,7 +126,7 @@ class Pacing:
             raise RequestRejected("a speed and the mode 'paced' go together; the other modes have none")
         runner = self._runner
         mode, speed, now_s = asked.mode, asked.speed or runner.manifest.speed, monotonic()
-        self.forget()
+        self.cancel()
         self._into_s = self._went_s(now_s)
         runner.exchange.mode, self.pace.speed = mode, speed
         self.pace.rebase(now_s, self._timesteps, self._into_s)
@@ -144,7 +144,7 @@ class Pacing:
     def _pause(self, asked: Pause) -> Message:
         self._into_s = self._went_s(monotonic())
         self.paused, self.steps_left = True, 0
-        self.forget()
+        self.cancel()
         return self._told("paused", asked.source)
 
     def _resume(self, asked: Resume) -> Message:

@@ -12,7 +12,7 @@ from zenoh import CongestionControl
 from zenoh.handlers import Callback
 
 from bridge.runtime.timer import Timer
-from eplus_node.batching import Batches
+from eplus_node.batching import SampleBatcher
 from topics import codec, keys
 from topics.messages import Event, EventKind, Manifest, PointValue
 
@@ -26,7 +26,7 @@ _MANIFEST, _SAMPLE, _EVENT = keys.MANIFEST.key, keys.SAMPLE.key, keys.EVENT.key
 _REFUSALS = (EventKind.REJECTED, EventKind.LATE, EventKind.DUPLICATE)
 
 
-class Outlets:
+class Publications:
     """The publishers of a node; `with Outlets(session, manifest, timer) as outlets`. It publishes the manifest."""
 
     def __init__(self, session: zenoh.Session, manifest: Manifest, timer: Timer) -> None:
@@ -38,7 +38,7 @@ class Outlets:
         self._put_sample = self._publisher(keys.SAMPLE).put
         self._put_event = self._publisher(keys.EVENT).put
         self._put_manifest = self._publisher(keys.MANIFEST).put
-        self._batches = Batches(self._publisher(keys.BATCH), timer)
+        self._batches = SampleBatcher(self._publisher(keys.BATCH), timer)
         topics = [(keys.SENSOR, s.name, s.unit) for s in manifest.sensors]
         topics += [(keys.METER, m.name, m.unit) for m in manifest.meters]
         self._units = [unit for _, _, unit in topics]
@@ -46,7 +46,7 @@ class Outlets:
             self._watch(index, self._publisher(topic, name))
         self.manifest(manifest)
 
-    def __enter__(self) -> Outlets:
+    def __enter__(self) -> Publications:
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -22,11 +22,11 @@ from bridge.exchange.episode import MAX_SOURCE_NAME, StepExchange, Trigger
 from bridge.exchange.latency import LatencyWindow
 from bridge.runtime.timer import Timer
 from eplus_node.config import Plan
-from eplus_node.engine.group import Engines
-from eplus_node.fault_injection import Injection
+from eplus_node.engine.group import EngineGroup
+from eplus_node.fault_injection import FaultInjection
 from eplus_node.pacing import Pacing
-from eplus_node.publications import Outlets
-from eplus_node.subscriptions import INBOX, MOST_SHELVED, Inlets
+from eplus_node.publications import Publications
+from eplus_node.subscriptions import COMMAND_QUEUE, MAX_PENDING, Subscriptions
 from models.scenario.episode import series
 from models.scenario.schema import dump
 from models.weather.epw import find_column
@@ -66,7 +66,7 @@ class Stopped(BaseException):
     """Raised in a runner's thread by a signal or a stop request."""
 
 
-class Runner:
+class NodeServer:
     """Engines on the bus, under one name.
 
     Args:
@@ -90,7 +90,7 @@ class Runner:
         plan: Plan,
         manifest: Manifest,
         exchange: StepExchange,
-        engines: Engines,
+        engines: EngineGroup,
         weather: Callable[[int], Path],
         observer: Observer | None = None,
     ) -> None:
@@ -100,14 +100,14 @@ class Runner:
         self._observer = observer
         self._close = ExitStack()
         self.timer = Timer()
-        self.injection: Injection | None = None
+        self.injection: FaultInjection | None = None
         self.pacing = Pacing(self)
         self._told = b""  # to the engines
         self._step_took, self._cycle = LatencyWindow(), LatencyWindow()
         self._sampled_s = 0.0
         self.stopping = False
         self.interrupt = engines.interrupt
-        self.on_stop = self.hurry
+        self.on_stop = self.interrupt
         self._leaving = False
         self.failure = self.failure_error = ""
         self._latest = b""
@@ -118,7 +118,7 @@ class Runner:
 
     def declare(self, status: Callable[[Query], bytes] | None = None) -> None:
         """What it answers and hears; `status` in place of its own."""
-        inlets = self.inlets = self._close.enter_context(Inlets(self.session, self.manifest.node))
+        inlets = self.inlets = self._close.enter_context(Subscriptions(self.session, self.manifest.node))
         inlets.listen(keys.ACTUATOR, self._write)
         inlets.fetch(keys.MANIFEST, lambda: codec.encode(self._manifest()))
         inlets.fetch(keys.SAMPLE, lambda: self._latest)
@@ -130,9 +130,9 @@ class Runner:
         self.pacing.declare()
         inlets.request(keys.FAULTS, FaultPlan, self._set_faults)
         self._close.callback(self.timer.close)
-        self.outlets = self._close.enter_context(Outlets(self.session, self.manifest, self.timer))
+        self.outlets = self._close.enter_context(Publications(self.session, self.manifest, self.timer))
 
-    def show(self) -> None:
+    def announce(self) -> None:
         """Tells of its presence, once all else is there."""
         token = keys.NODE_TOKEN.at(self.manifest.node, name=self.manifest.instance)
         self._close.enter_context(self.session.liveliness().declare_token(token))
@@ -148,7 +148,7 @@ class Runner:
         """Serves until it is told to stop."""
         try:
             while True:
-                if self.exchange.ready_to_step() and self.pacing.may_go():
+                if self.exchange.ready_to_step() and self.pacing.may_step():
                     self._advance()
                     if self.exchange.fallback_active or self.exchange.mode is not _LOCKSTEP:
                         self._hear_all()  # nobody's answer is waited for
@@ -158,7 +158,7 @@ class Runner:
             self.exchange.transition(Trigger.STOP)
             self.event(self.exchange.event(EventKind.STOPPED, "the node was told to stop"))
 
-    def leave(self) -> None:
+    def stop_serving(self) -> None:
         """Ends the loop, in its own thread; told twice (a request, then its owner's end), it goes on ending."""
         if not self._leaving:
             self._leaving = True
@@ -166,7 +166,7 @@ class Runner:
 
     def _hear_all(self) -> None:
         """Takes what came during a timestep: of one message at a time, those of several controllers would pile up."""
-        for _ in range(INBOX):
+        for _ in range(COMMAND_QUEUE):
             if not self._listen(wait=False):
                 return
 
@@ -204,39 +204,39 @@ class Runner:
         if delay_s <= 0.0:
             work()
         else:
-            self.timer.at(now_s + delay_s, lambda: self.inlets.shelve(work))
+            self.timer.at(now_s + delay_s, lambda: self.inlets.post(work))
 
     def _clear_shelf(self) -> None:
         self.exchange.now_s = monotonic()
-        self.inlets.clear_shelf()
+        self.inlets.run_pending()
         if self.exchange.state is _WAITING and not self.engines.alive and not self.stopping:
             try:
-                self.engines.raise_dead()
+                self.engines.raise_if_dead()
             except SimulatorError as error:
                 self.fail(error)
 
     def _advance(self) -> None:
         """One timestep: the commands that rule it to the engines, its sample to the bus."""
         exchange = self.exchange
-        self.pacing.goes()
+        self.pacing.step_started()
         began_s = exchange.now_s = monotonic()
         if exchange.commands.has_expiries:
-            self.tell(exchange.expire(self._passed_s))
+            self.publish_events(exchange.expire(self._passed_s))
         values, ruler = exchange.begin_step()
         if self.injection is not None:
-            values = self.injection.commanded(values, exchange.step)
+            values = self.injection.apply_to_commands(values, exchange.step)
         self._told = values
         try:
             last = self.engines.step(values, ruler, exchange.active_slots)
         except SimulatorError as error:
             if self.stopping:
-                self.inlets.clear_shelf(most=MOST_SHELVED)
+                self.inlets.run_pending(most=MAX_PENDING)
             self.fail(error)
             return
         exchange.finish_step(last)
         self.publish()
         self._step_took.add(exchange.now_s - began_s)
-        self.pacing.came(exchange.now_s)
+        self.pacing.record_sample(exchange.now_s)
         if exchange.state is _ENDED:
             self.event(exchange.event(EventKind.ENDED, f"the run period is over after {exchange.step[0]} timesteps"))
 
@@ -254,7 +254,7 @@ class Runner:
             flags = [fell] * len(steps)
         values, undisturbed, injection = engines.values_bytes(), b"", self.injection
         if injection is not None:
-            undisturbed, values = values, injection.sensed(values, exchange.step)
+            undisturbed, values = values, injection.apply_to_sensors(values, exchange.step)
         self._latest = codec.pack(
             episode=exchange.episode,
             step=steps,
@@ -295,9 +295,9 @@ class Runner:
         each = [step * self._step_time for step in steps]
         return now, [(self._begin + one).isoformat() for one in each], [one.total_seconds() for one in each]
 
-    def _publish_disturbed(self, injection: Injection) -> None:
+    def _publish_disturbed(self, injection: FaultInjection) -> None:
         payload, now_s = self._latest, monotonic()
-        for text in injection.told():
+        for text in injection.drain_transitions():
             self.event(self.exchange.event(EventKind.FAULT, text))
         for delay_s in injection.link.outgoing(now_s):
             self._later(now_s, delay_s, lambda: self.outlets.sample(payload))
@@ -308,12 +308,12 @@ class Runner:
         if self._observer is not None:
             self._observer(self)
 
-    def tell(self, events: list[Event]) -> None:
+    def publish_events(self, events: list[Event]) -> None:
         """Publishes events."""
         for event in events:
             self.event(event)
 
-    def begin(self, slots: Sequence[int], seeds: Sequence[int | None]) -> None:
+    def begin_episodes(self, slots: Sequence[int], seeds: Sequence[int | None]) -> None:
         """Episodes begin in some slots, at the sample that is published next: the schedule begins there, too."""
         if self.injection is not None:
             self.injection.begin(slots, seeds)
@@ -321,23 +321,23 @@ class Runner:
         self._told, self._sampled_s = b"", 0.0
         self.pacing.begin()
 
-    def left(self, who: str) -> None:
+    def on_disconnect(self, who: str) -> None:
         """A controller has gone; the policy takes its place after the time of grace."""
         events = self.exchange.on_disconnect(who)
-        self.tell(events)
+        self.publish_events(events)
         if events:
             grace_s = self.manifest.grace_s
-            self.timer.at(monotonic() + grace_s, lambda: self.inlets.shelve(lambda: self._by_policy(who)))
+            self.timer.at(monotonic() + grace_s, lambda: self.inlets.post(lambda: self._by_policy(who)))
 
     def _by_policy(self, who: str) -> None:
         try:
-            self.tell(self.exchange.bypass(who, self.manifest.grace_s))
+            self.publish_events(self.exchange.bypass(who, self.manifest.grace_s))
         except EpisodeAborted as error:
             self.fail(error)
 
     def fail(self, error: ZenostatError) -> None:
         """The episode is over for an engine's fault, or by policy; a reset begins another one."""
-        self.pacing.forget()
+        self.pacing.cancel()
         self.exchange.transition(Trigger.FAIL)
         said = errors.to_wire(error)
         self.failure, self.failure_error = said["message"], said["error"]
@@ -355,7 +355,7 @@ class Runner:
         exchange = self.exchange
         # Who joins within a step has its whole time to answer; who replaces another has what is left of it.
         waited, known = exchange.awaiting(), len(exchange.claims.by_name)
-        self.tell(exchange.claim(claim))
+        self.publish_events(exchange.claim(claim))
         if claim.required and (not waited or len(exchange.claims.by_name) > known):
             self.pacing.wait(exchange.now_s)
         return Ack(episode=self.exchange.episode)
@@ -366,7 +366,7 @@ class Runner:
         Raises:
             InvalidConfig: see `Injection`.
         """
-        self.injection = Injection(faults, self.plan, self.manifest.slots) if faults.faults else None
+        self.injection = FaultInjection(faults, self.plan, self.manifest.slots) if faults.faults else None
         if self.injection is not None and self._told:
             self.injection.heard(self._told)
         if self.manifest.faults_injected != (self.injection is not None):
@@ -391,14 +391,14 @@ class Runner:
             values=np.ascontiguousarray(values, "<f8").tobytes(),
         )
 
-    def hurry(self) -> None:
+    def interrupt(self) -> None:
         """Does not wait for an engine that is computing; any thread may."""
         self.stopping = True
         if self.exchange.state in (State.RUNNING, State.STARTING):
             self.interrupt()
 
     def _stop(self, _: Stop) -> Message:
-        self.inlets.shelve(self.leave)
+        self.inlets.post(self.stop_serving)
         return Ack(episode=self.exchange.episode)
 
     def _write(self, name: str, payload: bytes, said: str) -> None:

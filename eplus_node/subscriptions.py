@@ -23,10 +23,10 @@ from topics import codec, errors, keys
 from topics.errors import BadMessage, ZenostatError
 from topics.messages import ErrorReply, Message, Query
 
-INBOX = 256
+COMMAND_QUEUE = 256
 """Commands that may wait for the node's own thread; their senders wait with those beyond."""
 
-MOST_SHELVED = 256
+MAX_PENDING = 256
 """Messages or requests of a topic that may wait likewise; more are a flood, and passed over or refused."""
 
 _AT_A_TIME = 8
@@ -46,11 +46,11 @@ def _asked(query: zenoh.Query) -> tuple[bytes, str]:
     return payload.to_bytes() if payload is not None else b"", str(encoding) if encoding is not None else ""
 
 
-Take = Callable[[str, bytes, str], None]
+Handler = Callable[[str, bytes, str], None]
 """Takes a message: the last chunk of its key, its payload, its encoding."""
 
 
-class Inlets:
+class Subscriptions:
     """The subscribers and queryables of a node; `with Inlets(session, node) as inlets`.
 
     Attributes:
@@ -67,12 +67,12 @@ class Inlets:
         self._waits = False
         self._command_next = False
         self._put_wake = Wake(session, keys.COMMAND.at(node, name=_WAKE))
-        commands = session.declare_subscriber(keys.COMMAND.at(node, name="*"), FifoChannel(INBOX))
+        commands = session.declare_subscriber(keys.COMMAND.at(node, name="*"), FifoChannel(COMMAND_QUEUE))
         self._commands = self._close.enter_context(commands)
         self._recv, self._try_recv = commands.recv, commands.try_recv
         self._prefix = len(keys.COMMAND.at(node))
 
-    def __enter__(self) -> Inlets:
+    def __enter__(self) -> Subscriptions:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -120,7 +120,7 @@ class Inlets:
         controller = str(message.key_expr)[self._prefix :]
         return None if controller == _WAKE else (controller, message)
 
-    def clear_shelf(self, *, most: int = _AT_A_TIME) -> None:
+    def run_pending(self, *, most: int = _AT_A_TIME) -> None:
         """Does what other threads have put on the shelf, some of it at a time."""
         while self._shelf and most > 0:
             self._shelf.popleft()()
@@ -128,16 +128,16 @@ class Inlets:
 
     # Any thread
 
-    def wake(self) -> None:
+    def notify(self) -> None:
         """Has the node's own thread look up; any thread may, and a signal's handler."""
-        self.shelve(_nothing)
+        self.post(_nothing)
 
-    def shelve(self, work: Callable[[], None]) -> None:
+    def post(self, work: Callable[[], None]) -> None:
         """Has the node's own thread do something."""
         self._shelf.append(work)
         self._look_up()
 
-    def next(self, work: Callable[[], None]) -> None:
+    def post_first(self, work: Callable[[], None]) -> None:
         """Has the node's own thread do something before whatever else is on the shelf."""
         self._shelf.appendleft(work)
         self._look_up()
@@ -153,12 +153,12 @@ class Inlets:
 
     # What is listened to besides commands
 
-    def listen(self, topic: keys.Topic, take: Take) -> None:
+    def listen(self, topic: keys.Topic, take: Handler) -> None:
         """A topic whose messages the node's own thread takes."""
         waiting: deque[Callable[[], None]] = deque()
 
         def on_message(message: zenoh.Sample) -> None:
-            if len(waiting) >= MOST_SHELVED:
+            if len(waiting) >= MAX_PENDING:
                 self.flooded += 1
                 return
             name, payload, said = (
@@ -167,7 +167,7 @@ class Inlets:
                 str(message.encoding),
             )
             waiting.append(lambda: take(name, payload, said))
-            self.shelve(lambda: waiting.popleft()())  # noqa: PLW0108  # which is first is seen then
+            self.post(lambda: waiting.popleft()())  # noqa: PLW0108  # which is first is seen then
 
         hears = self._session.declare_subscriber(topic.at(self._node, name="*"), Callback(on_message, indirect=False))
         self._close.callback(hears.undeclare)
@@ -178,7 +178,7 @@ class Inlets:
         def on_token(token: zenoh.Sample) -> None:
             if token.kind == zenoh.SampleKind.DELETE:
                 name = keys.last_chunk(str(token.key_expr))
-                self.shelve(lambda: gone(name))
+                self.post(lambda: gone(name))
 
         tokens = topic.at(self._node, name="*")
         watch = self._session.liveliness().declare_subscriber(tokens, Callback(on_token, indirect=False))
@@ -227,7 +227,7 @@ class Inlets:
 
         def refuse(query: zenoh.Query) -> None:
             busy = ErrorReply(
-                error="Refused", message=f"the node has {MOST_SHELVED} requests to answer; ask again later"
+                error="Refused", message=f"the node has {MAX_PENDING} requests to answer; ask again later"
             )
             with query:
                 query.reply(key, codec.encode(busy), encoding=zenoh.Encoding(codec.encoding(ErrorReply)))
@@ -251,14 +251,14 @@ class Inlets:
                 query.reply(key, codec.encode(reply), encoding=zenoh.Encoding(codec.encoding(type(reply))))
 
         def on_query(query: zenoh.Query) -> None:
-            if len(waiting) >= MOST_SHELVED:
+            if len(waiting) >= MAX_PENDING:
                 self.flooded += 1
                 refuse(query)
                 return
             if at_once is not None and understood(query):
                 at_once()
             waiting.append(lambda: work(query))
-            self.shelve(lambda: waiting.popleft()())  # noqa: PLW0108  # which is first is seen then
+            self.post(lambda: waiting.popleft()())  # noqa: PLW0108  # which is first is seen then
 
         answers = self._session.declare_queryable(key, Callback(on_query, indirect=False), complete=True)
         self._close.callback(answers.undeclare)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
-from eplus_node.batching import BATCH_S, Batches
+from eplus_node.batching import BATCH_S, SampleBatcher
 from topics import codec
 from topics.messages import Batch
 
@@ -20,7 +20,7 @@ class Bench:
         self.sent: list[list[tuple[str, bytes]]] = []
         publisher: Any = SimpleNamespace(put=self.put, declare_matching_listener=lambda _: None)
         timer: Any = SimpleNamespace(clock=lambda: self.now_s, at=lambda due_s, call: self.calls.append((due_s, call)))
-        self.batches = Batches(publisher, timer)
+        self.batches = SampleBatcher(publisher, timer)
 
     def put(self, payload: bytes) -> None:
         self.sent.append([(sent.topic, sent.payload) for sent in codec.decode(Batch, payload).messages])

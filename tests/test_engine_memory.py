@@ -62,7 +62,7 @@ def laid() -> Iterator[Laid]:
 
 def test_another_block_takes_its_place_with_one_cache_folded(laid: Laid) -> None:
     before = list(laid.pointers)
-    cache = SaturationCache.fold(laid.state)
+    cache = SaturationCache.shrink(laid.state)
     assert cache is not None
     laid.block, new = 0, laid.pointers[77]  # the old one was given back
     assert [place for place, word in enumerate(before) if laid.pointers[place] != word] == [77]
@@ -81,7 +81,7 @@ def test_another_block_takes_its_place_with_one_cache_folded(laid: Laid) -> None
         shown = [place for place, word in enumerate(_words(cache.begin, SATURATION)) if word == 99]
         assert len(shown) == 128
         assert {place % (SATURATION // 8 // 128) for place in shown} == {100}
-        cache.renew()
+        cache.reset()
         assert set(_words(cache.begin, SATURATION)[::2]) == {NOTHING_YET, 0}
         _words(new + SETTING_AT + SETTING, BY_ENTHALPY)[-1] = 60  # there is room for all of it
     finally:
@@ -122,7 +122,7 @@ OTHERS = {
 def test_what_is_laid_out_otherwise_or_used_is_left_alone(laid: Laid, other: str) -> None:
     OTHERS[other](laid)
     before, words = list(laid.pointers), bytes(_words(laid.block, BLOCK))
-    assert SaturationCache.fold(laid.state) is None
+    assert SaturationCache.shrink(laid.state) is None
     assert list(laid.pointers) == before
     assert bytes(_words(laid.block, BLOCK)) == words
 
@@ -130,7 +130,7 @@ def test_what_is_laid_out_otherwise_or_used_is_left_alone(laid: Laid, other: str
 def test_a_block_of_another_size_is_left_alone(laid: Laid) -> None:
     other = libc.calloc(1, BLOCK + 2 * mmap.PAGESIZE)
     laid.pointers[77] = other
-    assert SaturationCache.fold(laid.state) is None
+    assert SaturationCache.shrink(laid.state) is None
     libc.free(other)
 
 

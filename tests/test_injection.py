@@ -19,7 +19,7 @@ from agent_sdk import Bus
 from agent_sdk.bus.controller_link import ControlLink
 from bridge.faults import LinkFaults
 from eplus_node.config import plan, read_config
-from eplus_node.fault_injection import Injection
+from eplus_node.fault_injection import FaultInjection
 from topics import codec, keys
 from topics.errors import InvalidConfig
 from topics.fault_plan import FaultPlan
@@ -347,14 +347,14 @@ def test_messages_after_a_snapshot_meet_the_same_faults_of_the_link() -> None:
     faults = FaultPlan.model_validate({"seed": 1, "faults": [{"kind": "loss", "samples": True, "probability": 0.5}]})
     values = bytes(8 * (len(planned.points.sensors) + len(planned.points.meters)))
 
-    def told(injection: Injection, first: int, last: int) -> list[list[float]]:
+    def told(injection: FaultInjection, first: int, last: int) -> list[list[float]]:
         found = []
         for step in range(first, last):
-            injection.sensed(values, [step])
+            injection.apply_to_sensors(values, [step])
             found.append(injection.link.outgoing(0.0))
         return found
 
-    parent, branch = Injection(faults, planned, 1), Injection(faults, planned, 1)
+    parent, branch = FaultInjection(faults, planned, 1), FaultInjection(faults, planned, 1)
     told(parent, 0, 21)
     branch.restore(parent.state(), 0)
     told(branch, 20, 21)  # a branch says the sample at which it stands

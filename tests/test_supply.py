@@ -17,8 +17,8 @@ from nodes import runs, until
 
 from eplus_node.config import Plan, read_config
 from eplus_node.config import plan as read_plan
-from eplus_node.engine.client import EngineLink
-from eplus_node.engine.pool import Supply, Waiting
+from eplus_node.engine.client import EngineClient
+from eplus_node.engine.pool import EnginePool, EngineTemplate
 from topics.errors import EngineDied, ForkFailed, SimulatorError
 from topics.messages import EngineStart, State
 
@@ -165,7 +165,7 @@ def noisy_plan() -> Plan:
     return read_plan(read_config({"scenario": STOCHASTIC, "begin": "07-03", "end": "07-03"}))
 
 
-def ended(link: EngineLink) -> None:
+def ended(link: EngineClient) -> None:
     link.interrupt()
     until(lambda: not link.alive, "the engine has ended")
 
@@ -174,11 +174,11 @@ def test_an_engine_that_waits_and_dies_within_a_reset_takes_no_file_of_its_succe
     folder: Path, small_plan: Plan
 ) -> None:
     """It lived when the reset chose to fork it, and had died when that was due."""
-    waiting = Waiting()
-    supply = Supply(small_plan, folder, waiting)
+    waiting = EngineTemplate()
+    supply = EnginePool(small_plan, folder, waiting)
     first = supply.engine(0)
     assert waiting.engine is not None
-    assert supply.turn(None, 1, untouched=False) is EngineStart.FORKED
+    assert supply.next_episode(None, 1, untouched=False) is EngineStart.FORKED
     ended(waiting.engine)
     second = supply.engine(1)
     assert second.step == 0
@@ -191,9 +191,9 @@ def test_an_engine_that_waits_and_dies_within_a_reset_takes_no_file_of_its_succe
 def test_an_engine_that_was_to_be_used_again_and_dies_within_a_reset_takes_no_file_of_its_successor(
     folder: Path, noisy_plan: Plan
 ) -> None:
-    supply = Supply(noisy_plan, folder, Waiting())
+    supply = EnginePool(noisy_plan, folder, EngineTemplate())
     first = supply.engine(0)
-    assert supply.turn(None, 1, untouched=True) is EngineStart.REUSED
+    assert supply.next_episode(None, 1, untouched=True) is EngineStart.REUSED
     ended(first)
     second = supply.engine(1)
     first.close()
@@ -204,11 +204,11 @@ def test_an_engine_that_was_to_be_used_again_and_dies_within_a_reset_takes_no_fi
 
 
 def test_an_engine_that_was_started_ahead_and_dies_within_a_reset_is_replaced(folder: Path, noisy_plan: Plan) -> None:
-    supply = Supply(noisy_plan, folder, Waiting())
+    supply = EnginePool(noisy_plan, folder, EngineTemplate())
     first = supply.engine(0)
-    assert supply.turn(None, 0, untouched=True) is EngineStart.REUSED
-    supply.look_ahead(0)
-    assert supply.turn(None, 1, untouched=False) is EngineStart.PREFETCHED
+    assert supply.next_episode(None, 0, untouched=True) is EngineStart.REUSED
+    supply.prefetch(0)
+    assert supply.next_episode(None, 1, untouched=False) is EngineStart.PREFETCHED
     noise = supply.files.drawn
     ahead = supply._ahead
     assert ahead is not None

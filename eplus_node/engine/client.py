@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from bridge.runtime.idle_watch import LOOK_S, IdleWatch
 from bridge.runtime.polling import Polling
-from eplus_node.engine.process import Order, Said
+from eplus_node.engine.process import FrameKind, OrderKind
 from eplus_node.engine.registry import EngineRegistry
 from models.energyplus import ISOLATED
 from models.err_file import explain
@@ -43,12 +43,12 @@ _END_S = 5.0
 _LOOK = struct.pack("@ll", int(LOOK_S), int(LOOK_S % 1 * 1e6))
 # Fewer page tables, so that a fork copies less: it takes half the time (docs/performance.md).
 _HUGE_PAGES = {"GLIBC_TUNABLES": "glibc.malloc.hugetlb=1"}
-_FAILED, _LAST = float(Said.FAILED), float(Said.LAST)
+_FAILED, _LAST = float(FrameKind.FAILED), float(FrameKind.LAST)
 _OF_A_CHILD = ("folder", "keep", "parent", "cpus", "poll", "branch")
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
+class EngineSpec:
     """What one engine simulates: prepared files, the number of timesteps, the points in order.
 
     `cpus`: where it may run; empty leaves it to the system. `branch`: it ends at its last sample, without EnergyPlus's
@@ -61,7 +61,7 @@ class Run:
     steps: int
     steps_per_hour: int
     points: Points
-    keep: bool = False
+    keep_output: bool = False
     cpus: tuple[int, ...] = ()
     poll: bool = False
     branch: bool = False
@@ -75,7 +75,7 @@ class Run:
             "folder": str(self.folder),
             "steps": self.steps,
             "steps_per_hour": self.steps_per_hour,
-            "keep": self.keep,
+            "keep": self.keep_output,
             "parent": os.getpid(),
             "cpus": self.cpus,
             "poll": self.poll,
@@ -107,7 +107,7 @@ class Process(Protocol):
         """Ends it."""
 
 
-class Forked:
+class ForkedProcess:
     """A child that an engine made of itself for this process."""
 
     def __init__(self, pid: int) -> None:
@@ -234,7 +234,7 @@ def _ends() -> tuple[_Ends, _Ends]:
     return _Ends(orders[0], frames[0]), _Ends(orders[1], frames[1])
 
 
-def _start(run: Run) -> tuple[_Ends, Process]:
+def _start(run: EngineSpec) -> tuple[_Ends, Process]:
     """Starts an engine as a program, which waits to be told what to simulate."""
     ours, theirs = _ends()
     with theirs, (run.folder / LOG).open("wb") as log:
@@ -249,9 +249,9 @@ def _start(run: Run) -> tuple[_Ends, Process]:
     return ours, process
 
 
-def one_for_each(of: Iterable[T], make: Callable[[T], EngineLink]) -> list[EngineLink]:
+def start_all(of: Iterable[T], make: Callable[[T], EngineClient]) -> list[EngineClient]:
     """An engine for each; where one cannot be made, those made so far end."""
-    made: list[EngineLink] = []
+    made: list[EngineClient] = []
     try:
         for each in of:
             made.append(make(each))  # noqa: PERF401  # a comprehension would lose those made so far
@@ -262,7 +262,7 @@ def one_for_each(of: Iterable[T], make: Callable[[T], EngineLink]) -> list[Engin
     return made
 
 
-class EngineLink:
+class EngineClient:
     """A running engine. `step` and `last` are those of its latest frame.
 
     Args:
@@ -272,7 +272,7 @@ class EngineLink:
     """
 
     def __init__(
-        self, run: Run, forked: tuple[_Ends, Process] | None = None, registry: EngineRegistry | None = None
+        self, run: EngineSpec, forked: tuple[_Ends, Process] | None = None, registry: EngineRegistry | None = None
     ) -> None:
         self._run, self._registry = run, registry or EngineRegistry()
         points = run.points
@@ -283,9 +283,9 @@ class EngineLink:
         self._said = self._frame_bytes.cast("d")
         self._values_bytes = self._frame_bytes[16 : 16 + 8 * values]
         self._feedback_bytes = self._frame_bytes[16 + 8 * values :]
-        self._finish = struct.pack("=dd", Order.FINISH, 0.0) + bytes(8 * len(points.actuators))
+        self._finish = struct.pack("=dd", OrderKind.FINISH, 0.0) + bytes(8 * len(points.actuators))
         self._order_bytes = 8 * len(points.actuators)
-        self._step = struct.pack("=dd", Order.STEP, 0.0)
+        self._step = struct.pack("=dd", OrderKind.STEP, 0.0)
         self.last = False
         self._interrupted = False
         if forked is None:
@@ -310,7 +310,7 @@ class EngineLink:
             self.close()
             raise
 
-    def fork(self, run: Run) -> EngineLink:
+    def fork(self, run: EngineSpec) -> EngineClient:
         """A child of this engine, which waits: it goes on from the same sample in the folder of `run`, on its own.
 
         Raises:
@@ -324,7 +324,7 @@ class EngineLink:
         # Only what differs: a short text comes in one piece, with its socket.
         told = run.spec()
         spec = json.dumps({name: told[name] for name in _OF_A_CHILD}).encode()
-        order = struct.pack("=dd", Order.FORK, len(spec)) + bytes(self._order_bytes)
+        order = struct.pack("=dd", OrderKind.FORK, len(spec)) + bytes(self._order_bytes)
         with theirs, suppress(OSError):  # an engine that has ended is noticed below
             self._socket.sendall(order)
             socket.send_fds(self._socket, [spec], theirs.descriptors)
@@ -333,7 +333,7 @@ class EngineLink:
         except BaseException:
             ours.close()
             raise
-        child = EngineLink(run, (ours, Forked(pid)), self._registry)
+        child = EngineClient(run, (ours, ForkedProcess(pid)), self._registry)
         try:
             self.receive()
         except BaseException:
@@ -379,7 +379,7 @@ class EngineLink:
             return 0
 
     @property
-    def run(self) -> Run:
+    def run(self) -> EngineSpec:
         """What it simulates."""
         return self._run
 
@@ -443,7 +443,7 @@ class EngineLink:
 
     def _look(self, pid: int = 0) -> Callable[[], None]:
         """What looks after the engine, or a child `pid` in its place, while it is waited for."""
-        process = Forked(pid) if pid else self._process
+        process = ForkedProcess(pid) if pid else self._process
         watch = IdleWatch(process.pid)
 
         def look() -> None:
@@ -475,7 +475,7 @@ class EngineLink:
 
     def end(self, *, failed: bool) -> None:
         """Ends the run; where its files are kept, EnergyPlus may finish them, unless it has failed."""
-        if self._run.keep and not failed:
+        if self._run.keep_output and not failed:
             self.finish()
         else:
             self.close()
@@ -499,7 +499,7 @@ class EngineLink:
             self._process.kill()
         self._process.wait()
         self._registry.remove(self)
-        if not self._run.keep:
+        if not self._run.keep_output:
             shutil.rmtree(self._run.folder, ignore_errors=True)
 
     def _ended(self) -> int:

@@ -6,10 +6,10 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from eplus_node.engine.client import EngineLink, one_for_each
+from eplus_node.engine.client import EngineClient, start_all
 
 
-class Engines:
+class EngineGroup:
     """Engines at their samples. Arrays are raw float64, in slot order.
 
     Args:
@@ -20,7 +20,7 @@ class Engines:
         links, baselines: those.
     """
 
-    def __init__(self, links: Sequence[EngineLink], baselines: Sequence[EngineLink] = ()) -> None:
+    def __init__(self, links: Sequence[EngineClient], baselines: Sequence[EngineClient] = ()) -> None:
         self.links = [*links]
         self.baselines = [*baselines]
         self._width = 8 * len(links[0].run.points.actuators)
@@ -106,7 +106,7 @@ class Engines:
         return b"".join([link.applied_bytes(self._nobody) for link in self.baselines])
 
     @property
-    def all(self) -> list[EngineLink]:
+    def all(self) -> list[EngineClient]:
         """All of them."""
         return [*self.links, *self.baselines]
 
@@ -115,7 +115,7 @@ class Engines:
         """Whether all processes run, but for those that have come to their last sample."""
         return all(link.alive or link.last for link in self.all)
 
-    def raise_dead(self) -> None:
+    def raise_if_dead(self) -> None:
         """Raises what a dead one has to say: `SimulatorError`; nothing if all live."""
         for link in self.all:
             if not (link.alive or link.last):
@@ -131,20 +131,20 @@ class Engines:
         """Memory that is one process's alone, of all."""
         return sum(link.private_bytes for link in self.all)
 
-    def fork(self, child: Callable[[EngineLink], EngineLink]) -> Engines:
+    def fork(self, child: Callable[[EngineClient], EngineClient]) -> EngineGroup:
         """A copy that stands at the same samples; `child` forks one engine.
 
         Raises:
             SimulatorError: one cannot be forked; then none is.
         """
-        made, slots = one_for_each(self.all, child), len(self.links)
-        copy = Engines(made[:slots], made[slots:])
+        made, slots = start_all(self.all, child), len(self.links)
+        copy = EngineGroup(made[:slots], made[slots:])
         copy.applied, copy.ruler = self.applied, self.ruler
         return copy
 
-    def of_slot(self, slot: int, made: Sequence[EngineLink]) -> Engines:
+    def of_slot(self, slot: int, made: Sequence[EngineClient]) -> EngineGroup:
         """Engines forked from those of one slot: each stands where that one does."""
-        copy = Engines(made)
+        copy = EngineGroup(made)
         copy.applied = self._rows(self.applied)[slot] * len(made)
         copy.ruler = self._parts(self.ruler, self._ruler_width)[slot] * len(made)
         return copy

@@ -67,7 +67,7 @@ class SaturationCache:
         self.begin = begin
 
     @classmethod
-    def fold(cls, state: int) -> SaturationCache | None:
+    def shrink(cls, state: int) -> SaturationCache | None:
         """Folds that of a simulation that has not begun, by its state; None if it is not there as expected."""
         found = list(_blocks(state)) if sys.platform.startswith("linux") else []
         if len(found) != 1 or not _is_unused(found[0][1]):
@@ -78,7 +78,7 @@ class SaturationCache:
             first = (room // _HUGE_PAGE + 1) * _HUGE_PAGE  # of the first cache: a page is before it, for the head
             _advise(first, first - _HEAD + _BLOCK, mmap.MADV_HUGEPAGE)
             cache = cls(first + _WET_BULB)
-            cache.renew()
+            cache.reset()
         except OSError:
             return None  # no room: it stays where it is
         new = first - _HEAD
@@ -88,7 +88,7 @@ class SaturationCache:
         _free(old)
         return cache
 
-    def renew(self) -> None:
+    def reset(self) -> None:
         """Empties it into memory of its own: a forked engine must, which would share its parent's otherwise.
 
         Raises OSError if there is no room.
@@ -137,7 +137,7 @@ def _repeats(begin: int, end: int, words: tuple[int, ...]) -> bool:
     return tuple(first) == words and _memcmp(begin, begin + length, end - begin - length) == 0
 
 
-def join_pages() -> None:
+def collapse_huge_pages() -> None:
     """Puts the heap's small pages into huge ones, so that there are fewer entries for a fork to copy.
 
     A forked process copies what it writes to in small pages, and its memory stays in them. This takes some 50 ms, and

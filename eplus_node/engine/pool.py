@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from eplus_node.config import Plan, kept_episodes
-from eplus_node.engine.client import LOG, EngineLink, Run
+from eplus_node.engine.client import LOG, EngineClient, EngineSpec
 from eplus_node.engine.registry import EngineRegistry
 from models.scenario.episode import Draw, Draws, Episodes, Files, Source
 from topics.errors import EngineDied, ForkFailed, SimulatorError
@@ -20,33 +20,33 @@ from topics.messages import EngineStart
 
 
 @dataclass(frozen=True, slots=True)
-class _Ahead:
+class PrefetchedEngine:
     """An engine that was started before its episode."""
 
     draw: Draw
     files: Files
-    engine: EngineLink
+    engine: EngineClient
 
 
-class Waiting:
+class EngineTemplate:
     """The engine that waits at sample 0 to be forked; the slots of a node share one."""
 
     def __init__(self) -> None:
         self.draw = Draw()
         self.files: Files | None = None
-        self.engine: EngineLink | None = None
+        self.engine: EngineClient | None = None
         self.told = False  # whether it has come to sample 0
 
     def has(self, draw: Draw) -> bool:
         """Whether an engine of this weather waits, or is about to."""
         return self.engine is not None and self.draw == draw and self.engine.alive
 
-    def take(self, draw: Draw, files: Files, engine: EngineLink) -> None:
+    def take(self, draw: Draw, files: Files, engine: EngineClient) -> None:
         """Has an engine wait; it may still be on its way to sample 0."""
         self.close()
         self.draw, self.files, self.engine, self.told = draw, files, engine, False
 
-    def fork(self, run: Run) -> EngineLink:
+    def fork(self, run: EngineSpec) -> EngineClient:
         """A fork of it.
 
         Raises:
@@ -66,14 +66,14 @@ class Waiting:
 
 
 @dataclass(frozen=True, slots=True)
-class Position:
+class EpisodeWeather:
     """Which weather an episode has: what a snapshot remembers of a supply."""
 
     draw: Draw
     files: Files
 
 
-class Supply:
+class EnginePool:
     """Has an engine for each episode of one slot of a node.
 
     Where each episode begins alike, the first engine stays at sample 0 and each episode gets a fork of it. Where the
@@ -100,7 +100,7 @@ class Supply:
         self,
         plan: Plan,
         folder: Path,
-        waiting: Waiting,
+        waiting: EngineTemplate,
         *,
         place: str = "",
         cpus: Sequence[int] = (),
@@ -123,9 +123,9 @@ class Supply:
         self._waiting = waiting
         # The end of a run writes into the folder of the engine that it was forked from.
         self._branches = self._keep or bool(place)
-        self._begun: EngineLink | None = None
+        self._begun: EngineClient | None = None
         self._following: Draw | None = None
-        self._ahead: _Ahead | None = None
+        self._ahead: PrefetchedEngine | None = None
         self._kept = self._keep
         self.draw = self._draws.next()
         shared = waiting.files if self._shares else None
@@ -143,11 +143,11 @@ class Supply:
         return self.source_of(self.position)
 
     @property
-    def outputs(self) -> str:
+    def output_dir(self) -> str:
         """The folder of the present episode's own EnergyPlus files; empty if they are not kept."""
         return str(self.files.model.parent) if self._kept else ""
 
-    def turn(self, seed: int | None, episode: int, *, untouched: bool) -> EngineStart:
+    def next_episode(self, seed: int | None, episode: int, *, untouched: bool) -> EngineStart:
         """Turns to the next episode: draws its weather, and says how its engine will come.
 
         Args:
@@ -199,7 +199,7 @@ class Supply:
         else:
             self._begun = engine
 
-    def engine(self, episode: int) -> EngineLink:
+    def engine(self, episode: int) -> EngineClient:
         """The engine of the present episode, at sample 0.
 
         Raises:
@@ -224,7 +224,7 @@ class Supply:
             os.sched_setaffinity(engine.pid, self._cpus)
         return engine
 
-    def look_ahead(self, episode: int) -> None:
+    def prefetch(self, episode: int) -> None:
         """Starts the engine of the next episode, if its weather is another one; it warms up on its own.
 
         Whoever gives a seed to each reset is not foreseen.
@@ -234,20 +234,20 @@ class Supply:
         draw = self._following = self._draws.next()
         with suppress(EngineDied):  # there is no room for it now; it is started when it is due
             files = self._prepared(draw, episode + 1)
-            self._ahead = _Ahead(draw, files, self._started(files, self._spare))
+            self._ahead = PrefetchedEngine(draw, files, self._started(files, self._spare))
 
     # Snapshots
 
     @property
-    def position(self) -> Position:
+    def position(self) -> EpisodeWeather:
         """Which weather the present episode has."""
-        return Position(self.draw, self.files)
+        return EpisodeWeather(self.draw, self.files)
 
-    def source_of(self, position: Position) -> Source:
+    def source_of(self, position: EpisodeWeather) -> Source:
         """Its weather file, as it is without noise."""
         return self._plan.sources[position.draw.source]
 
-    def hold(self, position: Position, path: Path) -> Position:
+    def hold(self, position: EpisodeWeather, path: Path) -> EpisodeWeather:
         """The same position, whose weather is held at `path`, too, unless it stays anyway.
 
         Raises:
@@ -259,10 +259,10 @@ class Supply:
             path.unlink(missing_ok=True)
             os.link(position.files.weather, path)
         except OSError as error:
-            raise ForkFailed(no_room("a fork's weather", error)) from None
-        return Position(position.draw, replace(position.files, weather=path))
+            raise ForkFailed(disk_full_message("a fork's weather", error)) from None
+        return EpisodeWeather(position.draw, replace(position.files, weather=path))
 
-    def fork(self, engine: EngineLink, episode: int) -> EngineLink:
+    def fork(self, engine: EngineClient, episode: int) -> EngineClient:
         """A fork of a snapshot's engine, at its sample.
 
         Raises:
@@ -270,11 +270,11 @@ class Supply:
         """
         return self._child(engine, episode)
 
-    def hold_for(self, position: Position, episode: int) -> Position:
+    def hold_for(self, position: EpisodeWeather, episode: int) -> EpisodeWeather:
         """A snapshot's position, held for an episode that goes back there; raises as `hold` does."""
         return self.hold(position, self._folder / f"episode-{episode:04}-back.epw")
 
-    def go_back(self, position: Position) -> None:
+    def go_back(self, position: EpisodeWeather) -> None:
         """Turns to a position that is held for it."""
         former, self.draw, self.files = self.files, position.draw, position.files
         self._kept = False
@@ -294,7 +294,7 @@ class Supply:
     def _can_fork(self) -> bool:
         return self._shares and self._waiting.has(self.draw)
 
-    def _forked(self, episode: int) -> EngineLink:
+    def _forked(self, episode: int) -> EngineClient:
         assert self._waiting.engine is not None
         try:
             return self._child(self._waiting, episode)
@@ -309,7 +309,7 @@ class Supply:
         self.begin()  # it has died meanwhile, and its files went with it
         return self._child(self._waiting, episode)
 
-    def _child(self, of: Waiting | EngineLink, episode: int) -> EngineLink:
+    def _child(self, of: EngineTemplate | EngineClient, episode: int) -> EngineClient:
         folder = made(self._scratch / f"episode-{episode:04}-fork")
         try:
             engine = of.fork(self._run(self.files, folder, self._cpus, keep=False, branch=self._branches))
@@ -318,10 +318,10 @@ class Supply:
             raise
         return _received(engine)
 
-    def _started(self, files: Files, cpus: Sequence[int]) -> EngineLink:
+    def _started(self, files: Files, cpus: Sequence[int]) -> EngineClient:
         try:
             run = self._run(files, files.model.parent, cpus, keep=self._keep)
-            return EngineLink(run, registry=self._registry)
+            return EngineClient(run, registry=self._registry)
         except OSError as error:
             raise EngineDied(f"no engine could be started: {error}") from None
 
@@ -336,7 +336,7 @@ class Supply:
             self._sweep(folder)
             return self._episodes.prepare(draw, folder, weather)
         except OSError as error:
-            raise EngineDied(no_room("an engine's files", error)) from None
+            raise EngineDied(disk_full_message("an engine's files", error)) from None
 
     def _sweep(self, folder: Path) -> None:
         """Removes the kept files of episodes before the last ones; the former one's engine may still write its own."""
@@ -357,16 +357,16 @@ class Supply:
             ahead.engine.close()
             self._let_go(ahead.files, keeping=self.files)
 
-    def _run(self, files: Files, folder: Path, cpus: Sequence[int], *, keep: bool, branch: bool = False) -> Run:
+    def _run(self, files: Files, folder: Path, cpus: Sequence[int], *, keep: bool, branch: bool = False) -> EngineSpec:
         plan = self._plan
-        return Run(
+        return EngineSpec(
             files.model,
             files.weather,
             folder,
             plan.period.steps,
             plan.period.steps_per_hour,
             plan.points,
-            keep=keep,
+            keep_output=keep,
             cpus=tuple(cpus),
             poll=self._poll,
             branch=branch,
@@ -378,7 +378,7 @@ def _used(files: Files) -> bool:
     return not files.model.exists() or (files.model.parent / LOG).exists()
 
 
-def told_of(source: Source) -> dict[str, Any]:
+def weather_fields(source: Source) -> dict[str, Any]:
     """What a manifest tells of a weather file."""
     header = source.header
     return {
@@ -394,16 +394,16 @@ def made(folder: Path) -> Path:
     try:
         folder.mkdir(parents=True)
     except OSError as error:
-        raise ForkFailed(no_room("a fork's files", error)) from None
+        raise ForkFailed(disk_full_message("a fork's files", error)) from None
     return folder
 
 
-def no_room(what: str, error: OSError) -> str:
+def disk_full_message(what: str, error: OSError) -> str:
     """What is told where the system has no room for files."""
     return f"the node has no room for {what}: {error}"
 
 
-def _received(engine: EngineLink) -> EngineLink:
+def _received(engine: EngineClient) -> EngineClient:
     try:
         engine.receive()
     except BaseException:

@@ -38,13 +38,13 @@ from math import isfinite
 from typing import Any, NoReturn
 
 from bridge.runtime.polling import Polling
-from eplus_node.engine.memory import SaturationCache, join_pages
+from eplus_node.engine.memory import SaturationCache, collapse_huge_pages
 
 RUN_PERIOD = 3
 """EnergyPlus's `kind_of_sim` of a weather-file run period."""
 
 
-class Said(IntEnum):
+class FrameKind(IntEnum):
     """Kinds of frames to the node."""
 
     SAMPLE = 1
@@ -52,7 +52,7 @@ class Said(IntEnum):
     FAILED = 3
 
 
-class Order(IntEnum):
+class OrderKind(IntEnum):
     """Kinds of frames from the node."""
 
     STEP = 1
@@ -61,7 +61,7 @@ class Order(IntEnum):
 
 
 # Plain numbers for each timestep: Python 3.11 looks at an enum's member by raising and catching an error.
-_SAMPLE, _STEP, _FORK = float(Said.SAMPLE), float(Order.STEP), float(Order.FORK)
+_SAMPLE, _STEP, _FORK = float(FrameKind.SAMPLE), float(OrderKind.STEP), float(OrderKind.FORK)
 
 
 class Engine:
@@ -86,11 +86,11 @@ class Engine:
         self.zone_steps = 0
         self.zone_step_min = 0.0
         self.minute = 0.0
-        self.near = False  # in the run period, warm-up included
-        self.live = False  # after the warm-up
+        self.in_run_period = False  # in the run period, warm-up included
+        self.warmed_up = False  # after the warm-up
         self.finishing = False
         self.forked, self.forks = False, 0
-        self.saturation = SaturationCache.fold(self.state)
+        self.saturation = SaturationCache.shrink(self.state)
         self.out = array("d", [0.0]) * (2 + len(spec["sensors"]) + len(spec["meters"]) + len(spec["feedback"]))
         self.command = array("d", [0.0]) * (2 + len(spec["actuators"]))
         self.command_bytes = memoryview(self.command).cast("B")
@@ -103,7 +103,7 @@ class Engine:
         self.averaged = [i for i, (reading, system) in enumerate(how) if system and reading != "instant"]
         self.summed = [how[i][0] == "sum" for i in self.averaged]
         self.totals: list[float] = []
-        self.warm_totals: list[float] = []
+        self.warmup_totals: list[float] = []
 
     def _bind_library(self) -> None:
         # PyDLL: the getters take a fraction of a microsecond and nobody else wants the GIL.
@@ -137,7 +137,7 @@ class Engine:
         if self.step < self.steps and not self.finishing:
             self.fail(f"EnergyPlus ended the run after {self.step} of {self.steps} timesteps")
         if not self.finishing:
-            self.out[0] = Said.LAST
+            self.out[0] = FrameKind.LAST
             self.frames.sendall(self.out)
         leave(0)
 
@@ -154,7 +154,7 @@ class Engine:
     def fail(self, text: str) -> NoReturn:
         """Says why and leaves."""
         raw = text.encode()
-        self.out[0], self.out[1] = Said.FAILED, len(raw)
+        self.out[0], self.out[1] = FrameKind.FAILED, len(raw)
         try:
             self.frames.sendall(self.out)
             self.frames.sendall(raw)
@@ -167,7 +167,7 @@ class Engine:
             return
         self._find_handles(state)
         self.zone_step_min = self.zone_step_h(state) * 60.0
-        self.near = True
+        self.in_run_period = True
 
     def _find_handles(self, state: int) -> None:
         exchange, spec = self.api.exchange, self.spec
@@ -189,7 +189,7 @@ class Engine:
 
     def _on_system_step(self, state: int) -> None:
         """Gathers means and sums as EnergyPlus's reports do: value times its share of the zone timestep."""
-        if not self.near:
+        if not self.in_run_period:
             return
         # EnergyPlus weighs by differences of the minute within the hour, whose rounding goes on from step to
         # step until the hour ends: only so the sum is the same to the last bit.
@@ -227,19 +227,19 @@ class Engine:
                 )
 
     def _on_warm(self, state: int) -> None:
-        if self.near and not self.live:
-            self.live = True
-            self.totals = self.warm_totals
+        if self.in_run_period and not self.warmed_up:
+            self.warmed_up = True
+            self.totals = self.warmup_totals
             self._gather(state)
             self._exchange(state)
 
     def _on_zone_step(self, state: int) -> None:
-        if self.near:
+        if self.in_run_period:
             self.zone_steps += 1
             if self.zone_steps % self.steps_per_hour == 0:
                 self.minute = 0.0
-        if not self.live:
-            self.warm_totals, self.totals = self.totals, []
+        if not self.warmed_up:
+            self.warmup_totals, self.totals = self.totals, []
             return
         if self.finishing:
             return
@@ -252,7 +252,7 @@ class Engine:
             return
         self.out[1] = self.step  # sent by run(), once EnergyPlus has ended well
         if self.spec["branch"]:  # its end would write into the folder of the one it was forked from
-            self.out[0] = Said.LAST
+            self.out[0] = FrameKind.LAST
             self.frames.sendall(self.out)
             leave(0)
 
@@ -297,7 +297,7 @@ class Engine:
         self.forks += 1
         # One that has gone on from a fork has its memory in small pages; that only matters if it is forked often.
         if self.forked and self.forks >= _OFTEN and self.forks & (self.forks - 1) == 0:
-            join_pages()
+            collapse_huge_pages()
         try:
             child = clone()
         except OSError as error:
@@ -319,7 +319,7 @@ class Engine:
         begin(spec)
         own_files(spec["folder"])
         if self.saturation:
-            self.saturation.renew()
+            self.saturation.reset()
 
     def _try_read(self) -> int | None:
         try:

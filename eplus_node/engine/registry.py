@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from topics.errors import EngineDied
 
 if TYPE_CHECKING:
-    from eplus_node.engine.client import EngineLink
+    from eplus_node.engine.client import EngineClient
 
 UNRESPONSIVE_S = 10.0
 """Default of the time after which an engine that neither answers nor uses processor time is given up."""
@@ -28,7 +28,7 @@ class EngineRegistry:
 
     def __init__(self, unresponsive_s: float = UNRESPONSIVE_S) -> None:
         self._unresponsive_s = unresponsive_s
-        self._links: set[EngineLink] = set()
+        self._links: set[EngineClient] = set()
         self._lock = threading.Lock()
         self.closing = False
 
@@ -42,12 +42,12 @@ class EngineRegistry:
         if self.closing:
             raise EngineDied("the node ends, and starts no engine any more")
 
-    def add(self, link: EngineLink) -> None:
+    def add(self, link: EngineClient) -> None:
         """Has it interrupted with all others."""
         with self._lock:
             self._links.add(link)
 
-    def remove(self, link: EngineLink) -> None:
+    def remove(self, link: EngineClient) -> None:
         """It has ended; twice is fine."""
         with self._lock:
             self._links.discard(link)
