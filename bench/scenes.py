@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eplus_node.config import Plan, plan, read_config
-from models.points.discovery import survey
-from models.scenario.episode import Draw, Episodes, Files
+from models.points.discovery import discover
+from models.scenario.episode import EpisodeFactory, EpisodeFiles, WeatherDraw
 from topics.messages import Actuator
 
 PERIOD = {"begin": "2096-07-01", "end": "2104-02-28"}  # a weather file has no 29 February; nor has 2100
@@ -42,16 +42,16 @@ def environment(scene: str) -> Any:
 def _offered(found: dict[str, Any], count: int) -> dict[str, list[str]]:
     """Output variables of a model, evenly from its list."""
     checked = plan(read_config(found))
-    offered = survey(checked.building, checked.sources[0].path).variables
+    offered = discover(checked.building, checked.sources[0].path).variables
     chosen = [offered[int(place)] for place in np.linspace(0, len(offered) - 1, count)]
     return {f"s{number}": [variable.name, variable.key] for number, variable in enumerate(chosen)}
 
 
-def prepared(found: dict[str, Any], folder: Path) -> tuple[Plan, Files]:
+def prepared(found: dict[str, Any], folder: Path) -> tuple[Plan, EpisodeFiles]:
     """The model and weather that EnergyPlus reads of these settings."""
     checked = plan(read_config(found))
-    episodes = Episodes(checked.building, checked.period, checked.sources, {}, outputs=False)
-    return checked, episodes.prepare(Draw(), folder, folder / "in.epw")
+    episodes = EpisodeFactory(checked.building, checked.period, checked.sources, {}, outputs=False)
+    return checked, episodes.prepare(WeatherDraw(), folder, folder / "in.epw")
 
 
 def setpoints(actuators: tuple[Actuator, ...]) -> NDArray[np.float64]:

@@ -16,7 +16,7 @@ from cli.tables import show, show_json
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from models.building.summary import BuildingFacts
+    from models.building.summary import BuildingSummary
     from models.catalog import Entry
 
 COLUMNS = (
@@ -55,17 +55,17 @@ def buildings(
     show(title, COLUMNS, rows, right=numbers, wrap=("building", "fuels", "HVAC"))
 
 
-def _facts(entries: Sequence[Entry]) -> list[BuildingFacts]:
+def _facts(entries: Sequence[Entry]) -> list[BuildingSummary]:
     """The facts of each, converted side by side where they must be: the work is in child processes."""
-    from models.building.summary import listed_facts
+    from models.building.summary import listed_summaries
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        found = pool.map(listed_facts, entries)
+        found = pool.map(listed_summaries, entries)
         bar = track(found, "reading models", len(entries), console=err, transient=True, disable=not err.is_terminal)
         return list(bar)
 
 
-def _cells(name: str, facts: BuildingFacts) -> tuple[str, ...]:
+def _cells(name: str, facts: BuildingSummary) -> tuple[str, ...]:
     return (
         name,
         f"{facts.floor_area_m2:,.0f}",

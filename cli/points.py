@@ -14,8 +14,8 @@ from cli.tables import show, show_json
 from topics.errors import did_you_mean
 
 if TYPE_CHECKING:
-    from models.points.discovery import Survey
-    from models.points.selection import Listed
+    from models.points.discovery import PointCatalog
+    from models.points.selection import PointListing
 
 
 class Kind(StrEnum):
@@ -40,12 +40,12 @@ def points(
     """
     from models import catalog
     from models.building.model import read_building
-    from models.points.discovery import survey
+    from models.points.discovery import discover
     from models.points.selection import listing
 
     with err.status(f"asking EnergyPlus about {building}"):
         model = read_building(catalog.find_building(building))
-        found = survey(model, catalog.weathers()[0].path)
+        found = discover(model, catalog.weathers()[0].path)
     wanted = _default(found) if default else None
     listed = [
         row
@@ -67,7 +67,7 @@ def points(
     )
 
 
-def _default(found: Survey) -> set[tuple[str, str, str]]:
+def _default(found: PointCatalog) -> set[tuple[str, str, str]]:
     """(kind, name, key), folded, of the points that a node has if none are named."""
     from models.points.selection import default_actuators, default_meters, default_sensors
 
@@ -77,7 +77,7 @@ def _default(found: Survey) -> set[tuple[str, str, str]]:
     return {(kind, name.casefold(), key.casefold()) for kind, name, key in wanted}
 
 
-def _matching(listed: Sequence[Listed], match: str, nothing: str) -> list[Listed]:
+def _matching(listed: Sequence[PointListing], match: str, nothing: str) -> list[PointListing]:
     """The rows that contain a text; where there are none, an error that begins with `nothing`, and the end."""
     text = match.casefold()
     found = [row for row in listed if any(text in part.casefold() for part in _parts(row))]
@@ -88,11 +88,11 @@ def _matching(listed: Sequence[Listed], match: str, nothing: str) -> list[Listed
     return found
 
 
-def _parts(row: Listed) -> tuple[str, ...]:
+def _parts(row: PointListing) -> tuple[str, ...]:
     """What `--match` looks at."""
     return row.name, row.key, row.where
 
 
-def _cells(row: Listed) -> tuple[str, ...]:
+def _cells(row: PointListing) -> tuple[str, ...]:
     low, high = ("" if bound is None else f"{bound:g}" for bound in (row.low, row.high))
     return row.kind, row.name, row.key, row.where, row.unit, low, high

@@ -10,7 +10,7 @@ import typer
 from cli.tables import show, show_json
 
 if TYPE_CHECKING:
-    from models.building.summary import WeatherFacts
+    from models.building.summary import WeatherSummary
 
 COLUMNS = (
     "weather",
@@ -37,10 +37,10 @@ def weathers(
     Example: `zenostat weathers USA_CO_Denver USA_FL_Miami`
     """
     from models import catalog
-    from models.building.summary import weather_facts
+    from models.building.summary import weather_summary
 
     entries = [catalog.find_weather(name) for name in weather] if weather else list(catalog.weathers())
-    facts = [weather_facts(entry.path) for entry in entries]
+    facts = [weather_summary(entry.path) for entry in entries]
     if as_json:
         show_json([{"name": entry.name} | asdict(found) for entry, found in zip(entries, facts, strict=True)])
         return
@@ -55,7 +55,7 @@ def weathers(
     )
 
 
-def _cells(name: str, facts: WeatherFacts) -> tuple[str, ...]:
+def _cells(name: str, facts: WeatherSummary) -> tuple[str, ...]:
     first, last = (f"{month:02}-{day:02}" for month, day in (facts.first, facts.last))
     return (
         name,

@@ -23,7 +23,7 @@ from eplus_node.engine.pool import EnginePool, EpisodeWeather, made, weather_fie
 from eplus_node.fault_injection import NO_FAULTS
 from eplus_node.fault_injection import State as Faulty
 from eplus_node.server import NodeServer
-from models.scenario.episode import Source
+from models.scenario.episode import WeatherSource
 from topics import keys
 from topics.errors import ForkFailed, RequestRejected, did_you_mean
 from topics.messages import (
@@ -222,7 +222,7 @@ class BranchManager:
         link = of.links[asked.slot]
         return of.of_slot(asked.slot, start_all(range(asked.slots), lambda _: self._child(link, folder)))
 
-    def _branch_manifest(self, name: str, slots: int, weather: Source) -> Manifest:
+    def _branch_manifest(self, name: str, slots: int, weather: WeatherSource) -> Manifest:
         of = self._runner.manifest
         return of.model_copy(
             update={

@@ -19,9 +19,9 @@ from models.building import conflicts
 from models.building import model as building
 from models.building.model import Building
 from models.points import discovery, selection
-from models.points.discovery import Survey
+from models.points.discovery import PointCatalog
 from models.points.selection import Points
-from models.scenario.episode import Source
+from models.scenario.episode import WeatherSource
 from models.scenario.registry import find_scenario
 from models.scenario.run_period import Period, check_steps_per_hour, parse_day
 from models.scenario.schema import ActuatorSpec, Scenario, load_scenario, read_scenario
@@ -98,7 +98,7 @@ class Plan:
     config: NodeConfig
     scenario: Scenario
     building: Building
-    sources: tuple[Source, ...]
+    sources: tuple[WeatherSource, ...]
     period: Period
     points: Points
     task: Task
@@ -184,9 +184,9 @@ def plan(config: NodeConfig) -> Plan:
     named = scenario.building or None  # what was missing or wrong is told already
     plain = faults.collect(lambda: building.read_building(catalog.find_building(named))) if named else None
     # What cannot be changed in the model is no reason not to look at the rest.
-    model = faults.collect(lambda: building.varied(plain, scenario.changes)) or plain if plain is not None else None
+    model = faults.collect(lambda: building.with_edits(plain, scenario.edits)) or plain if plain is not None else None
     sources = tuple(faults.collect(lambda name=name: _source(name, scenario)) for name in scenario.weather if name)  # type: ignore[misc]
-    faults.collect(lambda: noise.checked(scenario.variability))
+    faults.collect(lambda: noise.checked(scenario.weather_noise))
     if config.keep is not None and config.keep.exists() and not config.keep.is_dir():
         faults.found.append(InvalidConfig(f"keep={config.keep} is a file; name a folder"))
     period = chosen = task = None
@@ -207,7 +207,7 @@ def plan(config: NodeConfig) -> Plan:
     assert period is not None
     assert chosen is not None
     assert task is not None
-    warnings = tuple(conflicts.rivals(model.objects, chosen.actuators)) + _waits_for_what_is_lost(config, injected)
+    warnings = tuple(conflicts.conflicts(model.objects, chosen.actuators)) + _waits_for_what_is_lost(config, injected)
     planned = Plan(config, scenario, model, tuple(found), period, chosen, task, warnings, injected)
     if injected is not None:
         FaultInjection(injected, planned, config.slots)  # so that its mistakes are known before anything starts
@@ -240,38 +240,40 @@ def _waits_for_what_is_lost(config: NodeConfig, faults: FaultPlan | None) -> tup
     )
 
 
-def _source(name: str, scenario: Scenario) -> Source:
+def _source(name: str, scenario: Scenario) -> WeatherSource:
     entry = catalog.find_weather(name)
     header = epw.read_header(entry.path)
-    if scenario.variability:
+    if scenario.weather_noise:
         epw.read(entry.path)
     site = design_days.site(entry.path, header) if scenario.sizing == "weather" else None
-    return Source(entry.name, entry.path, header, site)
+    return WeatherSource(entry.name, entry.path, header, site)
 
 
 def _points(model: Building, scenario: Scenario, any_weather: Path) -> Points:
-    offered = discovery.survey(model, any_weather)
+    offered = discovery.discover(model, any_weather)
     actuators = None
     if scenario.actuators is not None:
         actuators = {name: _actuator(model, offered, name, spec) for name, spec in scenario.actuators.items()}
     sensors = selection.default_sensors(offered) if scenario.sensors is None else {}
     specs: dict[str, list[str]] = {name: list(spec) for name, spec in sensors.items()}
     for name, sensor in (scenario.sensors or {}).items():
-        specs[name] = [sensor.variable, sensor.key, *([sensor.reading] if sensor.reading else [])]
-    if scenario.reading is not None:
+        specs[name] = [sensor.variable, sensor.key, *([sensor.aggregation] if sensor.aggregation else [])]
+    if scenario.aggregation is not None:
         summed = {v.name.casefold(): v.summed for v in offered.variables}
         for spec in specs.values():
             if len(spec) == 2:
                 reported = Aggregation.SUM if summed.get(spec[0].casefold()) else Aggregation.MEAN
-                spec.append(Aggregation.INSTANT if scenario.reading is Aggregation.INSTANT else reported)
-    chosen = selection.choose(model, offered, specs, scenario.meters, actuators)
+                spec.append(Aggregation.INSTANT if scenario.aggregation is Aggregation.INSTANT else reported)
+    chosen = selection.select_points(model, offered, specs, scenario.meters, actuators)
     if actuators is not None:
         return chosen
-    idle = conflicts.fought(model.objects, chosen.actuators)  # nobody named them: what has no effect is left out
+    idle = conflicts.overridden_actuators(
+        model.objects, chosen.actuators
+    )  # nobody named them: what has no effect is left out
     return replace(chosen, actuators=tuple(a for a in chosen.actuators if a.name not in idle))
 
 
-def _actuator(model: Building, offered: Survey, name: str, spec: ActuatorSpec) -> list[object]:
+def _actuator(model: Building, offered: PointCatalog, name: str, spec: ActuatorSpec) -> list[object]:
     """A bound that the scenario leaves out is the model's own."""
     names = [spec.component_type, spec.control_type, spec.key]
     if spec.low is None and spec.high is None:

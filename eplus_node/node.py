@@ -358,7 +358,7 @@ class Node:
             EpisodeStart(
                 engine_start=start,
                 weather=supply.source.name,
-                noise_parameters=supply.files.drawn,
+                noise_parameters=supply.files.noise_parameters,
                 output_dir=supply.output_dir,
             )
             for start, supply in zip(starts, [self._supplies[slot] for slot in slots], strict=True)
@@ -427,7 +427,7 @@ class Node:
 
     def _begins(self) -> str:
         """What the episode simulates, in a line."""
-        source, drawn = self._supplies[0].source, self._supplies[0].files.drawn
+        source, drawn = self._supplies[0].source, self._supplies[0].files.noise_parameters
         parts = [f"episode {self.exchange.episode[0]} of {self.manifest.building} begins", source.name]
         parts += [source.site.source] if source.site is not None else []
         parts += self.plan.building.notes

@@ -8,7 +8,7 @@ _GRAVE = ("** Severe  **", "**  Fatal  **")
 _MORE = "**   ~~~   **"
 
 
-def grave_lines(folder: Path, *, most: int = 20) -> list[str]:
+def severe_lines(folder: Path, *, most: int = 20) -> list[str]:
     """The severe and fatal messages of a run with their continuation lines, the last `most` lines.
 
     The fatal error's reason stands in the severe messages before it, so both are wanted.
@@ -31,5 +31,5 @@ def grave_lines(folder: Path, *, most: int = 20) -> list[str]:
 
 def explain(folder: Path, fallback: str) -> str:
     """Those lines as the end of an error text, or `fallback` where there are none."""
-    lines = grave_lines(folder)
+    lines = severe_lines(folder)
     return "\n  ".join(["EnergyPlus says:", *lines]) if lines else fallback

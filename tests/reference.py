@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from models.building.model import prepared, read_building, write
+from models.building.model import for_episode, read_building, write
 from models.catalog import find_building, find_weather
 from models.weather import design_days
 from models.weather.epw import read_header
@@ -63,7 +63,7 @@ class Alone:
         period = model.period(case.begin, case.end, case.steps_per_hour)
         self.steps, self.steps_per_hour = period.steps, period.steps_per_hour
         weather = find_weather(case.weather).path
-        objects = design_days.apply(prepared(model, period), design_days.site(weather, read_header(weather)))
+        objects = design_days.apply(for_episode(model, period), design_days.site(weather, read_header(weather)))
         objects["Output:Variable"] = {
             f"{s.name} {frequency}": {
                 "key_value": s.key or "*",

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from reference import Alone, Case
 
-from models.building.edits import Changes, changed
+from models.building.edits import Changes, apply_edits
 from models.building.model import read_building
 from models.catalog import find_building
 from topics.errors import InvalidConfig
@@ -28,13 +28,13 @@ MODEL: dict[str, dict[str, Any]] = {
 
 def refused(changes: Any, model: dict[str, Any] = MODEL) -> list[str]:
     with pytest.raises(InvalidConfig) as raised:
-        changed(model, changes)
+        apply_edits(model, changes)
     return str(raised.value).split("\n")
 
 
 def test_a_field_changes_and_the_rest_is_shared_and_untouched() -> None:
     before = copy.deepcopy(MODEL)
-    result = changed(MODEL, {"Material": {"Brick": {"conductivity": 0.4}}})
+    result = apply_edits(MODEL, {"Material": {"Brick": {"conductivity": 0.4}}})
     assert result["Material"]["Brick"] == {**BRICK, "conductivity": 0.4}
     assert before == MODEL
     assert result["Zone"] is MODEL["Zone"]
@@ -42,7 +42,7 @@ def test_a_field_changes_and_the_rest_is_shared_and_untouched() -> None:
 
 
 def test_types_names_and_words_are_found_in_any_case() -> None:
-    result = changed(MODEL, {"MATERIAL": {"brick": {"roughness": "veryROUGH"}}})
+    result = apply_edits(MODEL, {"MATERIAL": {"brick": {"roughness": "veryROUGH"}}})
     assert result["Material"]["Brick"]["roughness"] == "VeryRough"
     assert list(result) == list(MODEL)
     assert list(result["Material"]) == ["Brick", "Gypsum"]
@@ -50,23 +50,23 @@ def test_types_names_and_words_are_found_in_any_case() -> None:
 
 def test_an_exact_name_goes_before_one_in_another_case() -> None:
     model = {"Zone": {"core": {}, "Core": {}}}
-    assert changed(model, {"Zone": {"Core": {"multiplier": 2}}})["Zone"] == {"core": {}, "Core": {"multiplier": 2}}
+    assert apply_edits(model, {"Zone": {"Core": {"multiplier": 2}}})["Zone"] == {"core": {}, "Core": {"multiplier": 2}}
     assert refused({"Zone": {"CORE": {"multiplier": 2}}}, model) == ["Zone 'CORE' fits several: 'core', 'Core'"]
 
 
 def test_none_removes_a_field_and_an_object() -> None:
-    result = changed(MODEL, {"Material": {"Gypsum": {"solar_absorptance": None}, "Brick": None}})
+    result = apply_edits(MODEL, {"Material": {"Gypsum": {"solar_absorptance": None}, "Brick": None}})
     assert result["Material"] == {"Gypsum": BRICK}
-    assert "Timestep" not in changed(MODEL, {"Timestep": {"*": None}})
+    assert "Timestep" not in apply_edits(MODEL, {"Timestep": {"*": None}})
 
 
 def test_a_star_is_every_object_of_the_type() -> None:
-    result = changed(MODEL, {"Material": {"*": {"thickness": 0.3}}})
+    result = apply_edits(MODEL, {"Material": {"*": {"thickness": 0.3}}})
     assert {name: fields["thickness"] for name, fields in result["Material"].items()} == {"Brick": 0.3, "Gypsum": 0.3}
 
 
 def test_a_new_name_adds_a_complete_object() -> None:
-    result = changed(MODEL, {"Material": {"Straw": BRICK}, "Schedule:Constant": {"Always": {"hourly_value": 1}}})
+    result = apply_edits(MODEL, {"Material": {"Straw": BRICK}, "Schedule:Constant": {"Always": {"hourly_value": 1}}})
     assert list(result["Material"]) == ["Brick", "Gypsum", "Straw"]
     assert result["Schedule:Constant"] == {"Always": {"hourly_value": 1}}
 
@@ -74,7 +74,7 @@ def test_a_new_name_adds_a_complete_object() -> None:
 def test_a_list_is_replaced_as_a_whole() -> None:
     lines = [{"program_line": "SET a = 1"}, {"program_line": "SET b = 2"}]
     model = {"EnergyManagementSystem:Program": {"P": {"lines": lines}}}
-    result = changed(model, {"EnergyManagementSystem:Program": {"P": {"lines": lines[:1]}}})
+    result = apply_edits(model, {"EnergyManagementSystem:Program": {"P": {"lines": lines[:1]}}})
     assert result["EnergyManagementSystem:Program"]["P"]["lines"] == lines[:1]
 
 
@@ -113,15 +113,15 @@ def test_all_faults_come_in_one_report() -> None:
 
 
 def test_what_was_wrong_in_the_model_before_is_not_the_changes_fault() -> None:
-    result = changed(MODEL, {"Zone": {"Attic": {"multiplier": 2}}})
+    result = apply_edits(MODEL, {"Zone": {"Attic": {"multiplier": 2}}})
     assert result["Zone"]["Attic"]["unknown_but_there"] == 1
 
 
 @given(st.dictionaries(st.sampled_from(["thickness", "conductivity", "density"]), st.floats(0.001, 1e6)))
 def test_a_change_and_its_reverse_give_the_model_back(fields: dict[str, float]) -> None:
-    there = changed(MODEL, {"Material": {"Brick": fields}})
+    there = apply_edits(MODEL, {"Material": {"Brick": fields}})
     back: Changes = {"Material": {"Brick": {name: BRICK[name] for name in fields}}}
-    assert changed(there, back) == MODEL
+    assert apply_edits(there, back) == MODEL
 
 
 def heat(model: dict[str, Any], folder: Path) -> float:
@@ -136,7 +136,7 @@ def heat(model: dict[str, Any], folder: Path) -> float:
 
 def test_insulation_saves_heat_on_a_winter_day(folder: Path) -> None:
     model = read_building(find_building("ref-small-office")).objects
-    assert heat(changed(model, _insulation(model)), folder / "better") < 0.98 * heat(model, folder / "own")
+    assert heat(apply_edits(model, _insulation(model)), folder / "better") < 0.98 * heat(model, folder / "own")
 
 
 def _insulation(model: dict[str, Any]) -> Changes:

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agent_sdk.envs.time_features import BOUNDS, clock
-from models.building.model import prepared, read_building, write
+from models.building.model import for_episode, read_building, write
 from models.catalog import find_building, find_weather
 from topics.messages import TimeField
 
@@ -50,7 +50,7 @@ def test_the_clock_is_energyplus_own(tmp_path: Path) -> None:
     """
     model = read_building(find_building("ref-small-office"))
     period = model.period("2017-09-29", "2017-10-02", 4)
-    files = write(prepared(model, period), tmp_path), find_weather("USA_CO_Denver").path, tmp_path
+    files = write(for_episode(model, period), tmp_path), find_weather("USA_CO_Denver").path, tmp_path
     run = [sys.executable, "-P", "-c", _LOOK, *map(str, files)]
     done = subprocess.run(run, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=True)
     seen = json.loads(done.stdout.splitlines()[-1])

@@ -14,9 +14,9 @@ import pytest
 from outdoors import DRY_BULB, Outdoors, run
 from reference import _RUN
 
-from models.building.model import prepared, read_building, write
+from models.building.model import for_episode, read_building, write
 from models.catalog import find_building, find_weather
-from models.err_file import grave_lines
+from models.err_file import severe_lines
 from models.scenario.run_period import Period
 from models.weather.design_days import Site, apply, from_header, site, standard_pressure
 from models.weather.epw import DesignConditions, Header, read_header
@@ -248,13 +248,13 @@ def test_a_model_without_design_days_gets_none() -> None:
 
 def test_a_real_building_is_sized_for_the_header(folder: Path) -> None:
     phoenix = find_weather("USA_AZ_Phoenix").path
-    objects = prepared(read_building(find_building("office-small")), Period(date(2017, 7, 1), date(2017, 7, 1), 4))
+    objects = for_episode(read_building(find_building("office-small")), Period(date(2017, 7, 1), date(2017, 7, 1), 4))
     (silent,) = objects["OutputControl:Files"].values()
     objects["OutputControl:Files"] = {"eio": silent | {"output_eio": "Yes"}}
     path = write(apply(objects, site(phoenix, read_header(phoenix))), folder)
     done = run_program([executable, "-P", "-c", _RUN, str(path), str(phoenix), str(folder)], check=False)
     assert done.returncode == 0
-    assert grave_lines(folder) == []
+    assert severe_lines(folder) == []
     assert "DesignDay" not in (folder / "eplusout.err").read_text()
     sized = [line for line in (folder / "eplusout.eio").read_text().splitlines() if "Zone Sizing Information," in line]
     assert {line.split(",")[7].strip() for line in sized if not line.startswith("!")} == {

@@ -16,20 +16,20 @@ from hypothesis import strategies as st
 
 from models.building.model import Building, read_building
 from models.catalog import find_building, find_weather
-from models.scenario.episode import Draw, Draws, Episodes, Files, Source
+from models.scenario.episode import EpisodeFactory, EpisodeFiles, WeatherDraw, WeatherSampler, WeatherSource
 from models.weather import design_days, epw
-from models.weather.noise import Noise, Variability
+from models.weather.noise import ColumnNoise, Variability
 
 SEEDS = st.integers(0, 2**64)
 ORDERS = ("random", "sequence")
 
 
-def draws(draws: Draws, count: int) -> list[Draw]:
+def draws(draws: WeatherSampler, count: int) -> list[WeatherDraw]:
     return [draws.next() for _ in range(count)]
 
 
-def seeded(sources: int, order: Any, seed: int | None, *, noisy: bool = True) -> Draws:
-    made = Draws(sources, order, noisy=noisy)
+def seeded(sources: int, order: Any, seed: int | None, *, noisy: bool = True) -> WeatherSampler:
+    made = WeatherSampler(sources, order, noisy=noisy)
     made.seed(seed)
     return made
 
@@ -49,7 +49,7 @@ def test_a_seed_begins_the_same_draws_anew(seed: int, sources: int, order: str, 
 
 def test_without_a_seed_the_draws_differ_from_run_to_run() -> None:
     """Two noise seeds of 63 bits are the same once in 10^19 times."""
-    one, other = (Draws(1, "random", noisy=True) for _ in range(2))
+    one, other = (WeatherSampler(1, "random", noisy=True) for _ in range(2))
     assert one.next() != other.next()
     assert seeded(1, "random", None).next() != seeded(1, "random", None).next()
 
@@ -128,7 +128,7 @@ def test_the_number_of_weathers_does_not_change_the_noise(few: int, more: int) -
 
 SMALL = "ref-small-office"
 DENVER, MIAMI = "USA_CO_Denver", "USA_FL_Miami"
-NOISE: Variability = {"dry_bulb_temperature": Noise(sigma=(1.0, 2.0), tau_h=12.0)}
+NOISE: Variability = {"dry_bulb_temperature": ColumnNoise(sigma=(1.0, 2.0), tau_h=12.0)}
 
 
 @pytest.fixture(scope="module")
@@ -136,36 +136,41 @@ def small() -> Building:
     return read_building(find_building(SMALL))
 
 
-def source(name: str, sizing: str = "weather") -> Source:
+def source(name: str, sizing: str = "weather") -> WeatherSource:
     path = find_weather(name).path
     header = epw.read_header(path)
-    return Source(name, path, header, design_days.site(path, header) if sizing == "weather" else None)
+    return WeatherSource(name, path, header, design_days.site(path, header) if sizing == "weather" else None)
 
 
-def episodes(building: Building, sources: Sequence[Source], variability: Variability | None = None) -> Episodes:
-    return Episodes(building, building.period("07-03", "07-04", 4), sources, variability or {}, outputs=False)
+def episodes(
+    building: Building, sources: Sequence[WeatherSource], variability: Variability | None = None
+) -> EpisodeFactory:
+    return EpisodeFactory(building, building.period("07-03", "07-04", 4), sources, variability or {}, outputs=False)
 
 
-def prepared(of: Episodes, draw: Draw, folder: Path) -> Files:
+def prepared(of: EpisodeFactory, draw: WeatherDraw, folder: Path) -> EpisodeFiles:
     folder.mkdir()
     return of.prepare(draw, folder, folder / "in.epw")
 
 
-def objects(files: Files) -> dict[str, Any]:
+def objects(files: EpisodeFiles) -> dict[str, Any]:
     return dict(json.loads(files.model.read_text()))
 
 
 def test_the_same_draw_gives_the_same_files(small: Building, tmp_path: Path) -> None:
     """Also from other episodes, and after others: nothing but the draw counts."""
     used, fresh = (episodes(small, [source(DENVER), source(MIAMI)], NOISE) for _ in range(2))
-    first = prepared(used, Draw(1, 12345), tmp_path / "first")
-    prepared(used, Draw(0, 7), tmp_path / "between")
-    prepared(fresh, Draw(0, 12345), tmp_path / "before")
-    again, elsewhere = prepared(used, Draw(1, 12345), tmp_path / "b"), prepared(fresh, Draw(1, 12345), tmp_path / "c")
+    first = prepared(used, WeatherDraw(1, 12345), tmp_path / "first")
+    prepared(used, WeatherDraw(0, 7), tmp_path / "between")
+    prepared(fresh, WeatherDraw(0, 12345), tmp_path / "before")
+    again, elsewhere = (
+        prepared(used, WeatherDraw(1, 12345), tmp_path / "b"),
+        prepared(fresh, WeatherDraw(1, 12345), tmp_path / "c"),
+    )
     for other in (again, elsewhere):
         assert other.weather.read_bytes() == first.weather.read_bytes()
         assert other.model.read_bytes() == first.model.read_bytes()
-        assert other.drawn == first.drawn
+        assert other.noise_parameters == first.noise_parameters
 
 
 def test_noise_is_put_on_the_weather_that_was_drawn(small: Building, tmp_path: Path) -> None:
@@ -173,7 +178,10 @@ def test_noise_is_put_on_the_weather_that_was_drawn(small: Building, tmp_path: P
     sources = [source(DENVER), source(MIAMI)]
     made = episodes(small, sources, NOISE)
     for number, drawn in enumerate((1, 0, 1)):
-        found, own = epw.read(prepared(made, Draw(drawn, number), tmp_path / str(number)).weather), sources[drawn]
+        found, own = (
+            epw.read(prepared(made, WeatherDraw(drawn, number), tmp_path / str(number)).weather),
+            sources[drawn],
+        )
         assert found.header.place == own.header.place
         shift = found.column("dry_bulb_temperature") - epw.read(own.path).column("dry_bulb_temperature")
         assert abs(np.mean(shift)) < 1.0
@@ -181,9 +189,12 @@ def test_noise_is_put_on_the_weather_that_was_drawn(small: Building, tmp_path: P
 
 def test_another_noise_is_another_weather_and_the_same_model(small: Building, tmp_path: Path) -> None:
     made = episodes(small, [source(DENVER)], NOISE)
-    one, other = prepared(made, Draw(0, 1), tmp_path / "one"), prepared(made, Draw(0, 2), tmp_path / "other")
+    one, other = (
+        prepared(made, WeatherDraw(0, 1), tmp_path / "one"),
+        prepared(made, WeatherDraw(0, 2), tmp_path / "other"),
+    )
     assert one.weather.read_bytes() != other.weather.read_bytes()
-    assert one.drawn != other.drawn
+    assert one.noise_parameters != other.noise_parameters
     assert one.model.read_bytes() == other.model.read_bytes()
 
 
@@ -192,12 +203,12 @@ def test_noise_changes_the_weather_by_about_what_was_drawn(small: Building, tmp_
 
     Its error is sigma / sqrt(2 * 365), that of the mean sigma / sqrt(365); five of either are allowed.
     """
-    files = prepared(episodes(small, [source(DENVER)], NOISE), Draw(0, 3), tmp_path / "noisy")
+    files = prepared(episodes(small, [source(DENVER)], NOISE), WeatherDraw(0, 3), tmp_path / "noisy")
     before, after = (epw.read(path).column("dry_bulb_temperature") for path in (source(DENVER).path, files.weather))
-    sigma = files.drawn["dry_bulb_temperature.sigma"]
+    sigma = files.noise_parameters["dry_bulb_temperature.sigma"]
     assert 1.0 <= sigma <= 2.0
-    assert files.drawn["dry_bulb_temperature.tau_h"] == 12.0
-    assert files.drawn["dry_bulb_temperature.mu"] == 0.0
+    assert files.noise_parameters["dry_bulb_temperature.tau_h"] == 12.0
+    assert files.noise_parameters["dry_bulb_temperature.mu"] == 0.0
     assert np.std(after - before) == pytest.approx(sigma, rel=5 / np.sqrt(2 * 365))
     assert abs(np.mean(after - before)) < 5 * sigma / np.sqrt(365)
 
@@ -207,7 +218,7 @@ def test_noisy_weather_is_written_beside_the_model_and_the_original_is_left_alon
 ) -> None:
     original = source(DENVER).path
     before = original.read_bytes()
-    files = prepared(episodes(small, [source(DENVER)], NOISE), Draw(0, 3), tmp_path / "noisy")
+    files = prepared(episodes(small, [source(DENVER)], NOISE), WeatherDraw(0, 3), tmp_path / "noisy")
     assert files.weather.parent == files.model.parent == tmp_path / "noisy"
     assert files.weather != original
     assert original.read_bytes() == before
@@ -215,16 +226,16 @@ def test_noisy_weather_is_written_beside_the_model_and_the_original_is_left_alon
 
 def test_without_variability_the_file_itself_is_read(small: Building, tmp_path: Path) -> None:
     made = episodes(small, [source(DENVER), source(MIAMI)])
-    found = [prepared(made, Draw(k, 0), tmp_path / str(k)) for k in range(2)]
+    found = [prepared(made, WeatherDraw(k, 0), tmp_path / str(k)) for k in range(2)]
     assert [files.weather for files in found] == [find_weather(name).path for name in (DENVER, MIAMI)]
-    assert [files.drawn for files in found] == [{}, {}]
+    assert [files.noise_parameters for files in found] == [{}, {}]
     assert [file.name for file in (tmp_path / "0").iterdir()] == ["in.epJSON"]
 
 
 def test_the_location_and_design_days_follow_the_weather(small: Building, tmp_path: Path) -> None:
     """Denver lies at 39.7 degrees north and 1.7 km up, Miami at 25.8 degrees and at the sea."""
     made = episodes(small, [source(DENVER), source(MIAMI)])
-    denver, miami = (objects(prepared(made, Draw(k), tmp_path / str(k))) for k in range(2))
+    denver, miami = (objects(prepared(made, WeatherDraw(k), tmp_path / str(k))) for k in range(2))
     (high,), (low,) = (model["Site:Location"].values() for model in (denver, miami))
     assert (high["latitude"], low["latitude"]) == pytest.approx((39.7, 25.8), abs=0.2)
     assert high["elevation"] > 1500
@@ -238,13 +249,13 @@ def test_the_location_and_design_days_follow_the_weather(small: Building, tmp_pa
 
 
 def test_the_location_and_design_days_of_the_model_stay_where_asked(small: Building, tmp_path: Path) -> None:
-    made = objects(prepared(episodes(small, [source(MIAMI, "model")]), Draw(), tmp_path / "own"))
+    made = objects(prepared(episodes(small, [source(MIAMI, "model")]), WeatherDraw(), tmp_path / "own"))
     for kind in ("Site:Location", "SizingPeriod:DesignDay"):
         assert made[kind] == small.objects[kind]
 
 
 def test_the_run_period_is_that_of_the_episode(small: Building, tmp_path: Path) -> None:
-    made = objects(prepared(episodes(small, [source(DENVER)]), Draw(), tmp_path / "own"))
+    made = objects(prepared(episodes(small, [source(DENVER)]), WeatherDraw(), tmp_path / "own"))
     (run,) = made["RunPeriod"].values()
     days = [run[f"{end}_{part}"] for end in ("begin", "end") for part in ("month", "day_of_month")]
     assert days == [7, 3, 7, 4]

@@ -15,9 +15,16 @@ import pytest
 
 from models import catalog
 from models.building import summary
-from models.building.model import Building, prepared, read_building, write
-from models.building.summary import BuildingFacts, building_facts, climate_zone, listed_facts, weather_facts, zone_areas
-from models.points.discovery import places, survey
+from models.building.model import Building, for_episode, read_building, write
+from models.building.summary import (
+    BuildingSummary,
+    building_summary,
+    climate_zone,
+    listed_summaries,
+    weather_summary,
+    zone_areas,
+)
+from models.points.discovery import discover, locations
 from models.scenario.run_period import Period
 from topics.errors import InvalidConfig
 
@@ -50,7 +57,7 @@ class Said:
 def start(name: str, folder: Path) -> Said:
     building = read_building(catalog.find_building(name))
     day = date(2017, 1, 1)
-    objects = prepared(building, Period(day, day, building.steps_per_hour))
+    objects = for_episode(building, Period(day, day, building.steps_per_hour))
     objects["OutputControl:Files"] = {"files": {"output_eio": "Yes", "output_bnd": "Yes", "output_tabular": "No"}}
     folder.mkdir()
     model, weather = write(objects, folder), catalog.find_weather("USA_CO_Denver").path
@@ -81,7 +88,7 @@ def test_the_buildings_areas_and_zones_are_energyplus_own(said: dict[str, Said],
     rows = said[name].of("Zone Information")
     controlled = {row[1] for row in said[name].of("Controlled Zone")}
     counted = {row[1]: float(row[-8]) * int(row[10]) * int(row[11]) for row in rows if row[-1] == "Yes"}
-    found = building_facts(said[name].building)
+    found = building_summary(said[name].building)
     assert found.floor_area_m2 == pytest.approx(sum(counted.values()), rel=0.005)
     assert found.conditioned_area_m2 == pytest.approx(
         sum(area for zone, area in counted.items() if zone in controlled), rel=0.005
@@ -97,7 +104,7 @@ def test_the_models_asked_have_multipliers_and_zones_that_do_not_count(said: dic
 
 @pytest.mark.parametrize("entry", catalog.bundled_buildings(), ids=lambda e: e.name)
 def test_facts_of_all_buildings_hold_together(entry: catalog.Entry) -> None:
-    found = listed_facts(entry)
+    found = listed_summaries(entry)
     assert 0 < found.conditioned_area_m2 <= found.floor_area_m2 * (1 + 1e-9)
     assert 0 < found.conditioned_zones <= found.zones
     assert found.hvac != "none"
@@ -111,7 +118,7 @@ def test_facts_of_all_buildings_hold_together(entry: catalog.Entry) -> None:
     [("office-medium", "ref-medium-office"), ("school-primary", "ref-primary-school"), ("warehouse", "ref-warehouse")],
 )
 def test_a_building_has_one_area_in_both_generations(new: str, old: str) -> None:
-    areas = [listed_facts(catalog.find_building(name)).floor_area_m2 for name in (new, old)]
+    areas = [listed_summaries(catalog.find_building(name)).floor_area_m2 for name in (new, old)]
     assert areas[0] == pytest.approx(areas[1], rel=0.001)
 
 
@@ -121,10 +128,10 @@ def test_a_building_has_one_area_in_both_generations(new: str, old: str) -> None
 @pytest.mark.parametrize("name", ["ref-small-office", "office-medium", "ref-super-market", "hotel-small"])
 def test_fuels_are_those_that_energyplus_meters(name: str) -> None:
     building = read_building(catalog.find_building(name))
-    meters = {m.name.upper() for m in survey(building, catalog.bundled_weathers()[0].path).meters}
+    meters = {m.name.upper() for m in discover(building, catalog.bundled_weathers()[0].path).meters}
     all_fuels = ("electricity", "natural gas", "propane", "district cooling", "district heating water", "coal")
     metered = {fuel for fuel in all_fuels if f"{fuel.replace(' ', '')}:facility".upper() in meters}
-    assert set(building_facts(building).fuels) == metered
+    assert set(building_summary(building).fuels) == metered
 
 
 def model(**kinds: dict[str, dict[str, Any]]) -> Building:
@@ -178,7 +185,7 @@ def model(**kinds: dict[str, dict[str, Any]]) -> Building:
     ],
 )  # fmt: skip
 def test_systems_and_fuels_are_read_from_the_objects(kinds: dict[str, Any], hvac: str, fuels: tuple[str, ...]) -> None:
-    found = building_facts(model(**kinds))
+    found = building_summary(model(**kinds))
     assert (found.hvac, found.fuels) == (hvac, fuels)
 
 
@@ -241,7 +248,7 @@ def test_spaces_add_up_to_their_zone() -> None:
 
 
 def test_multipliers_of_zones_and_lists_count_and_an_attic_does_not() -> None:
-    found = building_facts(
+    found = building_summary(
         model(
             Zone={
                 "a": {"floor_area": 10.0, "multiplier": 2},
@@ -258,7 +265,7 @@ def test_multipliers_of_zones_and_lists_count_and_an_attic_does_not() -> None:
 
 
 def test_a_thermostat_on_a_list_of_zones_conditions_each() -> None:
-    found = building_facts(
+    found = building_summary(
         model(
             Zone={"a": {}, "b": {}, "c": {}},
             ZoneList={"both": {"zones": [{"zone_name": "a"}, {"zone_name": "b"}]}},
@@ -273,11 +280,11 @@ def test_facts_are_made_once_for_a_file(tmp_path: Path, monkeypatch: pytest.Monk
     path = tmp_path / "b.epJSON"
     path.write_text('{"Building": {"b": {}}, "Zone": {"a": {"floor_area": 5.0}}, "Timestep": {}}')
     entry = catalog.find_building(str(path))
-    first = listed_facts(entry)
-    assert isinstance(first, BuildingFacts)
+    first = listed_summaries(entry)
+    assert isinstance(first, BuildingSummary)
     assert first.floor_area_m2 == 5.0
     monkeypatch.setattr(summary, "building_facts", lambda _: pytest.fail("made again"))
-    assert listed_facts(entry) == first
+    assert listed_summaries(entry) == first
 
 
 # Places, as in EnergyPlus's list of what is connected (`eplusout.bnd`)
@@ -285,7 +292,7 @@ def test_facts_are_made_once_for_a_file(tmp_path: Path, monkeypatch: pytest.Monk
 
 @pytest.mark.parametrize("name", ASKED)
 def test_nodes_equipment_and_branches_are_where_energyplus_has_them(said: dict[str, Said], name: str) -> None:
-    where = {key: place.upper() for key, place in places(said[name].building.objects).items()}
+    where = {key: place.upper() for key, place in locations(said[name].building.objects).items()}
     expected = {}
     for row in said[name].of("Branch"):  # branch, loop, kind of loop, inlet node, outlet node
         expected[row[2]] = row[3]
@@ -299,7 +306,7 @@ def test_nodes_equipment_and_branches_are_where_energyplus_has_them(said: dict[s
 
 
 def test_names_lead_to_the_zone_or_the_loop() -> None:
-    found = places(
+    found = locations(
         model(
             Zone={"Hall": {}, "Attic": {}},
             ZoneList={"All": {"zones": [{"zone_name": "Hall"}, {"zone_name": "Attic"}]}},
@@ -393,7 +400,7 @@ def test_two_years_are_judged_as_one_and_a_month_not_at_all() -> None:
 
 @pytest.mark.parametrize("entry", catalog.bundled_weathers(), ids=lambda e: e.name)
 def test_a_bundled_weather_has_its_facts(entry: catalog.Entry) -> None:
-    found = weather_facts(entry.path)
+    found = weather_summary(entry.path)
     rows = [line.split(",") for line in entry.path.read_text("latin-1").splitlines()[8:]]
     assert found.mean_temperature_degC == pytest.approx(sum(float(row[6]) for row in rows) / 8760)
     assert found.mean_humidity_pct == pytest.approx(sum(float(row[8]) for row in rows) / 8760)
@@ -417,27 +424,27 @@ def test_a_bundled_weather_has_its_facts(entry: catalog.Entry) -> None:
 def test_a_stat_file_beside_names_the_zone(tmp_path: Path, line: str, zone: str) -> None:
     path = epw(tmp_path / "a.epw", constant(30.0))
     (tmp_path / "a.stat").write_text(f"Statistics\n{line}\n", encoding="latin-1")
-    assert weather_facts(path).climate_zone == zone
+    assert weather_summary(path).climate_zone == zone
 
 
 @pytest.mark.parametrize(
     ("years", "said"), [((2019,), "2019"), ((1999, 1987), "typical year"), ((2001, 2005), "typical year")]
 )
 def test_years_are_those_of_the_rows(tmp_path: Path, years: tuple[int, ...], said: str) -> None:
-    assert weather_facts(epw(tmp_path / "a.epw", constant(10.0), years=years)).years == said
+    assert weather_summary(epw(tmp_path / "a.epw", constant(10.0), years=years)).years == said
 
 
 def test_a_missing_value_is_left_out_of_the_mean(tmp_path: Path) -> None:
     temperature = constant(10.0)
     temperature[3, 4:9] = 99.9
-    found = weather_facts(epw(tmp_path / "a.epw", temperature, humidity=999.0 / 3))
+    found = weather_summary(epw(tmp_path / "a.epw", temperature, humidity=999.0 / 3))
     assert found.mean_temperature_degC == pytest.approx(10.0)
     assert found.climate_zone == "5"
 
 
 def test_a_file_without_a_single_temperature_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidConfig, match=r"a\.epw has no dry-bulb temperature"):
-        weather_facts(epw(tmp_path / "a.epw", constant(99.9)))
+        weather_summary(epw(tmp_path / "a.epw", constant(99.9)))
 
 
 @pytest.mark.parametrize(
@@ -454,4 +461,4 @@ def test_rows_that_are_no_days_of_numbers_are_refused_with_the_files_name(
     path = epw(tmp_path / "broken.epw", constant(10.0, 0))
     path.write_text(path.read_text() + rows)
     with pytest.raises(InvalidConfig, match=rf"broken\.epw.*{words}"):
-        weather_facts(path)
+        weather_summary(path)

@@ -50,7 +50,7 @@ def _with_other_readings(case: Case) -> dict[str, list[str]]:
         "sun": ("Site Direct Solar Radiation Rate per Area", "Environment"),
         "hvac_power_instant": (selection.HVAC_POWER, "Whole Building", "instant"),
     }
-    found = selection.default_sensors(discovery.survey(read_building(entry), weather))
+    found = selection.default_sensors(discovery.discover(read_building(entry), weather))
     return {name: list(spec) for name, spec in (found | more).items()}
 
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 import agent_sdk  # noqa: F401  # registers the environments
 from models.building.model import read_building
 from models.catalog import find_building
-from models.points.discovery import ActuatorPoint, Survey, Variable
+from models.points.discovery import ActuatorPoint, PointCatalog, Variable
 from models.points.selection import default_actuators, default_sensors, find_actuator, thermostat_zones
 from topics import codec
 from topics.errors import BadMessage, InvalidConfig, UnknownName
@@ -45,10 +45,10 @@ ODD = [
 zone_names = st.lists(st.text(min_size=1, max_size=100), min_size=1, max_size=8, unique=True)  # EnergyPlus: 100 at most
 
 
-def model(zones: list[str]) -> Survey:
+def model(zones: list[str]) -> PointCatalog:
     """A model of zones with thermostats."""
     controls = ("Heating Setpoint", "Cooling Setpoint")
-    return Survey(
+    return PointCatalog(
         variables=tuple(Variable("Zone Air Temperature", z, "degC", system=True, summed=False) for z in zones),
         meters=(),
         actuators=tuple(ActuatorPoint("Zone Temperature Control", c, z, "degC") for z in zones for c in controls),

@@ -13,10 +13,10 @@ from reference import Alone, Case
 
 import agent_sdk
 from models import energyplus
-from models.building.model import Building, prepared, read_building, write
+from models.building.model import Building, for_episode, read_building, write
 from models.catalog import find_building, find_weather
-from models.points.discovery import Survey, survey
-from models.points.selection import default_reading, find_variable
+from models.points.discovery import PointCatalog, discover
+from models.points.selection import default_aggregation, find_variable
 from models.scenario.run_period import Period
 from topics.messages import Aggregation
 
@@ -44,14 +44,14 @@ def building() -> Building:
 
 
 @pytest.fixture(scope="module")
-def found(building: Building) -> Survey:
-    return survey(building, find_weather(CASE.weather).path)
+def found(building: Building) -> PointCatalog:
+    return discover(building, find_weather(CASE.weather).path)
 
 
-def test_all_that_energyplus_can_report_is_found(building: Building, found: Survey, tmp_path: Path) -> None:
+def test_all_that_energyplus_can_report_is_found(building: Building, found: PointCatalog, tmp_path: Path) -> None:
     """The survey has each variable of EnergyPlus's own dictionary (`eplusout.rdd`)."""
     day = date(2017, 1, 1)
-    objects = prepared(building, Period(day, day, 4))
+    objects = for_episode(building, Period(day, day, 4))
     objects["OutputControl:Files"] = {"dictionary": {"output_rdd": "Yes", "output_eso": "No", "output_tabular": "No"}}
     objects["Output:VariableDictionary"] = {"dictionary": {"key_field": "regular"}}
     model = json.loads(write(objects, tmp_path).read_text())
@@ -60,11 +60,11 @@ def test_all_that_energyplus_can_report_is_found(building: Building, found: Surv
     assert {v.name.casefold() for v in found.variables} == {name.casefold() for name in names}
 
 
-def test_they_have_a_kind_and_a_unit(found: Survey) -> None:
+def test_they_have_a_kind_and_a_unit(found: PointCatalog) -> None:
     for name, key in (SYSTEM | ZONE).items():
         variable = find_variable(found, "x", name, key)
         assert (variable.system, variable.summed, variable.unit) == (name in SYSTEM, name.endswith("Count"), "1")
-        assert default_reading(variable) is (Aggregation.SUM if variable.summed else Aggregation.INSTANT)
+        assert default_aggregation(variable) is (Aggregation.SUM if variable.summed else Aggregation.INSTANT)
 
 
 def test_they_equal_energyplus_alone_to_the_bit(folder: Path) -> None:

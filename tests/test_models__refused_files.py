@@ -13,7 +13,7 @@ from models import energyplus
 from models.building import model
 from models.building.model import Building, check_runnable, read_building
 from models.catalog import bundled_weathers, find_building
-from models.points.discovery import survey
+from models.points.discovery import discover
 from models.weather.design_days import site
 from models.weather.epw import read_header
 from topics.errors import InvalidConfig, ModelError
@@ -93,7 +93,7 @@ def test_unknown_objects_and_fields_of_an_epjson_are_all_named() -> None:
 )
 def test_a_model_that_has_other_programs_run_is_refused_by_name(kind: dict[str, Any]) -> None:
     with pytest.raises(InvalidConfig, match=rf"mine\.epJSON has {next(iter(kind))} 'p': .*not supported"):
-        survey(_office_with(kind), bundled_weathers()[0].path)
+        discover(_office_with(kind), bundled_weathers()[0].path)
 
 
 def test_an_error_of_energyplus_names_the_users_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -102,7 +102,7 @@ def test_an_error_of_energyplus_names_the_users_file(tmp_path: Path, monkeypatch
     name, fields = next(iter(lights.items()))
     lost = _office_with({"Lights": {name: fields | {"zone_or_zonelist_or_space_or_spacelist_name": "Nowhere"}}})
     with pytest.raises(ModelError, match=r"could not survey /home/me/mine\.epJSON\.(?s:.*)NOWHERE") as caught:
-        survey(lost, bundled_weathers()[0].path)
+        discover(lost, bundled_weathers()[0].path)
     assert "making-" not in str(caught.value)
 
 

@@ -12,10 +12,19 @@ from typing import Any
 import pytest
 
 from models import catalog
-from models.building.model import Building, prepared, read_building, write
+from models.building.model import Building, for_episode, read_building, write
 from models.building.summary import zone_areas
-from models.points.discovery import ActuatorPoint, InternalVariable, MeterPoint, Survey, Variable, survey
-from models.points.selection import Listed, MeterSpec, Points, Spec, choose, default_reading, listing, sensor_bounds
+from models.points.discovery import ActuatorPoint, InternalVariable, MeterPoint, PointCatalog, Variable, discover
+from models.points.selection import (
+    MeterSpec,
+    PointListing,
+    Points,
+    Spec,
+    default_aggregation,
+    listing,
+    select_points,
+    sensor_bounds,
+)
 from models.scenario.run_period import Period
 from topics.errors import InvalidConfig, UnknownName
 from topics.messages import Aggregation
@@ -28,7 +37,7 @@ def state(name: str, key: str, unit: str, *, system: bool = False) -> Variable:
     return Variable(name, key, unit, system=system, summed=False)
 
 
-SURVEY = Survey(
+SURVEY = PointCatalog(
     variables=(
         state("Site Outdoor Air Drybulb Temperature", "Environment", "degC"),
         state("Zone Air Temperature", "CORE ZN", "degC", system=True),
@@ -66,10 +75,13 @@ BUILDING = Building(
 
 
 def chosen(
-    sensors: Spec | None = None, meters: MeterSpec | None = None, actuators: Spec | None = None, survey: Survey = SURVEY
+    sensors: Spec | None = None,
+    meters: MeterSpec | None = None,
+    actuators: Spec | None = None,
+    survey: PointCatalog = SURVEY,
 ) -> Points:
     """The points that were asked for; None is none (not the default)."""
-    return choose(BUILDING, survey, sensors or {}, meters or {}, actuators or {})
+    return select_points(BUILDING, survey, sensors or {}, meters or {}, actuators or {})
 
 
 def refused(**asked: Any) -> str:
@@ -130,7 +142,7 @@ def test_none_asked_is_none_given() -> None:
     ],
 )
 def test_rates_are_means_states_are_instants_and_sums_are_sums(unit: str, summed: bool, reading: Aggregation) -> None:
-    assert default_reading(Variable("v", "k", unit, system=True, summed=summed)) is reading
+    assert default_aggregation(Variable("v", "k", unit, system=True, summed=summed)) is reading
 
 
 TEMPERATURE, ENERGY, POWER = (
@@ -319,7 +331,7 @@ def test_a_point_of_another_form_is_refused_with_the_right_one(asked: dict[str, 
 
 
 def test_the_default_is_the_weather_the_power_the_conditioned_zones_and_the_fuels() -> None:
-    points = choose(BUILDING, SURVEY, None, None, None)
+    points = select_points(BUILDING, SURVEY, None, None, None)
     assert [(s.name, s.key) for s in points.sensors] == [
         ("outdoor_temperature", "Environment"),
         ("hvac_electricity_power", "Whole Building"),
@@ -336,18 +348,18 @@ def test_the_default_is_the_weather_the_power_the_conditioned_zones_and_the_fuel
 
 def test_zones_whose_names_are_alike_have_points_of_their_own() -> None:
     zones = ("ZONE 1", "ZONE_1")
-    survey = Survey(
+    survey = PointCatalog(
         variables=tuple(state("Zone Air Temperature", zone, "degC") for zone in zones),
         meters=(),
         actuators=tuple(ActuatorPoint(THERMOSTAT, "Cooling Setpoint", zone, "degC") for zone in zones),
     )
-    points = choose(BUILDING, survey, None, None, None)
+    points = select_points(BUILDING, survey, None, None, None)
     assert sorted(s.key for s in points.sensors) == sorted(zones)
     assert sorted(a.key for a in points.actuators) == sorted(zones)
 
 
 def test_a_model_without_anything_has_no_points() -> None:
-    points = choose(BUILDING, Survey((), (), ()), None, None, None)
+    points = select_points(BUILDING, PointCatalog((), (), ()), None, None, None)
     assert (points.sensors, points.meters, points.actuators) == ((), (), ())
 
 
@@ -356,17 +368,21 @@ def test_the_listing_has_every_point_with_unit_bounds_and_place() -> None:
     rows = list(listing(SURVEY, zone))
     assert Counter(row.kind for row in rows) == {"sensor": 9, "meter": 3, "actuator": 5, "internal": 1}
     for row in (
-        Listed("sensor", "Zone Air Temperature", "CORE ZN", "degC", -100.0, 200.0, "Core Zn"),
-        Listed("sensor", "Zone Air Temperature", "ATTIC", "degC", -100.0, 200.0, ""),
-        Listed("sensor", "Site Outdoor Air Drybulb Temperature", "Environment", "degC", -100.0, 200.0, "Environment"),
-        Listed("sensor", "Facility Total HVAC Electricity Demand Rate", "Whole Building", "W", 0.0, None, "facility"),
-        Listed("meter", "Electricity:Facility", "", "J", 0.0, None, "facility"),
-        Listed("meter", "Electricity:HVAC", "", "J", 0.0, None, ""),  # the model's own: it may be of anything
-        Listed("meter", "ElectricityNet:Facility", "", "J", None, None, "facility"),
-        Listed("actuator", f"{THERMOSTAT} / Heating Setpoint", "CORE ZN", "degC", 15.0, 22.5, "Core Zn"),
-        Listed("actuator", "Schedule:Compact / Schedule Value", "LIGHTS", "1", 0.0, 1.0, ""),
-        Listed("actuator", "Fan / Fan Air Mass Flow Rate", "FAN 1", "kg/s", 0.0, None, ""),
-        Listed("internal", "Zone Floor Area", "CORE ZN", "m2", None, None, "Core Zn"),
+        PointListing("sensor", "Zone Air Temperature", "CORE ZN", "degC", -100.0, 200.0, "Core Zn"),
+        PointListing("sensor", "Zone Air Temperature", "ATTIC", "degC", -100.0, 200.0, ""),
+        PointListing(
+            "sensor", "Site Outdoor Air Drybulb Temperature", "Environment", "degC", -100.0, 200.0, "Environment"
+        ),
+        PointListing(
+            "sensor", "Facility Total HVAC Electricity Demand Rate", "Whole Building", "W", 0.0, None, "facility"
+        ),
+        PointListing("meter", "Electricity:Facility", "", "J", 0.0, None, "facility"),
+        PointListing("meter", "Electricity:HVAC", "", "J", 0.0, None, ""),  # the model's own: it may be of anything
+        PointListing("meter", "ElectricityNet:Facility", "", "J", None, None, "facility"),
+        PointListing("actuator", f"{THERMOSTAT} / Heating Setpoint", "CORE ZN", "degC", 15.0, 22.5, "Core Zn"),
+        PointListing("actuator", "Schedule:Compact / Schedule Value", "LIGHTS", "1", 0.0, 1.0, ""),
+        PointListing("actuator", "Fan / Fan Air Mass Flow Rate", "FAN 1", "kg/s", 0.0, None, ""),
+        PointListing("internal", "Zone Floor Area", "CORE ZN", "m2", None, None, "Core Zn"),
     ):
         assert row in rows
 
@@ -382,7 +398,7 @@ def test_the_listing_has_every_point_with_unit_bounds_and_place() -> None:
     ],
 )
 def test_a_meter_is_of_a_zone_or_of_the_facility(meter: str, where: str) -> None:
-    metered = Survey((), (MeterPoint(meter, "J", 0),), ())
+    metered = PointCatalog((), (MeterPoint(meter, "J", 0),), ())
     (row,) = listing(metered, Building("b", {"Building": {"b": {}}, "Zone": {"Core Zn": {}}}, "0"))
     assert row.where == where
 
@@ -418,12 +434,14 @@ api.runtime.run_energyplus(state, ["-w", weather, "-d", folder, model])
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Building, list[Listed], dict[str, Any], dict[str, Any]]:
+def whole(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> tuple[Building, list[PointListing], dict[str, Any], dict[str, Any]]:
     """A model, its listing, the points that EnergyPlus was asked for, and what it said."""
     folder = tmp_path_factory.mktemp("whole")
     weather = catalog.find_weather("USA_CO_Denver").path
     building = read_building(catalog.find_building("office-small"))
-    rows = list(listing(survey(building, weather), building))
+    rows = list(listing(discover(building, weather), building))
     wanted = {
         "sensor": [(r.name, r.key) for r in rows if r.kind == "sensor"][::20],
         "actuator": [(*r.name.split(" / "), r.key) for r in rows if r.kind == "actuator"],
@@ -431,12 +449,12 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Building, list[List
     }
     (folder / "wanted.json").write_text(json.dumps(wanted))
     day = date(2017, 1, 1)
-    model = write(prepared(building, Period(day, day, building.steps_per_hour)), folder)
+    model = write(for_episode(building, Period(day, day, building.steps_per_hour)), folder)
     subprocess.run([sys.executable, "-P", "-c", _ASK, str(model), str(weather), str(folder)], stdin=subprocess.DEVNULL)
     return building, rows, wanted, json.loads((folder / "said.json").read_text())
 
 
-Whole = tuple[Building, list[Listed], dict[str, Any], dict[str, Any]]
+Whole = tuple[Building, list[PointListing], dict[str, Any], dict[str, Any]]
 
 
 def test_meters_actuators_and_internal_variables_are_energyplus_own_list(whole: Whole) -> None:

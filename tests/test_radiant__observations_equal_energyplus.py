@@ -15,7 +15,7 @@ from nodes import NodeProgram
 from packs import sinergym
 
 import agent_sdk
-from models.building.model import prepared, read_building, write
+from models.building.model import for_episode, read_building, write
 from models.catalog import find_building, find_weather
 from models.weather import design_days
 from models.weather.epw import read_header
@@ -90,7 +90,7 @@ def _bare(manifest: Manifest, commands: np.ndarray, folder: Path) -> np.ndarray:
     model = read_building(find_building(manifest.building))
     weather = find_weather(manifest.weather).path
     period = model.period(*DAYS, manifest.steps_per_hour)
-    objects = design_days.apply(prepared(model, period), design_days.site(weather, read_header(weather)))
+    objects = design_days.apply(for_episode(model, period), design_days.site(weather, read_header(weather)))
     folder.mkdir()
     task = folder / "task.json"
     task.write_text(

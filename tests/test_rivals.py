@@ -10,12 +10,12 @@ from typing import Any
 
 import pytest
 
-from models.building.conflicts import rivals
-from models.building.edits import Changes, changed
-from models.building.model import prepared, read_building, write
+from models.building.conflicts import conflicts
+from models.building.edits import Changes, apply_edits
+from models.building.model import for_episode, read_building, write
 from models.catalog import find_building, find_weather
-from models.points.discovery import survey
-from models.points.selection import choose
+from models.points.discovery import discover
+from models.points.selection import select_points
 from topics.messages import Actuator
 
 ZONE, SCHEDULE = "Zone Temperature Control", "Schedule:Compact"
@@ -99,7 +99,7 @@ FIGHTS = {
 
 
 def said(changes: dict[str, Any], *actuators: Actuator) -> list[str]:
-    return rivals(MODEL | changes, actuators)
+    return conflicts(MODEL | changes, actuators)
 
 
 @pytest.mark.parametrize("case", FIGHTS)
@@ -146,7 +146,7 @@ def test_it_is_so_in_energyplus(case: str, folder: Path) -> None:
     """A day of the small office on which the actuator is always set to 26.5 degC."""
     changes, actuator, text = FIGHTS[case]
     office = read_building(find_building("ref-small-office"))
-    objects = changed(prepared(office, office.period("07-03", "07-03", None)), changes)
+    objects = apply_edits(for_episode(office, office.period("07-03", "07-03", None)), changes)
     orders = json.dumps([(actuator.component_type, actuator.control_type, actuator.key, 26.5)])
     command = [sys.executable, "-P", "-c", _DRIVE, str(write(objects, folder)), str(find_weather("Denver").path)]
     done = subprocess.run([*command, str(folder), orders], capture_output=True, text=True, check=True)
@@ -155,7 +155,7 @@ def test_it_is_so_in_energyplus(case: str, folder: Path) -> None:
     assert code == 0
     own = [24.0, 26.7]  # its schedule's on that day
     assert setpoints == pytest.approx({"": [26.5], WINS: [28.0], BY_ZONE: [28.0], GIVES_BACK: own}[text])
-    assert bool(rivals(objects, [actuator])) == bool(text)
+    assert bool(conflicts(objects, [actuator])) == bool(text)
 
 
 # Programs
@@ -216,14 +216,14 @@ def test_a_schedule_for_sizing_only_is_said() -> None:
 
 def test_a_schedule_that_only_ems_reads_is_said() -> None:
     model = read_building(find_building("office-small"))
-    assert rivals(model.objects, [schedule("BINARY OCCUPANCY")])[0].startswith(
+    assert conflicts(model.objects, [schedule("BINARY OCCUPANCY")])[0].startswith(
         "actuator 'plan': no object uses schedule 'BINARY OCCUPANCY'; only EMS program"
     )
 
 
 def test_optimum_start_programs_win_over_their_schedules() -> None:
     model = read_building(find_building("office-medium"))
-    (line,) = rivals(model.objects, [schedule("CLGSETP_SCH_YES_OPTIMUM")])
+    (line,) = conflicts(model.objects, [schedule("CLGSETP_SCH_YES_OPTIMUM")])
     assert line.endswith("sets the same control by EnergyManagementSystem:Actuator 'CLGSETP_SCH_Actuator', and wins")
 
 
@@ -243,7 +243,7 @@ def test_a_thermostat_without_that_setpoint_is_said() -> None:
         "ThermostatSetpoint:SingleHeating": {"warm": {"setpoint_temperature_schedule_name": "Htgsetp_Sch"}},
         "ZoneList": {"Both": {"zones": [{"zone_name": "Core_ZN"}, {"zone_name": "Attic"}]}},
     }
-    assert rivals(model, [HEATING, COOLING]) == [
+    assert conflicts(model, [HEATING, COOLING]) == [
         "actuator 'zone': the thermostat of zone 'Core_ZN' has a heating setpoint only"
     ]
 
@@ -251,8 +251,8 @@ def test_a_thermostat_without_that_setpoint_is_said() -> None:
 @pytest.mark.parametrize(("building", "idle"), [("office-medium", 0), ("hotel-small", 9), ("warehouse", 1)])
 def test_the_default_actuators_of_bundled_models_rule_but_for_zones_without_cooling(building: str, idle: int) -> None:
     model = read_building(find_building(building))
-    points = choose(model, survey(model, find_weather("Denver").path), {}, {}, None)
-    lines = rivals(model.objects, points.actuators)
+    points = select_points(model, discover(model, find_weather("Denver").path), {}, {}, None)
+    lines = conflicts(model.objects, points.actuators)
     assert len(lines) == idle
     assert all(line.endswith("has a heating setpoint only") for line in lines)
 

@@ -22,7 +22,7 @@ from eplus_node.config import plan, read_config
 from models.scenario.schema import (
     ActionSpec,
     ActuatorSpec,
-    ChoiceSpec,
+    DiscreteActionSpec,
     Scenario,
     SensorSpec,
     beside,
@@ -30,7 +30,7 @@ from models.scenario.schema import (
     load_scenario,
     read_scenario,
 )
-from models.weather.noise import Noise
+from models.weather.noise import ColumnNoise
 from topics.errors import InvalidConfig, UnknownName, UsageError
 from topics.messages import Aggregation
 
@@ -255,7 +255,7 @@ actuators:
     assert listed == by_field
     assert by_field.sensors is not None
     assert by_field.actuators is not None
-    assert [spec.reading for spec in by_field.sensors.values()] == [None, Aggregation.MEAN]
+    assert [spec.aggregation for spec in by_field.sensors.values()] == [None, Aggregation.MEAN]
     assert [(spec.low, spec.high) for spec in by_field.actuators.values()] == [(None, None), (0.0, 2.5), (None, 2.5)]
 
 
@@ -279,11 +279,11 @@ def test_parts_may_be_given_as_they_are() -> None:
     made = Scenario(
         building="b",
         weather=("w",),
-        variability={"dry_bulb_temperature": Noise(sigma=(1.0, 2.0))},
-        sensors={"a": SensorSpec(variable="Zone Air Temperature", key="Core_ZN", reading=Aggregation.MEAN)},
+        weather_noise={"dry_bulb_temperature": ColumnNoise(sigma=(1.0, 2.0))},
+        sensors={"a": SensorSpec(variable="Zone Air Temperature", key="Core_ZN", aggregation=Aggregation.MEAN)},
         actuators={"c": ActuatorSpec(component_type="Fan", control_type="Flow", key="FAN 1", low=0.0, high=2.0)},
         actions={"f": ActionSpec(actuators=("c",))},
-        discrete=(ChoiceSpec(actions=("f",), values=((0.0,), (2.0,))),),
+        discrete=(DiscreteActionSpec(actions=("f",), values=((0.0,), (2.0,))),),
     )
     assert made == read
 
@@ -306,8 +306,8 @@ actuators: {{a: [Fan, Flow, FAN 1, {number}, 1]}}
 reward: {{kind: linear, lambda_energy: {number}}}
 """
     )
-    assert scenario.variability["dry_bulb_temperature"] == Noise(sigma=1e-4, mu=(1e-4, 1.0))
-    assert scenario.changes == {"Material": {"Wall": {"conductivity": 1e-4}}}
+    assert scenario.weather_noise["dry_bulb_temperature"] == ColumnNoise(sigma=1e-4, mu=(1e-4, 1.0))
+    assert scenario.edits == {"Material": {"Wall": {"conductivity": 1e-4}}}
     assert scenario.actuators is not None
     assert scenario.actuators["a"].low == 1e-4
     assert scenario.reward == {"kind": "linear", "lambda_energy": 1e-4}
@@ -316,8 +316,8 @@ reward: {{kind: linear, lambda_energy: {number}}}
 def test_what_only_looks_like_a_number_stays_text(load: Load) -> None:
     fields = {"a": "1e", "b": "e4", "c": "1e-4 m", "d": "1.2.3", "e": "-"}
     written = ", ".join(f"{name}: {text}" for name, text in fields.items() if name != "e") + ", e: '-'"
-    assert load(f"changes: {{M: {{n: {{{written}}}}}}}").changes == {"M": {"n": fields}}
-    assert load("changes: {M: {n: {a: '1e-4'}}}").changes == {"M": {"n": {"a": "1e-4"}}}
+    assert load(f"changes: {{M: {{n: {{{written}}}}}}}").edits == {"M": {"n": fields}}
+    assert load("changes: {M: {n: {a: '1e-4'}}}").edits == {"M": {"n": {"a": "1e-4"}}}
 
 
 def test_a_part_may_be_written_once_and_used_again(load: Load) -> None:
@@ -330,8 +330,8 @@ variability:
   relative_humidity: {<<: *noise, sigma: 3.0}
 """
     )
-    assert scenario.variability["wind_speed"] == Noise(sigma=1.0, mu=0.5)
-    assert scenario.variability["relative_humidity"] == Noise(sigma=3.0, mu=0.5)
+    assert scenario.weather_noise["wind_speed"] == ColumnNoise(sigma=1.0, mu=0.5)
+    assert scenario.weather_noise["relative_humidity"] == ColumnNoise(sigma=3.0, mu=0.5)
 
 
 # Refused

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from reference import _RUN
 
 from models.building import schema
-from models.building.model import prepared, read_building, write
+from models.building.model import for_episode, read_building, write
 from models.catalog import Entry, buildings, find_building, find_weather
 
 GYPSUM = "1/2IN Gypsum"
@@ -28,13 +28,13 @@ def material(**changes: Any) -> dict[str, dict[str, dict[str, Any]]]:
 
 
 def only(objects: Mapping[str, Any], *, complete: bool = True) -> str:
-    (fault,) = schema.faults(objects, complete=complete)
+    (fault,) = schema.schema_errors(objects, complete=complete)
     return fault
 
 
 @pytest.mark.parametrize("entry", buildings(), ids=lambda entry: entry.name)
 def test_no_bundled_model_has_a_fault(entry: Entry) -> None:
-    assert schema.faults(read_building(entry).objects, complete=True) == []
+    assert schema.schema_errors(read_building(entry).objects, complete=True) == []
 
 
 # The same verdict as EnergyPlus
@@ -44,7 +44,7 @@ def test_no_bundled_model_has_a_fault(entry: Entry) -> None:
 def office() -> dict[str, Any]:
     """A small office whose run is over at once: EnergyPlus checks the input first."""
     model = read_building(find_building("ref-small-office"))
-    objects = prepared(model, model.period("07-03", "07-03", None))
+    objects = for_episode(model, model.period("07-03", "07-03", None))
     objects["SimulationControl"] = {"none": {"run_simulation_for_weather_file_run_periods": "No"}}
     return objects
 
@@ -75,7 +75,7 @@ def test_a_fault_is_what_energyplus_refuses(case: str, office: dict[str, Any], f
     kind, field, value, refused = CASES[case]
     objects = copy.deepcopy(office)
     next(iter(objects[kind].values()))[field] = value
-    assert bool(schema.faults(objects, complete=True)) == refused
+    assert bool(schema.schema_errors(objects, complete=True)) == refused
     command = [sys.executable, "-P", "-c", _RUN, str(write(objects, folder)), str(find_weather("Denver").path)]
     subprocess.run([*command, str(folder)], stdin=subprocess.DEVNULL, check=False)
     said = (folder / "eplusout.err").read_text()
@@ -106,7 +106,7 @@ print(json.dumps(found))
 
 
 def test_a_right_object_has_no_fault() -> None:
-    assert schema.faults(material(), complete=True) == []
+    assert schema.schema_errors(material(), complete=True) == []
 
 
 def test_unknown_names_list_near_ones() -> None:
@@ -138,16 +138,16 @@ def test_words_and_limits_of_a_field_with_both_are_said() -> None:
 
 def test_the_place_in_a_list_is_said() -> None:
     corners = [{"vertex_x_coordinate": 0.0, "vertex_y_coordinate": 0.0, "vertex_z_coordinate": "up"}]
-    (fault,) = schema.faults({"BuildingSurface:Detailed": {"wall": {"vertices": corners}}}, complete=False)
+    (fault,) = schema.schema_errors({"BuildingSurface:Detailed": {"wall": {"vertices": corners}}}, complete=False)
     assert fault == "BuildingSurface:Detailed 'wall': vertices[0].vertex_z_coordinate is 'up'; expected a number"
-    (lacking,) = schema.faults({"Schedule:Year": {"y": {"schedule_weeks": [{}]}}}, complete=True)
+    (lacking,) = schema.schema_errors({"Schedule:Year": {"y": {"schedule_weeks": [{}]}}}, complete=True)
     assert "'schedule_week_name'" in lacking
     assert lacking.startswith("Schedule:Year 'y' lacks ")
     assert lacking.endswith(" in schedule_weeks[0]")
 
 
 def test_missing_fields_are_faults_of_complete_objects_only() -> None:
-    assert schema.faults({"Material": {"brick": {"density": 1.0}}}, complete=False) == []
+    assert schema.schema_errors({"Material": {"brick": {"density": 1.0}}}, complete=False) == []
     fault = only({"Material": {"brick": {"density": 1.0}}})
     assert fault == "Material 'brick' lacks 'roughness', 'thickness', 'conductivity', 'specific_heat'"
 
@@ -160,11 +160,13 @@ def test_objects_that_are_none_are_said() -> None:
 
 
 def test_what_converters_leave_behind_is_no_fault() -> None:
-    assert schema.faults(material(idf_order=3, idf_max_fields=9, idf_max_extensible_fields=0), complete=True) == []
+    assert (
+        schema.schema_errors(material(idf_order=3, idf_max_fields=9, idf_max_extensible_fields=0), complete=True) == []
+    )
 
 
 def test_all_faults_are_said_at_once() -> None:
-    found = schema.faults(material(thickness=-1, density="x", colour="red") | {"Zonne": {}}, complete=True)
+    found = schema.schema_errors(material(thickness=-1, density="x", colour="red") | {"Zonne": {}}, complete=True)
     assert len(found) == 4
 
 
@@ -174,23 +176,23 @@ def test_all_faults_are_said_at_once() -> None:
 @given(st.sampled_from(["Smooth", "MediumRough", "VeryRough"]), st.randoms())
 def test_words_in_any_case_are_respelled(word: str, random: Any) -> None:
     mixed = "".join(random.choice((c.upper(), c.lower())) for c in word)
-    assert schema.respelled("Material", {"roughness": mixed}) == {"roughness": word}
+    assert schema.canonical_fields("Material", {"roughness": mixed}) == {"roughness": word}
 
 
 @given(st.floats(allow_nan=False))
 def test_a_number_is_a_fault_where_it_is_out_of_range(value: float) -> None:
     wrong = not (value > 0 and value != float("inf"))
-    assert bool(schema.faults(material(conductivity=value), complete=True)) == wrong
+    assert bool(schema.schema_errors(material(conductivity=value), complete=True)) == wrong
 
 
 def test_whole_floats_become_integers_where_they_must_and_only_there() -> None:
-    right = schema.respelled("Building", {"maximum_number_of_warmup_days": 25.0, "north_axis": 25.0})
+    right = schema.canonical_fields("Building", {"maximum_number_of_warmup_days": 25.0, "north_axis": 25.0})
     assert [(name, type(value)) for name, value in right.items()] == [
         ("maximum_number_of_warmup_days", int),
         ("north_axis", float),
     ]
     left = {"maximum_number_of_warmup_days": 25.5, "colour": "RED"}
-    assert schema.respelled("Building", left) == left
+    assert schema.canonical_fields("Building", left) == left
 
 
 # The stored file
@@ -208,5 +210,5 @@ def test_the_schema_is_read_out_of_the_library_once(fresh: Path, monkeypatch: py
     assert "Material" in schema.types()
     monkeypatch.setattr(schema, "_embedded", None)
     schema._schema.cache_clear()
-    assert schema.spelled("MATERIAL") == "Material"
+    assert schema.canonical_type("MATERIAL") == "Material"
     assert len(list((fresh / "v2" / "schema").glob("*.json"))) == 1

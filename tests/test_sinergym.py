@@ -15,11 +15,11 @@ from packs import sinergym
 
 from agent_sdk.rewards import read_reward
 from models.catalog import find_building, find_weather
-from models.scenario.schema import ChoiceSpec, Scenario, dump, load_scenario
+from models.scenario.schema import DiscreteActionSpec, Scenario, dump, load_scenario
 from models.sinergym import scenarios as reader
-from models.sinergym.literals import Box, Discrete, MultiDiscrete, Offsets, Rows, space, table
+from models.sinergym.literals import BoxSpec, DiscreteSpec, MultiDiscrete, Offsets, Rows, space, table
 from models.sinergym.scenarios import discrete_tables, pack_scenarios, scenario_of, scenarios_of
-from models.weather.noise import Noise
+from models.weather.noise import ColumnNoise
 from topics.errors import InvalidConfig, UnknownName
 from topics.scenario_ids import DEMO, PACK_IDS
 
@@ -124,8 +124,8 @@ def test_only_the_stochastic_ones_have_noise(base, found):
     for scenario in (s for s in found.values() if s.id.startswith(f"{base}-")):
         assert scenario.variability == (
             {
-                "dry_bulb_temperature": Noise(sigma=1.0, mu=0.0, tau_h=24.0),
-                "relative_humidity": Noise(sigma=(2.0, 5.0), mu=0.0, tau_h=24.0, low=0.0, high=100.0),
+                "dry_bulb_temperature": ColumnNoise(sigma=1.0, mu=0.0, tau_h=24.0),
+                "relative_humidity": ColumnNoise(sigma=(2.0, 5.0), mu=0.0, tau_h=24.0, low=0.0, high=100.0),
             }
             if "-stochastic-" in scenario.id
             else {}
@@ -168,7 +168,9 @@ def test_the_discrete_ones_have_ten_rows_over_all_actions(found):
         if "-discrete-" not in name:
             assert scenario.discrete is None
         elif base != "radiant":
-            assert scenario.discrete == (ChoiceSpec(actions=tuple(scenario.actuators), values=tuple(tables[base])),)
+            assert scenario.discrete == (
+                DiscreteActionSpec(actions=tuple(scenario.actuators), values=tuple(tables[base])),
+            )
 
 
 def test_the_radiant_building_has_a_choice_for_each_action_and_names_without_colons(found):
@@ -316,10 +318,10 @@ def test_run_period_noise_and_context(own):
     assert list(scenarios) == ["hut-here-continuous-v1", "hut-here-continuous-stochastic-v1"]
     calm, noisy = scenarios.values()
     assert (calm.begin, calm.end, calm.steps_per_hour) == ("1991-02-01", "1991-04-03", 2)
-    assert calm.variability == {}
-    assert noisy.variability == {
-        "wind_speed": Noise(sigma=0.5, mu=(-1, 1), tau_h=(12, 24)),
-        "dry_bulb_temperature": Noise(sigma=1, mu=0, tau_h=24, low=-10, high=40),
+    assert calm.weather_noise == {}
+    assert noisy.weather_noise == {
+        "wind_speed": ColumnNoise(sigma=0.5, mu=(-1, 1), tau_h=(12, 24)),
+        "dry_bulb_temperature": ColumnNoise(sigma=1, mu=0, tau_h=24, low=-10, high=40),
     }
     assert {n: (a.low, a.high) for n, a in calm.actuators.items()}["people"] == (None, None)
     assert {n: a.actuators for n, a in calm.actions.items()} == {"heating": ("heating",), "cooling": ("cooling",)}
@@ -656,14 +658,14 @@ def test_without_actuators_the_building_controls_itself(own):
 @pytest.mark.parametrize(
     ("text", "means"),
     [
-        ("Discrete(10)", Discrete(10)),
-        ("gym.spaces.Discrete(n=10)", Discrete(10)),
+        ("Discrete(10)", DiscreteSpec(10)),
+        ("gym.spaces.Discrete(n=10)", DiscreteSpec(10)),
         ("gymnasium.spaces.MultiDiscrete(nvec=np.array([2, 21]))", MultiDiscrete((2, 21))),
         ("spaces.MultiDiscrete([2, 3], dtype=np.int64)", MultiDiscrete((2, 3))),
-        ("gym.spaces.Box(low=np.array([-1.5]), high=np.array([+2], dtype='float32'))", Box((-1.5,), (2.0,))),
-        ("Box(0, 1, (3,), np.float32)", Box((0.0,) * 3, (1.0,) * 3)),
-        ("Box(low=[0, 1], high=(2, 3))", Box((0.0, 1.0), (2.0, 3.0))),
-        ("Box(low=numpy.array([0]), high=array([1]), shape=(1,))", Box((0.0,), (1.0,))),
+        ("gym.spaces.Box(low=np.array([-1.5]), high=np.array([+2], dtype='float32'))", BoxSpec((-1.5,), (2.0,))),
+        ("Box(0, 1, (3,), np.float32)", BoxSpec((0.0,) * 3, (1.0,) * 3)),
+        ("Box(low=[0, 1], high=(2, 3))", BoxSpec((0.0, 1.0), (2.0, 3.0))),
+        ("Box(low=numpy.array([0]), high=array([1]), shape=(1,))", BoxSpec((0.0,), (1.0,))),
     ],
 )
 def test_a_space_is_read(text, means):

@@ -209,13 +209,13 @@ def test_an_engine_that_was_started_ahead_and_dies_within_a_reset_is_replaced(fo
     assert supply.next_episode(None, 0, untouched=True) is EngineStart.REUSED
     supply.prefetch(0)
     assert supply.next_episode(None, 1, untouched=False) is EngineStart.PREFETCHED
-    noise = supply.files.drawn
+    noise = supply.files.noise_parameters
     ahead = supply._ahead
     assert ahead is not None
     ended(ahead.engine)
     second = supply.engine(1)
     assert second.step == 0
-    assert supply.files.drawn == noise
+    assert supply.files.noise_parameters == noise
     assert supply.warnings
     for link in (first, second):
         link.close()

@@ -21,15 +21,15 @@ from models.catalog import find_weather
 from models.scenario.run_period import date
 from models.weather.epw import Weather, read, write
 from models.weather.noise import (
-    Disturbed,
-    Noise,
+    ColumnNoise,
+    NoisyWeather,
     checked,
     clear_sky_infrared,
     dew_point,
-    disturbed,
     ornstein_uhlenbeck,
     relative_humidity,
     saturation_pressure,
+    with_noise,
 )
 from topics.errors import InvalidConfig, UnknownName
 
@@ -43,11 +43,11 @@ def denver() -> Weather:
     return read(DENVER)
 
 
-def noised(weather: Weather, seed: int = 1, **columns: Noise) -> Disturbed:
-    return disturbed(weather, columns, np.random.default_rng(seed))
+def noised(weather: Weather, seed: int = 1, **columns: ColumnNoise) -> NoisyWeather:
+    return with_noise(weather, columns, np.random.default_rng(seed))
 
 
-def after(weather: Weather, done: Disturbed, name: str) -> NDArray[np.float64]:
+def after(weather: Weather, done: NoisyWeather, name: str) -> NDArray[np.float64]:
     return done.changed.get(name, weather.column(name))
 
 
@@ -132,7 +132,7 @@ def test_no_values_are_no_values() -> None:
 )
 def test_settings_that_cannot_be_are_refused(fields: dict[str, object], words: str) -> None:
     with pytest.raises(ValidationError, match=words):
-        Noise.model_validate(fields)
+        ColumnNoise.model_validate(fields)
 
 
 @pytest.mark.parametrize(
@@ -147,17 +147,17 @@ def test_settings_that_cannot_be_are_refused(fields: dict[str, object], words: s
 )
 def test_columns_that_cannot_be_together_are_refused(columns: list[str], words: str) -> None:
     with pytest.raises(InvalidConfig, match=words):
-        checked({name: Noise(sigma=1) for name in columns})
+        checked({name: ColumnNoise(sigma=1) for name in columns})
 
 
 def test_an_unknown_column_is_refused() -> None:
     with pytest.raises(UnknownName, match="near names: 'wind_speed'"):
-        checked({"wind_sped": Noise(sigma=1)})
+        checked({"wind_sped": ColumnNoise(sigma=1)})
 
 
 def test_limits_outside_the_physical_ones_are_refused() -> None:
     with pytest.raises(InvalidConfig, match="leave nothing of 0 to 100"):
-        checked({"relative_humidity": Noise(sigma=1, low=100)})
+        checked({"relative_humidity": ColumnNoise(sigma=1, low=100)})
 
 
 # What is drawn
@@ -165,10 +165,10 @@ def test_limits_outside_the_physical_ones_are_refused() -> None:
 
 def test_a_range_is_drawn_uniformly_for_each_episode(denver: Weather) -> None:
     rng = np.random.default_rng(3)
-    asked = {"dry_bulb": Noise(sigma=(1.0, 3.0), mu=(-1.0, 0.5), tau_h=(12.0, 48.0))}
+    asked = {"dry_bulb": ColumnNoise(sigma=(1.0, 3.0), mu=(-1.0, 0.5), tau_h=(12.0, 48.0))}
     drawn, scaled = [], []
     for _ in range(400):
-        done = disturbed(denver, asked, rng)
+        done = with_noise(denver, asked, rng)
         parameters = done.drawn["dry_bulb_temperature"]
         drawn.append([parameters["sigma"], parameters["mu"], parameters["tau_h"]])
         first = done.changed["dry_bulb_temperature"][0] - denver.column("dry_bulb")[0]
@@ -191,7 +191,7 @@ def test_a_years_noise_has_the_mean_and_deviation_asked_for(
 ) -> None:
     # Dry bulb is far from its limits, so the difference is the noise. Values correlate: a mean over n of them
     # has the variance sigma^2 (1 + a) / (1 - a) / n, and one of their squares 2 sigma^4 (1 + a^2) / (1 - a^2) / n.
-    done = noised(denver, dry_bulb=Noise(sigma=sigma, mu=mu, tau_h=tau_h))
+    done = noised(denver, dry_bulb=ColumnNoise(sigma=sigma, mu=mu, tau_h=tau_h))
     noise, n, a = done.changed["dry_bulb_temperature"] - denver.column("dry_bulb"), len(denver), math.exp(-1 / tau_h)
     assert abs(noise.mean() - mu) / math.sqrt(sigma**2 * (1 + a) / (1 - a) / n) < Z
     assert abs(((noise - mu) ** 2).mean() - sigma**2) / math.sqrt(2 * sigma**4 * (1 + a * a) / (1 - a * a) / n) < Z
@@ -199,44 +199,49 @@ def test_a_years_noise_has_the_mean_and_deviation_asked_for(
     assert abs(r - a**6) < 0.05
 
 
-def same(one: Disturbed, two: Disturbed) -> bool:
+def same(one: NoisyWeather, two: NoisyWeather) -> bool:
     return one.drawn == two.drawn and {n: v.tobytes() for n, v in one.changed.items()} == {
         n: v.tobytes() for n, v in two.changed.items()
     }
 
 
 SEVERAL = {
-    "wind_speed": Noise(sigma=(1.0, 2.0)),
-    "Relative Humidity": Noise(sigma=10.0),
-    "dry_bulb": Noise(sigma=2.5, tau_h=(12.0, 48.0)),
+    "wind_speed": ColumnNoise(sigma=(1.0, 2.0)),
+    "Relative Humidity": ColumnNoise(sigma=10.0),
+    "dry_bulb": ColumnNoise(sigma=2.5, tau_h=(12.0, 48.0)),
 }
 
 
 def test_a_seed_gives_the_same_weather_however_the_settings_are_written(denver: Weather) -> None:
-    first = disturbed(denver, SEVERAL, np.random.default_rng(11))
-    again = disturbed(denver, SEVERAL, np.random.default_rng(11))
-    turned = disturbed(denver, dict(reversed(SEVERAL.items())), np.random.default_rng(11))
+    first = with_noise(denver, SEVERAL, np.random.default_rng(11))
+    again = with_noise(denver, SEVERAL, np.random.default_rng(11))
+    turned = with_noise(denver, dict(reversed(SEVERAL.items())), np.random.default_rng(11))
     spelled = {"rh": SEVERAL["Relative Humidity"], "Wind Speed": SEVERAL["wind_speed"], "DRYBULB": SEVERAL["dry_bulb"]}
     assert same(first, again)
     assert same(first, turned)
     assert list(first.drawn) == list(turned.drawn)
-    assert same(first, disturbed(denver, spelled, np.random.default_rng(11)))
-    assert not same(first, disturbed(denver, SEVERAL, np.random.default_rng(12)))
+    assert same(first, with_noise(denver, spelled, np.random.default_rng(11)))
+    assert not same(first, with_noise(denver, SEVERAL, np.random.default_rng(12)))
 
 
 def test_episodes_of_one_generator_differ(denver: Weather) -> None:
     rng = np.random.default_rng(11)
-    assert not same(disturbed(denver, SEVERAL, rng), disturbed(denver, SEVERAL, rng))
+    assert not same(with_noise(denver, SEVERAL, rng), with_noise(denver, SEVERAL, rng))
 
 
 def test_noise_on_one_more_column_leaves_that_of_the_others(denver: Weather) -> None:
-    few = noised(denver, wind_speed=Noise(sigma=1.0))
-    more = noised(denver, wind_speed=Noise(sigma=1.0), dry_bulb=Noise(sigma=1.0))
+    few = noised(denver, wind_speed=ColumnNoise(sigma=1.0))
+    more = noised(denver, wind_speed=ColumnNoise(sigma=1.0), dry_bulb=ColumnNoise(sigma=1.0))
     assert few.changed["wind_speed"].tobytes() == more.changed["wind_speed"].tobytes()
 
 
 def test_no_noise_is_no_change(denver: Weather, folder: Path) -> None:
-    done = noised(denver, dry_bulb=Noise(sigma=0), rh=Noise(sigma=(0, 0), mu=0, high=50), wind_direction=Noise(sigma=0))
+    done = noised(
+        denver,
+        dry_bulb=ColumnNoise(sigma=0),
+        rh=ColumnNoise(sigma=(0, 0), mu=0, high=50),
+        wind_direction=ColumnNoise(sigma=0),
+    )
     assert done.changed == {}
     assert done.drawn["dry_bulb_temperature"] == {"sigma": 0.0, "mu": 0.0, "tau_h": 24.0}
     write(denver, folder / "out.epw", done.changed)
@@ -274,7 +279,7 @@ def test_clear_sky_infrared_is_the_engineering_references_example() -> None:
 
 
 def test_warmer_air_keeps_its_moisture(denver: Weather) -> None:
-    done = noised(denver, dry_bulb=Noise(sigma=0, mu=2.0))
+    done = noised(denver, dry_bulb=ColumnNoise(sigma=0, mu=2.0))
     dry, dew = denver.column("dry_bulb"), denver.column("dew_point")
     np.testing.assert_allclose(done.changed["dry_bulb_temperature"], dry + 2.0, atol=5e-5)
     assert "dew_point_temperature" not in done.changed
@@ -287,7 +292,7 @@ def test_warmer_air_keeps_its_moisture(denver: Weather) -> None:
 
 
 def test_colder_air_loses_what_it_cannot_hold(denver: Weather) -> None:
-    done = noised(denver, dry_bulb=Noise(sigma=0, mu=-10.0))
+    done = noised(denver, dry_bulb=ColumnNoise(sigma=0, mu=-10.0))
     dry, dew = after(denver, done, "dry_bulb_temperature"), after(denver, done, "dew_point_temperature")
     wet = denver.column("dew_point") > denver.column("dry_bulb") - 10.0
     assert wet.any()
@@ -299,7 +304,7 @@ def test_colder_air_loses_what_it_cannot_hold(denver: Weather) -> None:
 
 @pytest.mark.parametrize("column", ["relative_humidity", "dew_point_temperature"])
 def test_humidity_and_dew_point_follow_each_other(denver: Weather, column: str) -> None:
-    done = noised(denver, **{column: Noise(sigma=5.0)})
+    done = noised(denver, **{column: ColumnNoise(sigma=5.0)})
     assert "dry_bulb_temperature" not in done.changed
     dry, dew = denver.column("dry_bulb"), after(denver, done, "dew_point_temperature")
     inside = dew > -69
@@ -310,8 +315,8 @@ def test_humidity_and_dew_point_follow_each_other(denver: Weather, column: str) 
 
 def test_infrared_with_noise_of_its_own_follows_nothing(denver: Weather) -> None:
     name = "horizontal_infrared_radiation_intensity"
-    alone = noised(denver, **{name: Noise(sigma=5.0)})
-    both = noised(denver, **{name: Noise(sigma=5.0), "dry_bulb": Noise(sigma=3.0)})
+    alone = noised(denver, **{name: ColumnNoise(sigma=5.0)})
+    both = noised(denver, **{name: ColumnNoise(sigma=5.0), "dry_bulb": ColumnNoise(sigma=3.0)})
     assert alone.changed[name].tobytes() == both.changed[name].tobytes()
 
 
@@ -333,7 +338,9 @@ def cosine(weather: Weather) -> NDArray[np.float64]:
 
 
 def test_global_is_direct_and_diffuse_together(denver: Weather) -> None:
-    done = noised(denver, direct_normal_radiation=Noise(sigma=80.0), diffuse_horizontal_radiation=Noise(sigma=30.0))
+    done = noised(
+        denver, direct_normal_radiation=ColumnNoise(sigma=80.0), diffuse_horizontal_radiation=ColumnNoise(sigma=30.0)
+    )
     sun = denver.column("extraterrestrial_horizontal_radiation") > 0
     direct, diffuse = done.changed["direct_normal_radiation"], done.changed["diffuse_horizontal_radiation"]
     total = diffuse + direct * cosine(denver)
@@ -342,7 +349,7 @@ def test_global_is_direct_and_diffuse_together(denver: Weather) -> None:
 
 def test_direct_and_diffuse_share_what_global_gains(denver: Weather) -> None:
     # The file's own three do not quite add up; their share and what was left over are scaled alike.
-    done = noised(denver, global_horizontal_radiation=Noise(sigma=40.0))
+    done = noised(denver, global_horizontal_radiation=ColumnNoise(sigma=40.0))
     before, now = denver.column("global_horizontal_radiation"), done.changed["global_horizontal_radiation"]
     light = (before > 0) & (denver.column("extraterrestrial_horizontal_radiation") > 0)
     ratio = now[light] / before[light]
@@ -360,7 +367,9 @@ def test_direct_and_diffuse_share_what_global_gains(denver: Weather) -> None:
 
 def test_a_file_that_does_not_say_where_the_sun_is_stays_dark_at_night(folder: Path) -> None:
     weather = without_extraterrestrial(folder)
-    done = noised(weather, direct_normal_radiation=Noise(sigma=50.0), diffuse_horizontal_radiation=Noise(sigma=50.0))
+    done = noised(
+        weather, direct_normal_radiation=ColumnNoise(sigma=50.0), diffuse_horizontal_radiation=ColumnNoise(sigma=50.0)
+    )
     names = ("global_horizontal_radiation", "direct_normal_radiation", "diffuse_horizontal_radiation")
     dark = np.logical_and.reduce([weather.column(name) == 0 for name in names])
     assert dark.sum() > 3500
@@ -390,7 +399,7 @@ def test_missing_values_stay_missing_to_the_byte(folder: Path, denver: Weather) 
     write(denver, folder / "gaps.epw", gaps)
     weather = read(folder / "gaps.epw")
     asked = ("dry_bulb_temperature", "relative_humidity", "wind_direction", "wind_speed", "direct_normal_radiation")
-    done = noised(weather, **{name: Noise(sigma=3.0) for name in asked})
+    done = noised(weather, **{name: ColumnNoise(sigma=3.0) for name in asked})
     write(weather, folder / "out.epw", done.changed)
     written = read(folder / "out.epw")
     for k, name in enumerate(gaps, 1):
@@ -422,7 +431,7 @@ def test_hours_stay_possible(
     denver: Weather, columns: tuple[str, ...], parameters: tuple[float, float, float], scale: float, seed: int
 ) -> None:
     sigma, mu, tau_h = parameters
-    noise = Noise(sigma=sigma * scale, mu=mu * scale, tau_h=tau_h)
+    noise = ColumnNoise(sigma=sigma * scale, mu=mu * scale, tau_h=tau_h)
     done = noised(denver, seed, **dict.fromkeys(columns, noise))
     now = {name: after(denver, done, name) for name in (*done.changed, "dry_bulb_temperature", "dew_point_temperature")}
     assert set(done.changed) <= {
@@ -463,7 +472,7 @@ def test_hours_stay_possible(
 @settings(max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.floats(0.0, 49.0), st.floats(51.0, 100.0), st.integers(0, 2**32))
 def test_limits_that_were_asked_for_hold(denver: Weather, low: float, high: float, seed: int) -> None:
-    done = noised(denver, seed, relative_humidity=Noise(sigma=40.0, low=low, high=high))
+    done = noised(denver, seed, relative_humidity=ColumnNoise(sigma=40.0, low=low, high=high))
     humidity = done.changed["relative_humidity"]
     assert low - 5e-5 <= humidity.min()
     assert humidity.max() <= high + 5e-5
@@ -472,7 +481,7 @@ def test_limits_that_were_asked_for_hold(denver: Weather, low: float, high: floa
 
 
 def test_wind_direction_goes_round(denver: Weather) -> None:
-    done = noised(denver, wind_direction=Noise(sigma=0, mu=100.0))
+    done = noised(denver, wind_direction=ColumnNoise(sigma=0, mu=100.0))
     turned = done.changed["wind_direction"]
     np.testing.assert_allclose(turned, (denver.column("wind_direction") + 100.0) % 360.0, atol=1e-4)
     assert turned.max() < 360.0
@@ -482,7 +491,13 @@ def test_wind_direction_goes_round(denver: Weather) -> None:
 
 
 def test_the_weather_that_was_written_is_what_energyplus_simulates(denver: Weather, folder: Path) -> None:
-    done = noised(denver, 4, dry_bulb=Noise(sigma=2.5), rh=Noise(sigma=10.0, low=5, high=95), wind_speed=Noise(sigma=1))
+    done = noised(
+        denver,
+        4,
+        dry_bulb=ColumnNoise(sigma=2.5),
+        rh=ColumnNoise(sigma=10.0, low=5, high=95),
+        wind_speed=ColumnNoise(sigma=1),
+    )
     write(denver, folder / "noisy.epw", done.changed)
     # Infrared, moisture and the like as EnergyPlus has them; at whole hours it does not interpolate.
     names = [DRY_BULB, "Site Wind Speed", "Site Horizontal Infrared Radiation Rate per Area"]

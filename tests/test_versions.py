@@ -124,7 +124,9 @@ PAIRS = {"temperature_2": 30.0, "temperature_1": 20.0, "enthalpy_1": 1.0, "entha
 def test_a_known_change_is_converted(
     version: str, kind: str, old: dict[str, Any], new: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    partly = functools.partial(schema.faults, complete=False)  # the objects here have only the fields that matter
+    partly = functools.partial(
+        schema.schema_errors, complete=False
+    )  # the objects here have only the fields that matter
     monkeypatch.setattr(transition.schema, "faults", lambda objects, complete: partly(objects))
     result = check_epjson(model(version) | {kind: {"it": old}}, name="m")
     assert result.objects[kind] == {"it": new}

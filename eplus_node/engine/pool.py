@@ -14,7 +14,7 @@ from typing import Any
 from eplus_node.config import Plan, kept_episodes
 from eplus_node.engine.client import LOG, EngineClient, EngineSpec
 from eplus_node.engine.registry import EngineRegistry
-from models.scenario.episode import Draw, Draws, Episodes, Files, Source
+from models.scenario.episode import EpisodeFactory, EpisodeFiles, WeatherDraw, WeatherSampler, WeatherSource
 from topics.errors import EngineDied, ForkFailed, SimulatorError
 from topics.messages import EngineStart
 
@@ -23,8 +23,8 @@ from topics.messages import EngineStart
 class PrefetchedEngine:
     """An engine that was started before its episode."""
 
-    draw: Draw
-    files: Files
+    draw: WeatherDraw
+    files: EpisodeFiles
     engine: EngineClient
 
 
@@ -32,16 +32,16 @@ class EngineTemplate:
     """The engine that waits at sample 0 to be forked; the slots of a node share one."""
 
     def __init__(self) -> None:
-        self.draw = Draw()
-        self.files: Files | None = None
+        self.draw = WeatherDraw()
+        self.files: EpisodeFiles | None = None
         self.engine: EngineClient | None = None
         self.told = False  # whether it has come to sample 0
 
-    def has(self, draw: Draw) -> bool:
+    def has(self, draw: WeatherDraw) -> bool:
         """Whether an engine of this weather waits, or is about to."""
         return self.engine is not None and self.draw == draw and self.engine.alive
 
-    def take(self, draw: Draw, files: Files, engine: EngineClient) -> None:
+    def take(self, draw: WeatherDraw, files: EpisodeFiles, engine: EngineClient) -> None:
         """Has an engine wait; it may still be on its way to sample 0."""
         self.close()
         self.draw, self.files, self.engine, self.told = draw, files, engine, False
@@ -69,8 +69,8 @@ class EngineTemplate:
 class EpisodeWeather:
     """Which weather an episode has: what a snapshot remembers of a supply."""
 
-    draw: Draw
-    files: Files
+    draw: WeatherDraw
+    files: EpisodeFiles
 
 
 class EnginePool:
@@ -114,8 +114,10 @@ class EnginePool:
         self._keep, self._scratch = keep is not None, folder / place
         self._keep_last, self._kept_folders = kept_episodes(plan.config), deque[Path]()
         self._folder = keep.absolute() / place if keep else self._scratch
-        self._draws = Draws(len(plan.sources), scenario.weather_order, noisy=bool(scenario.variability))
-        self._episodes = Episodes(plan.building, plan.period, plan.sources, scenario.variability, outputs=self._keep)
+        self._draws = WeatherSampler(len(plan.sources), scenario.weather_order, noisy=bool(scenario.weather_noise))
+        self._episodes = EpisodeFactory(
+            plan.building, plan.period, plan.sources, scenario.weather_noise, outputs=self._keep
+        )
         self.warnings: list[str] = []
         self._turned = False
         self._episode = 0
@@ -124,7 +126,7 @@ class EnginePool:
         # The end of a run writes into the folder of the engine that it was forked from.
         self._branches = self._keep or bool(place)
         self._begun: EngineClient | None = None
-        self._following: Draw | None = None
+        self._following: WeatherDraw | None = None
         self._ahead: PrefetchedEngine | None = None
         self._kept = self._keep
         self.draw = self._draws.next()
@@ -138,7 +140,7 @@ class EnginePool:
         return self._draws.constant and not self._keep
 
     @property
-    def source(self) -> Source:
+    def source(self) -> WeatherSource:
         """The weather file of the present episode."""
         return self.source_of(self.position)
 
@@ -174,7 +176,7 @@ class EnginePool:
         self._let_go(former_files, keeping=self.files)
         return EngineStart.STARTED
 
-    def _drawn(self, seed: int | None) -> Draw:
+    def _drawn(self, seed: int | None) -> WeatherDraw:
         first, self._turned = not self._turned, True
         self._seeds = 0 if seed is None else self._seeds + 1
         if first and seed is None:
@@ -243,7 +245,7 @@ class EnginePool:
         """Which weather the present episode has."""
         return EpisodeWeather(self.draw, self.files)
 
-    def source_of(self, position: EpisodeWeather) -> Source:
+    def source_of(self, position: EpisodeWeather) -> WeatherSource:
         """Its weather file, as it is without noise."""
         return self._plan.sources[position.draw.source]
 
@@ -318,14 +320,14 @@ class EnginePool:
             raise
         return _received(engine)
 
-    def _started(self, files: Files, cpus: Sequence[int]) -> EngineClient:
+    def _started(self, files: EpisodeFiles, cpus: Sequence[int]) -> EngineClient:
         try:
             run = self._run(files, files.model.parent, cpus, keep=self._keep)
             return EngineClient(run, registry=self._registry)
         except OSError as error:
             raise EngineDied(f"no engine could be started: {error}") from None
 
-    def _prepared(self, draw: Draw, episode: int) -> Files:
+    def _prepared(self, draw: WeatherDraw, episode: int) -> EpisodeFiles:
         """An episode's weather outlives its engine, which clears its own folder."""
         folder = self._folder / f"episode-{episode:04}"
         try:
@@ -346,7 +348,7 @@ class EnginePool:
         while len(self._kept_folders) > self._keep_last + 1:
             shutil.rmtree(self._kept_folders.popleft(), ignore_errors=True)
 
-    def _let_go(self, files: Files, *, keeping: Files) -> None:
+    def _let_go(self, files: EpisodeFiles, *, keeping: EpisodeFiles) -> None:
         if not self._keep and files.weather != keeping.weather and files.weather.parent == self._folder:
             with suppress(OSError):  # it goes with the node's folder at the latest
                 files.weather.unlink()
@@ -357,7 +359,9 @@ class EnginePool:
             ahead.engine.close()
             self._let_go(ahead.files, keeping=self.files)
 
-    def _run(self, files: Files, folder: Path, cpus: Sequence[int], *, keep: bool, branch: bool = False) -> EngineSpec:
+    def _run(
+        self, files: EpisodeFiles, folder: Path, cpus: Sequence[int], *, keep: bool, branch: bool = False
+    ) -> EngineSpec:
         plan = self._plan
         return EngineSpec(
             files.model,
@@ -373,12 +377,12 @@ class EnginePool:
         )
 
 
-def _used(files: Files) -> bool:
+def _used(files: EpisodeFiles) -> bool:
     """Whether an engine has been started with these files: each has a folder of its own, which goes with it."""
     return not files.model.exists() or (files.model.parent / LOG).exists()
 
 
-def weather_fields(source: Source) -> dict[str, Any]:
+def weather_fields(source: WeatherSource) -> dict[str, Any]:
     """What a manifest tells of a weather file."""
     header = source.header
     return {

@@ -44,19 +44,23 @@ _BEFORE_RUN = {"endofzonesizing", "endofsystemsizing", "aftercomponentinputreadi
 """Calling points of EMS programs that run before the simulation only; what they set is forgotten by then."""
 
 
-def rivals(objects: Objects, actuators: Sequence[Actuator]) -> list[str]:
+def conflicts(objects: Objects, actuators: Sequence[Actuator]) -> list[str]:
     """A line for each thing in the model that takes an actuator's effect away, and why.
 
     Args:
         objects: the model, with the scenario's changes.
         actuators: those of the scenario, as EnergyPlus names them.
     """
-    found = [f"actuator {name!r}: {text}" for name, texts in fought(objects, actuators).items() for text in texts]
+    found = [
+        f"actuator {name!r}: {text}"
+        for name, texts in overridden_actuators(objects, actuators).items()
+        for text in texts
+    ]
     found.extend(_plugins(objects, actuators))
     return list(dict.fromkeys(found))
 
 
-def fought(objects: Objects, actuators: Sequence[Actuator]) -> dict[str, list[str]]:
+def overridden_actuators(objects: Objects, actuators: Sequence[Actuator]) -> dict[str, list[str]]:
     """By actuator, why it has no effect; those that have one are not in it."""
     model = _Model(objects)
     found = {actuator.name: list(model.against(actuator)) for actuator in actuators}

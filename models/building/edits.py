@@ -19,7 +19,7 @@ is replaced as a whole.
 EVERY = "*"
 
 
-def changed(objects: Mapping[str, Mapping[str, Any]], changes: Changes) -> dict[str, dict[str, Any]]:
+def apply_edits(objects: Mapping[str, Mapping[str, Any]], changes: Changes) -> dict[str, dict[str, Any]]:
     """`objects` with `changes`; the input is not touched, and what did not change is shared with it.
 
     Object types, object names and allowed words may be written in any case; field names are those of epJSON.
@@ -30,7 +30,7 @@ def changed(objects: Mapping[str, Mapping[str, Any]], changes: Changes) -> dict[
     result: dict[str, Any] = dict(objects)
     found: list[str] = []
     for said, wanted in changes.items():
-        kind = schema.spelled(said)
+        kind = schema.canonical_type(said)
         if kind is None:
             found.append(schema.unknown_type(said))
         elif not isinstance(wanted, Mapping):
@@ -84,10 +84,10 @@ class _Change:
         return same
 
     def _merge(self, name: str, own: list[str], fields: Mapping[str, Any]) -> None:
-        given = schema.respelled(self.kind, {f: value for f, value in fields.items() if value is not None})
+        given = schema.canonical_fields(self.kind, {f: value for f, value in fields.items() if value is not None})
         removed = [f for f, value in fields.items() if value is None]
         said = own[0] if name != EVERY else name
-        self.found.extend(schema.faults({self.kind: {said: given}}, complete=False))
+        self.found.extend(schema.schema_errors({self.kind: {said: given}}, complete=False))
         for each in removed:
             if not schema.has_field(self.kind, each):
                 self._fault(said, f" {schema.unknown_field(self.kind, each)}")
@@ -97,19 +97,19 @@ class _Change:
             self.items[each] = {f: v for f, v in self.items[each].items() if f not in removed} | given
 
     def _add(self, name: str, fields: Mapping[str, Any]) -> None:
-        given = schema.respelled(self.kind, {f: value for f, value in fields.items() if value is not None})
+        given = schema.canonical_fields(self.kind, {f: value for f, value in fields.items() if value is not None})
         lacking = [f for f in schema.required(self.kind) if f not in given]
         if schema.single(self.kind) and self.items:
             (only,) = list(self.items)[:1]
             self._fault(name, f": a model has one object of this type, and this one has {only!r}; '*' names it too")
         elif lacking:
-            self.found.extend(schema.faults({self.kind: {name: given}}, complete=False))
+            self.found.extend(schema.schema_errors({self.kind: {name: given}}, complete=False))
             lacks = ", ".join(map(repr, lacking))
             self._fault(
                 name, f": the model has no such object; {did_you_mean(name, self.items)}; a new one would lack {lacks}"
             )
         else:
-            self.found.extend(schema.faults({self.kind: {name: given}}, complete=True))
+            self.found.extend(schema.schema_errors({self.kind: {name: given}}, complete=True))
         self.items[name] = given
 
     def _fault(self, name: str, text: str) -> None:

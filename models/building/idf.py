@@ -15,7 +15,7 @@ from typing import Any
 from models import energyplus
 from models.building import schema
 from models.building.transition import idf_objects
-from models.err_file import grave_lines
+from models.err_file import severe_lines
 from topics.errors import InvalidConfig, ModelError, did_you_mean
 
 _MOST = 10
@@ -34,7 +34,7 @@ def convert(path: Path, target: Path) -> None:
     converted: dict[str, Any] = json.loads(target.read_bytes()) or {}
     if not read.keys() & {kind.casefold() for kind in schema.types()}:
         raise InvalidConfig(f"{path} is no IDF: it holds no object that EnergyPlus {energyplus.version()} knows")
-    errors = [_spelled(line) for line in grave_lines(target.parent) if "Fatal" not in line]
+    errors = [_spelled(line) for line in severe_lines(target.parent) if "Fatal" not in line]
     errors += _left_out(read, converted)
     if errors:
         more = [f"and {len(errors) - _MOST} more"] if len(errors) > _MOST else []

@@ -11,7 +11,7 @@ from typing import Any
 
 from models import energyplus
 from models.building import idf, schema, transition
-from models.building.edits import Changes, changed
+from models.building.edits import Changes, apply_edits
 from models.cache import cached_bytes, digest
 from models.catalog import Entry
 from models.scenario.run_period import Period, parse_day, year_of
@@ -155,7 +155,7 @@ def check_runnable(building: Building) -> None:
         InvalidConfig: with all such objects, by type and name.
     """
     file = building.file or building.name
-    errors = [] if file.lower().endswith(".idf") else schema.faults(building.objects, complete=True)
+    errors = [] if file.lower().endswith(".idf") else schema.schema_errors(building.objects, complete=True)
     if errors:
         more = [f"and {len(errors) - _MOST} more"] if len(errors) > _MOST else []
         head = f"{file} does not fit EnergyPlus {energyplus.version()}:"
@@ -173,20 +173,20 @@ def check_runnable(building: Building) -> None:
         )
 
 
-def varied(building: Building, changes: Changes) -> Building:
+def with_edits(building: Building, changes: Changes) -> Building:
     """The building with a scenario's changes; `InvalidConfig` names all that the model or the schema lacks."""
     if not changes:
         return building
     return Building(
         building.name,
-        changed(building.objects, changes),
+        apply_edits(building.objects, changes),
         digest(building.content, json.dumps(changes, sort_keys=True)),
         building.notes,
         building.file,
     )
 
 
-def prepared(building: Building, period: Period, *, outputs: bool = False) -> dict[str, Objects]:
+def for_episode(building: Building, period: Period, *, outputs: bool = False) -> dict[str, Objects]:
     """The objects of one episode: its run period and timestep, no design-day environments.
 
     `outputs`: keep the output objects of the model; else EnergyPlus writes nothing but its errors.

@@ -51,7 +51,7 @@ def types() -> tuple[str, ...]:
     return tuple(_schema()["types"])
 
 
-def spelled(kind: str) -> str | None:
+def canonical_type(kind: str) -> str | None:
     """The object type `kind`, given in any case, as EnergyPlus spells it; None if there is no such type."""
     return _folded().get(kind.casefold())
 
@@ -76,7 +76,7 @@ def unknown_field(kind: str, name: str) -> str:
     return f"has no field {name!r}; {did_you_mean(name, _schema()['types'][kind]['fields'])}"
 
 
-def respelled(kind: str, fields: Fields) -> dict[str, Any]:
+def canonical_fields(kind: str, fields: Fields) -> dict[str, Any]:
     """`fields` with allowed words in EnergyPlus's own case and whole floats as integers where it wants those.
 
     What is wrong in another way, or unknown, stays as it is.
@@ -85,7 +85,7 @@ def respelled(kind: str, fields: Fields) -> dict[str, Any]:
     return _respell_fields(shape["fields"], fields) if shape else dict(fields)
 
 
-def faults(objects: Model, *, complete: bool) -> list[str]:
+def schema_errors(objects: Model, *, complete: bool) -> list[str]:
     """Each fault of `objects` against the schema, one line each.
 
     Args:
@@ -106,7 +106,7 @@ def faults(objects: Model, *, complete: bool) -> list[str]:
 
 def unknown_type(kind: str) -> str:
     """What to say of an object type that EnergyPlus does not have."""
-    right = spelled(kind)
+    right = canonical_type(kind)
     said = f"EnergyPlus spells it {right!r}" if right else did_you_mean(kind, types())
     return f"EnergyPlus has no object type {kind!r}; {said}"
 

@@ -19,7 +19,7 @@ from models import energyplus
 from models.building.model import Building, Objects, read_building
 from models.cache import cached_bytes, digest
 from models.catalog import Entry
-from models.points.discovery import Kinds, own_zones, places, texts, zone_names
+from models.points.discovery import Kinds, locations, own_zones, texts, zone_names
 from models.weather.epw import read_header
 from topics.errors import InvalidConfig
 
@@ -30,7 +30,7 @@ _YEAR_DAYS = 365
 
 
 @dataclass(frozen=True, slots=True)
-class BuildingFacts:
+class BuildingSummary:
     """A building in numbers and words.
 
     Areas count zones that are part of the total floor area, times their multipliers; `zones` and
@@ -50,7 +50,7 @@ class BuildingFacts:
 
 
 @dataclass(frozen=True, slots=True)
-class WeatherFacts:
+class WeatherSummary:
     """A weather file in numbers and words.
 
     `climate_zone`: of ASHRAE Standard 169, empty where the file has less than a year. `years`: those that
@@ -69,13 +69,13 @@ class WeatherFacts:
     last: tuple[int, int]
 
 
-def building_facts(building: Building) -> BuildingFacts:
+def building_summary(building: Building) -> BuildingSummary:
     """The facts of a model, from its objects; milliseconds."""
     objects = building.objects
     zones = objects.get("Zone", {})
     conditioned = {zone.casefold() for zone in zones} & _conditioned(objects)
     areas = {zone.casefold(): area for zone, area in _counted_areas(objects).items()}
-    return BuildingFacts(
+    return BuildingSummary(
         floor_area_m2=sum(areas.values()),
         conditioned_area_m2=sum(area for zone, area in areas.items() if zone in conditioned),
         zones=len(zones),
@@ -87,7 +87,7 @@ def building_facts(building: Building) -> BuildingFacts:
     )
 
 
-def listed_facts(entry: Entry) -> BuildingFacts:
+def listed_summaries(entry: Entry) -> BuildingSummary:
     """The facts of a catalogue entry, kept under the file's content: the model is read once.
 
     Raises:
@@ -96,11 +96,11 @@ def listed_facts(entry: Entry) -> BuildingFacts:
     """
 
     def make(target: Path) -> None:
-        target.write_text(json.dumps(asdict(building_facts(read_building(entry)))))
+        target.write_text(json.dumps(asdict(building_summary(read_building(entry)))))
 
     key = digest(entry.path.read_bytes(), energyplus.version(), _FORMAT)
     found: dict[str, Any] = json.loads(cached_bytes(f"facts/{key}.json", make))
-    return BuildingFacts(**found | {"fuels": tuple(found["fuels"])})
+    return BuildingSummary(**found | {"fuels": tuple(found["fuels"])})
 
 
 # Floor area
@@ -265,7 +265,7 @@ def _air_loops(objects: Kinds) -> list[str]:
     loops = objects.get("AirLoopHVAC", {})
     if not loops:
         return []
-    where = places(objects)
+    where = locations(objects)
     varying = {
         where.get(name.upper())
         for kind, items in objects.items()
@@ -351,7 +351,7 @@ _TEMPERATURE_MISSING, _HUMIDITY_MISSING = 99.9, 999.0
 _STAT_ZONE = re.compile(r'Climate (?:type|zone) "(\d[ABC]?)" \(ASHRAE', re.IGNORECASE)
 
 
-def weather_facts(path: Path) -> WeatherFacts:
+def weather_summary(path: Path) -> WeatherSummary:
     """The facts of an EPW file: its header and the columns of dry bulb and relative humidity; 15 ms.
 
     The climate zone is that of a `.stat` file beside the EPW, with its moisture letter, if there is one.
@@ -361,7 +361,7 @@ def weather_facts(path: Path) -> WeatherFacts:
     """
     header = read_header(path)
     year, temperature, humidity = _columns(path, 24 * header.records_per_hour)
-    return WeatherFacts(
+    return WeatherSummary(
         place=header.place,
         latitude_deg=header.latitude_deg,
         longitude_deg=header.longitude_deg,

@@ -22,7 +22,7 @@ Renames = tuple[tuple[str, str], ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Converted:
+class ConversionResult:
     """A model for the engine, and what was done to it, a line each."""
 
     objects: dict[str, Any]
@@ -30,7 +30,7 @@ class Converted:
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class VersionTransition:
     """What changed in the input from one version to the next, by object type.
 
     Attributes:
@@ -55,7 +55,7 @@ class Step:
 
 _SPACES = (("zone_name", "zone_or_space_name"),)
 STEPS = (
-    Step(
+    VersionTransition(
         "24.1",
         "24.2",
         renamed={
@@ -79,8 +79,8 @@ STEPS = (
         },
         moved=("HeatPump:PlantLoop:EIR:Cooling", "HeatPump:PlantLoop:EIR:Heating", "OutputControl:Files"),
     ),
-    Step("24.2", "25.1"),
-    Step(
+    VersionTransition("24.2", "25.1"),
+    VersionTransition(
         "25.1",
         "25.2",
         renamed={
@@ -127,7 +127,7 @@ STEPS = (
 """What is known, in order."""
 
 
-def check_epjson(objects: Objects, *, name: str, engine: str | None = None) -> Converted:
+def check_epjson(objects: Objects, *, name: str, engine: str | None = None) -> ConversionResult:
     """The model for the engine, converted if it is of an earlier known version; the input is not touched.
 
     A model of the engine's own version, or of none, is taken as it is (EnergyPlus does the same).
@@ -142,20 +142,20 @@ def check_epjson(objects: Objects, *, name: str, engine: str | None = None) -> C
     """
     engine = engine or energyplus.version()
     if not all(isinstance(items, Mapping) and _all_fields(items) for items in objects.values()):
-        raise InvalidConfig("\n".join([f"{name} is no epJSON:", *schema.faults(objects, complete=False)]))
+        raise InvalidConfig("\n".join([f"{name} is no epJSON:", *schema.schema_errors(objects, complete=False)]))
     said = next((fields.get("version_identifier") for fields in objects.get("Version", {}).values()), None)
     steps = _steps(said, engine, name)
     if not steps:
-        return Converted(dict(objects))
+        return ConversionResult(dict(objects))
     result, notes = {kind: dict(items) for kind, items in objects.items()}, list[str]()
     for step in steps:
         done = [f"from {step.before} to {step.after}: {note}" for note in dict.fromkeys(_convert(step, result))]
         notes += done or [f"from {step.before} to {step.after}: nothing to convert"]
     result["Version"] = {each: {"version_identifier": steps[-1].after} for each in list(result["Version"])[:1]}
-    if faults := schema.faults(result, complete=True):
+    if faults := schema.schema_errors(result, complete=True):
         head = f"{name} is of EnergyPlus {said}, and this does not fit {steps[-1].after} ({_advice(engine)}):"
         raise InvalidConfig("\n".join([head, *faults]))
-    return Converted(result, tuple(notes))
+    return ConversionResult(result, tuple(notes))
 
 
 def check_idf(text: str, *, name: str, engine: str | None = None) -> tuple[str, ...]:
@@ -190,7 +190,7 @@ def _all_fields(items: Mapping[str, Any]) -> bool:
     return all(isinstance(fields, Mapping) for fields in items.values())
 
 
-def _steps(said: object, engine: str, name: str) -> tuple[Step, ...]:
+def _steps(said: object, engine: str, name: str) -> tuple[VersionTransition, ...]:
     """The steps from the version that a file names to the engine's; none if it is the same or not named."""
     target = _short(engine)
     own = _short(said) if said not in (None, "") else target
@@ -216,7 +216,7 @@ def _advice(engine: str) -> str:
     )
 
 
-def _convert(step: Step, objects: dict[str, dict[str, Any]]) -> Iterable[str]:
+def _convert(step: VersionTransition, objects: dict[str, dict[str, Any]]) -> Iterable[str]:
     """Converts `objects` in place, one level deep, and says what was done."""
     for kind, renames in step.renamed.items():
         yield from _each(objects, kind, lambda fields, r=renames: _rename(fields, r))

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from models import energyplus
-from models.building.model import Building, Objects, check_runnable, prepared, write
+from models.building.model import Building, Objects, check_runnable, for_episode, write
 from models.cache import cached_bytes, digest
 from models.scenario.run_period import Period
 from topics.units import unit_name
@@ -67,7 +67,7 @@ class InternalVariable:
 
 
 @dataclass(frozen=True)
-class Survey:
+class PointCatalog:
     """The points of one model. Its dictionaries have casefolded names: EnergyPlus takes any case."""
 
     variables: tuple[Variable, ...]
@@ -89,7 +89,7 @@ class Survey:
         }
 
 
-def survey(building: Building, weather: Path) -> Survey:
+def discover(building: Building, weather: Path) -> PointCatalog:
     """The points of `building`. The weather only serves to start EnergyPlus.
 
     Raises:
@@ -101,7 +101,7 @@ def survey(building: Building, weather: Path) -> Survey:
     def make(target: Path) -> None:
         folder = target.parent
         day = date(2017, 1, 1)
-        model = write(prepared(building, Period(day, day, building.steps_per_hour), outputs=False) | _LISTS, folder)
+        model = write(for_episode(building, Period(day, day, building.steps_per_hour), outputs=False) | _LISTS, folder)
         energyplus.call("survey", model, weather, target, file=building.file or building.name)
 
     name = f"points/{digest(building.content, energyplus.version(), _FORMAT)}.json"
@@ -115,7 +115,7 @@ _LISTS = {
 }
 
 
-def _read(content: bytes) -> Survey:
+def _read(content: bytes) -> PointCatalog:
     found = json.loads(content)
     kinds = {name.casefold(): kind for name, kind in found["kinds"].items()}
     variables: list[Variable] = []
@@ -132,7 +132,7 @@ def _read(content: bytes) -> Survey:
             actuators.append(ActuatorPoint(name, control, key, unit_name(unit)))
         elif what == "InternalVariable":
             internal.append(InternalVariable(name, key, unit_name(unit)))
-    return Survey(tuple(variables), tuple(meters), tuple(actuators), tuple(internal))
+    return PointCatalog(tuple(variables), tuple(meters), tuple(actuators), tuple(internal))
 
 
 _OWN_ZONE = re.compile(r"(zone|space)(_or_\w+)?_name")
@@ -143,7 +143,7 @@ _SURFACE = re.compile(r"(\w+_)?surface_name")
 _NODE = re.compile(r"\w*node\w*_name")
 
 
-def places(objects: Kinds) -> dict[str, str]:
+def locations(objects: Kinds) -> dict[str, str]:
     """Name of a thing, in upper case as in EnergyPlus's lists, to the zone or loop that it belongs to.
 
     It follows the names that objects have of each other. What names a zone as its own, with all its parts

@@ -8,7 +8,7 @@ from math import isfinite, nan
 from typing import TypeVar
 
 from models.building.model import Building
-from models.points.discovery import ActuatorPoint, MeterPoint, Survey, Variable, places
+from models.points.discovery import ActuatorPoint, MeterPoint, PointCatalog, Variable, locations
 from topics.errors import ErrorCollector, InvalidConfig, UnknownName, UsageError, did_you_mean
 from topics.keys import check_name, safe_name
 from topics.messages import Actuator, Aggregation, Meter, Sensor
@@ -79,7 +79,7 @@ class Points:
 
 
 @dataclass(frozen=True, slots=True)
-class Listed:
+class PointListing:
     """A point of a model as lists show it.
 
     Attributes:
@@ -100,9 +100,9 @@ class Listed:
     where: str
 
 
-def choose(
+def select_points(
     building: Building,
-    survey: Survey,
+    survey: PointCatalog,
     sensors: Spec | None,
     meters: MeterSpec | None,
     actuators: Spec | None,
@@ -151,12 +151,12 @@ def _each(wanted: Mapping[str, S], find: Callable[[str, S], T], faults: ErrorCol
     return found
 
 
-def _sensor(survey: Survey, name: str, spec: Sequence[object]) -> tuple[Sensor, Variable]:
+def _sensor(survey: PointCatalog, name: str, spec: Sequence[object]) -> tuple[Sensor, Variable]:
     variable, key, asked = _texts("sensor", name, spec, "(variable, key) or (variable, key, reading)", 2, 3)
     found = find_variable(survey, name, variable, key)
     if asked and asked not in list(Aggregation):
         raise InvalidConfig(f"sensor {name!r}: reading {asked!r}; there are: {', '.join(Aggregation)}")
-    reading = Aggregation(asked) if asked else default_reading(found)
+    reading = Aggregation(asked) if asked else default_aggregation(found)
     if (reading is Aggregation.SUM) != found.summed and reading is not Aggregation.INSTANT:
         right = "sum" if found.summed else "mean"
         raise InvalidConfig(f"sensor {name!r}: EnergyPlus reports {variable!r} as a {right}, not as a {reading}")
@@ -174,7 +174,7 @@ def _texts(what: str, name: str, spec: Sequence[object], form: str, least: int, 
     return parts + [""] * (most - len(parts))
 
 
-def find_variable(survey: Survey, name: str, variable: str, key: str) -> Variable:
+def find_variable(survey: PointCatalog, name: str, variable: str, key: str) -> Variable:
     """The variable of that name and key, in any case; `UnknownName` lists near ones."""
     found = survey.by_variable.get((variable.casefold(), key.casefold()))
     if found is not None:
@@ -188,7 +188,7 @@ def find_variable(survey: Survey, name: str, variable: str, key: str) -> Variabl
     raise UnknownName(f"sensor {name!r}: {variable!r} has no key {key!r}; {did_you_mean(key, (v.key for v in same))}")
 
 
-def default_reading(variable: Variable) -> Aggregation:
+def default_aggregation(variable: Variable) -> Aggregation:
     """`sum` for what EnergyPlus sums, `mean` for rates and flows, `instant` for states."""
     if variable.summed:
         return Aggregation.SUM
@@ -207,7 +207,7 @@ def sensor_bounds(variable: Variable) -> tuple[float | None, float | None]:
     return limits(variable.unit)
 
 
-def _meter(survey: Survey, name: str, spec: object) -> tuple[Meter, MeterPoint]:
+def _meter(survey: PointCatalog, name: str, spec: object) -> tuple[Meter, MeterPoint]:
     for candidate in survey.meters:
         if candidate.name.casefold() == str(spec).casefold():
             return Meter(name=name, meter=candidate.name, unit=candidate.unit, low=_meter_low(candidate)), candidate
@@ -221,7 +221,7 @@ def _meter_low(meter: MeterPoint) -> float | None:
     return 0.0 if meter.name.split(":")[0] in _FUELS else None
 
 
-def _actuator(building: Building, survey: Survey, name: str, spec: Sequence[object]) -> Actuator:
+def _actuator(building: Building, survey: PointCatalog, name: str, spec: Sequence[object]) -> Actuator:
     if isinstance(spec, str) or len(spec) not in (3, 5):
         raise InvalidConfig(
             f"actuator {name!r}: expected (component type, control type, key) or that with low and high, got {spec!r}"
@@ -262,7 +262,7 @@ def _bound(name: str, said: object) -> float | None:
     return value
 
 
-def find_actuator(survey: Survey, name: str, component: str, control: str, key: str) -> ActuatorPoint:
+def find_actuator(survey: PointCatalog, name: str, component: str, control: str, key: str) -> ActuatorPoint:
     """The actuator of those three names, in any case; `UnknownName` says which of them is wrong."""
     found = survey.by_actuator.get((component.casefold(), control.casefold(), key.casefold()))
     if found is not None:
@@ -296,7 +296,7 @@ def actuator_bounds(building: Building, actuator: ActuatorPoint) -> tuple[float 
     return limits(actuator.unit)
 
 
-def thermostat_zones(survey: Survey) -> dict[str, str]:
+def thermostat_zones(survey: PointCatalog) -> dict[str, str]:
     """Keys of the zones whose thermostat can be set, in EnergyPlus's order, each with a safe name of its own."""
     zones: dict[str, str] = {}
     for actuator in survey.actuators:
@@ -309,7 +309,7 @@ def thermostat_zones(survey: Survey) -> dict[str, str]:
     return zones
 
 
-def default_sensors(survey: Survey) -> dict[str, tuple[str, str]]:
+def default_sensors(survey: PointCatalog) -> dict[str, tuple[str, str]]:
     """Outdoor temperature and humidity, HVAC power, and each conditioned zone's air and occupants."""
     found = {name: (variable, key) for name, (variable, key) in _SITE_SENSORS.items()}
     for zone, name in thermostat_zones(survey).items():
@@ -322,14 +322,14 @@ def default_sensors(survey: Survey) -> dict[str, tuple[str, str]]:
     }
 
 
-def default_meters(survey: Survey) -> dict[str, str]:
+def default_meters(survey: PointCatalog) -> dict[str, str]:
     """The facility's meters of whatever fuels the model uses, and the HVAC's electricity."""
     has = {m.name for m in survey.meters}
     wanted = [f"{fuel}:Facility" for fuel in _FUELS] + ["Electricity:HVAC"]
     return {safe_name(name.replace(":", "_")): name for name in wanted if name in has}
 
 
-def default_actuators(survey: Survey) -> dict[str, tuple[str, str, str]]:
+def default_actuators(survey: PointCatalog) -> dict[str, tuple[str, str, str]]:
     """The heating and cooling setpoints of each zone."""
     zones = thermostat_zones(survey)
     return {
@@ -339,25 +339,27 @@ def default_actuators(survey: Survey) -> dict[str, tuple[str, str, str]]:
     }
 
 
-def listing(survey: Survey, building: Building) -> Iterator[Listed]:
+def listing(survey: PointCatalog, building: Building) -> Iterator[PointListing]:
     """All points of a model, each with its bounds and its place; a tenth of a second for 20,000."""
-    where = places(building.objects)
+    where = locations(building.objects)
 
     def place(key: str) -> str:
         return where.get(key.upper()) or _WHOLE.get(key.upper(), "")
 
     for v in survey.variables:
-        yield Listed("sensor", v.name, v.key, v.unit, *sensor_bounds(v), place(v.key))
+        yield PointListing("sensor", v.name, v.key, v.unit, *sensor_bounds(v), place(v.key))
     own_meters = {
         n for kind, items in building.objects.items() if kind.startswith("Meter:") for n in map(str.upper, items)
     }
     for m in survey.meters:
-        yield Listed("meter", m.name, "", m.unit, _meter_low(m), None, _meter_place(m.name.upper(), where, own_meters))
+        yield PointListing(
+            "meter", m.name, "", m.unit, _meter_low(m), None, _meter_place(m.name.upper(), where, own_meters)
+        )
     for a in survey.actuators:
         name = f"{a.component_type} / {a.control_type}"
-        yield Listed("actuator", name, a.key, a.unit, *actuator_bounds(building, a), place(a.key))
+        yield PointListing("actuator", name, a.key, a.unit, *actuator_bounds(building, a), place(a.key))
     for i in survey.internal:
-        yield Listed("internal", i.name, i.key, i.unit, None, None, place(i.key))
+        yield PointListing("internal", i.name, i.key, i.unit, None, None, place(i.key))
 
 
 # Keys by which EnergyPlus calls what belongs to no zone and no loop.

@@ -10,17 +10,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from models.building.model import Building, prepared, write
+from models.building.model import Building, for_episode, write
 from models.scenario.run_period import Period
 from models.scenario.schema import Order
 from models.weather import design_days, epw
 from models.weather.design_days import Site
 from models.weather.epw import Header
-from models.weather.noise import Variability, disturbed
+from models.weather.noise import Variability, with_noise
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
+class WeatherSource:
     """A weather file, with the location and design days that belong to it (None: the model's own)."""
 
     name: str
@@ -30,14 +30,14 @@ class Source:
 
 
 @dataclass(frozen=True, slots=True)
-class Draw:
+class WeatherDraw:
     """What is random of an episode: which of the weather files, and the seed of its noise."""
 
     source: int = 0
     noise: int = 0
 
 
-class Draws:
+class WeatherSampler:
     """A draw for each episode. The same seed gives the same draws; without one they differ from run to run.
 
     Args:
@@ -64,49 +64,55 @@ class Draws:
         )
         self._episode = 0
 
-    def next(self) -> Draw:
+    def next(self) -> WeatherDraw:
         """The next episode's. Each number has a generator of its own: more weathers leave the noise as it was."""
         source, noise = int(self._which.integers(self._sources)), int(self._noise.integers(1 << 63))
         if self._order == "sequence":
             source = self._episode % self._sources
         self._episode += 1
-        return Draw(source, noise if self._noisy else 0)
+        return WeatherDraw(source, noise if self._noisy else 0)
 
 
 @dataclass(frozen=True, slots=True)
-class Files:
+class EpisodeFiles:
     """What EnergyPlus reads in an episode, and the parameters of its weather's noise."""
 
     model: Path
     weather: Path
-    drawn: dict[str, float] = field(default_factory=dict)
+    noise_parameters: dict[str, float] = field(default_factory=dict)
 
 
-class Episodes:
+class EpisodeFactory:
     """Prepares the files of episodes of one building and run period."""
 
     def __init__(
-        self, building: Building, period: Period, sources: Sequence[Source], variability: Variability, *, outputs: bool
+        self,
+        building: Building,
+        period: Period,
+        sources: Sequence[WeatherSource],
+        variability: Variability,
+        *,
+        outputs: bool,
     ) -> None:
         self._building, self._period, self._sources = building, period, sources
         self._variability, self._outputs = variability, outputs
         self._read: dict[int, epw.Weather] = {}
 
-    def prepare(self, draw: Draw, folder: Path, disturbed_weather: Path) -> Files:
+    def prepare(self, draw: WeatherDraw, folder: Path, disturbed_weather: Path) -> EpisodeFiles:
         """Writes the model of an episode into `folder`, and its weather, if there is noise, to the other path."""
         source = self._sources[draw.source]
-        objects = prepared(self._building, self._period, outputs=self._outputs)
+        objects = for_episode(self._building, self._period, outputs=self._outputs)
         if source.site is not None:
             objects = design_days.apply(objects, source.site)
         model = write(objects, folder)
         if not self._variability:
-            return Files(model, source.path)
+            return EpisodeFiles(model, source.path)
         if draw.source not in self._read:
             self._read[draw.source] = epw.read(source.path)
-        found = disturbed(self._read[draw.source], self._variability, np.random.Generator(np.random.PCG64(draw.noise)))
+        found = with_noise(self._read[draw.source], self._variability, np.random.Generator(np.random.PCG64(draw.noise)))
         epw.write(self._read[draw.source], disturbed_weather, found.changed)
         drawn = {f"{column}.{name}": value for column, values in found.drawn.items() for name, value in values.items()}
-        return Files(model, disturbed_weather, drawn)
+        return EpisodeFiles(model, disturbed_weather, drawn)
 
 
 AHEAD = timedelta(days=7)

@@ -6,8 +6,8 @@ import re
 
 from models.building.model import Building
 from models.points.selection import Points
-from models.scenario.schema import ActionSpec, ActuatorSpec, ChoiceSpec, Scenario, SensorSpec
-from models.weather.noise import Noise, Variability
+from models.scenario.schema import ActionSpec, ActuatorSpec, DiscreteActionSpec, Scenario, SensorSpec
+from models.weather.noise import ColumnNoise, Variability
 from topics.errors import UnknownName, did_you_mean
 from topics.messages import Actuator, Sensor, Task
 from topics.scenario_ids import BUILDINGS, WEATHERS, bundled_ids, pack_ids
@@ -24,8 +24,8 @@ _ID = re.compile(
 def default_variability() -> Variability:
     """The weather noise of the paper's stochastic scenarios: temperature in K, humidity in percent."""
     return {
-        "dry_bulb_temperature": Noise(sigma=1.0, mu=0.0, tau_h=24.0),
-        "relative_humidity": Noise(sigma=(2.0, 5.0), mu=0.0, tau_h=24.0),
+        "dry_bulb_temperature": ColumnNoise(sigma=1.0, mu=0.0, tau_h=24.0),
+        "relative_humidity": ColumnNoise(sigma=(2.0, 5.0), mu=0.0, tau_h=24.0),
     }
 
 
@@ -57,7 +57,7 @@ def find_scenario(text: str) -> Scenario:
         + (", weather with noise" if stochastic else ""),
         building=building,
         weather=(weather,),
-        variability=default_variability() if stochastic else {},
+        weather_noise=default_variability() if stochastic else {},
         control="building",
         discrete=STEPS if form == "discrete" else None,
     )
@@ -78,13 +78,15 @@ def expanded(scenario: Scenario, building: Building, points: Points, task: Task)
     if scenario.actions is None and scenario.control != "point":
         left_out["actions"] = {a.name: ActionSpec(actuators=a.actuators, low=a.low, high=a.high) for a in task.actions}
     if isinstance(scenario.discrete, int):
-        left_out["discrete"] = tuple(ChoiceSpec(actions=c.actions, values=c.values) for c in task.discrete_actions)
+        left_out["discrete"] = tuple(
+            DiscreteActionSpec(actions=c.actions, values=c.values) for c in task.discrete_actions
+        )
     return scenario.model_copy(update={**left_out, "control": "point"})
 
 
 def _sensor(sensor: Sensor, scenario: Scenario) -> SensorSpec:
-    reading = sensor.aggregation if scenario.reading is None else None
-    return SensorSpec(variable=sensor.variable, key=sensor.key, reading=reading)
+    reading = sensor.aggregation if scenario.aggregation is None else None
+    return SensorSpec(variable=sensor.variable, key=sensor.key, aggregation=reading)
 
 
 def _actuator(actuator: Actuator) -> ActuatorSpec:

@@ -25,7 +25,7 @@ from pydantic_core import CoreSchema
 
 from models.building.edits import Changes
 from models.catalog import MODEL_SUFFIXES, WEATHER_SUFFIXES
-from models.weather.noise import Noise
+from models.weather.noise import ColumnNoise
 from topics import yaml12
 from topics.codec import describe_validation_errors
 from topics.errors import ErrorCollector, InvalidConfig, UnknownName
@@ -49,7 +49,7 @@ class SensorSpec(_Part):
 
     variable: str
     key: str
-    reading: Aggregation | None = None
+    aggregation: Aggregation | None = None
 
 
 class ActuatorSpec(_Part):
@@ -86,7 +86,7 @@ class ActionSpec(_Part):
         return whole
 
 
-class ChoiceSpec(_Part):
+class DiscreteActionSpec(_Part):
     """One discrete dimension: a row of values for `actions` for each choice."""
 
     actions: Annotated[tuple[SafeName, ...], Field(min_length=1)]
@@ -99,7 +99,7 @@ class LimitSpec(_Part):
     points: Annotated[tuple[SafeName, ...], Field(min_length=1)]
     low: Number | None = None
     high: Number | None = None
-    for_h: Annotated[float, Field(ge=0, strict=True)] = 0.0
+    duration_h: Annotated[float, Field(ge=0, strict=True)] = 0.0
 
     @model_validator(mode="after")
     def _a_range(self) -> LimitSpec:
@@ -141,7 +141,7 @@ Weathers = Annotated[
     BeforeValidator(_one_or_more, json_schema_input_type=str | Annotated[list[str], Field(min_length=1)]),
 ]
 Discrete = Annotated[
-    Annotated[int, Field(ge=2, strict=True), Tag("@number")] | Annotated[tuple[ChoiceSpec, ...], Tag("@list")],
+    Annotated[int, Field(ge=2, strict=True), Tag("@number")] | Annotated[tuple[DiscreteActionSpec, ...], Tag("@list")],
     Discriminator(_is_list),
 ]
 
@@ -178,17 +178,17 @@ class Scenario(_Part):
     building: str
     weather: Weathers
     weather_order: Order = "random"
-    variability: dict[str, Noise] = Field(default_factory=dict)
+    weather_noise: dict[str, ColumnNoise] = Field(default_factory=dict)
     sizing: Sizing = "weather"
     begin: str | None = None
     end: str | None = None
     steps_per_hour: Count | None = None
-    changes: Changes = Field(default_factory=dict)
+    edits: Changes = Field(default_factory=dict)
     time: tuple[TimeField, ...] = ()
     sensors: dict[str, Annotated[SensorSpec, _listed(SensorSpec)]] | None = None
     meters: dict[str, str] | None = None
     actuators: dict[str, Annotated[ActuatorSpec, _listed(ActuatorSpec)]] | None = None
-    reading: Literal[Aggregation.INSTANT, Aggregation.MEAN] | None = None
+    aggregation: Literal[Aggregation.INSTANT, Aggregation.MEAN] | None = None
     actions: dict[str, ActionSpec] | None = None
     control: Control = "point"
     discrete: Discrete | None = None

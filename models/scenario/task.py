@@ -50,7 +50,7 @@ def task_of(scenario: Scenario, points: Points) -> Task:
         discrete_actions=choices,
         reward=scenario.reward,
         terminate=tuple(
-            TerminationLimit(points=limit.points, low=limit.low, high=limit.high, duration_s=3600.0 * limit.for_h)
+            TerminationLimit(points=limit.points, low=limit.low, high=limit.high, duration_s=3600.0 * limit.duration_h)
             for limit in scenario.terminate
         ),
         wrappers=scenario.wrappers,

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from models.scenario.schema import ActuatorSpec, ChoiceSpec
-from models.sinergym.literals import Discrete, MultiDiscrete, Offsets, Rows, Table
+from models.scenario.schema import ActuatorSpec, DiscreteActionSpec
+from models.sinergym.literals import DiscreteSpec, MultiDiscrete, Offsets, Rows, Table
 from topics.errors import InvalidConfig
 
 _Values = tuple[tuple[float, ...], ...]
 
 
 def choice_specs(
-    discrete: Discrete | MultiDiscrete, table: Table, actuators: Mapping[str, ActuatorSpec]
-) -> tuple[ChoiceSpec, ...]:
+    discrete: DiscreteSpec | MultiDiscrete, table: Table, actuators: Mapping[str, ActuatorSpec]
+) -> tuple[DiscreteActionSpec, ...]:
     """One `ChoiceSpec` over all actuators for a `Discrete`, one for each of them for a `MultiDiscrete`.
 
     Raises:
@@ -21,17 +21,17 @@ def choice_specs(
             by `; `.
     """
     names = list(actuators)
-    if isinstance(discrete, Discrete):
-        found = [ChoiceSpec(actions=tuple(names), values=_joint(discrete, table, len(names)))]
+    if isinstance(discrete, DiscreteSpec):
+        found = [DiscreteActionSpec(actions=tuple(names), values=_joint(discrete, table, len(names)))]
     else:
         columns = _separate(discrete, table, len(names))
-        found = [ChoiceSpec(actions=(name,), values=rows) for name, rows in zip(names, columns, strict=True)]
+        found = [DiscreteActionSpec(actions=(name,), values=rows) for name, rows in zip(names, columns, strict=True)]
     if outside := [fault for choice in found for fault in _outside(choice, actuators)]:
         raise InvalidConfig("; ".join(outside))
     return tuple(found)
 
 
-def _joint(discrete: Discrete, table: Table, actuators: int) -> _Values:
+def _joint(discrete: DiscreteSpec, table: Table, actuators: int) -> _Values:
     if not isinstance(table, Rows):
         raise InvalidConfig(f"Discrete({discrete.n}) needs a table of values, and there are only numbers to add")
     if len(table.values) != discrete.n:
@@ -53,7 +53,7 @@ def _separate(discrete: MultiDiscrete, table: Table, actuators: int) -> list[_Va
     return [tuple((k + added.get(index, 0.0),) for k in range(n)) for index, n in enumerate(discrete.nvec)]
 
 
-def _outside(choice: ChoiceSpec, actuators: Mapping[str, ActuatorSpec]) -> list[str]:
+def _outside(choice: DiscreteActionSpec, actuators: Mapping[str, ActuatorSpec]) -> list[str]:
     """The values of a choice that leave the bounds of their actuators."""
     return [
         f"choice {number} sets {name} to {value:g}, outside {actuator.low:g} to {actuator.high:g} of action_space"

@@ -12,13 +12,13 @@ from pydantic import ValidationError
 
 from models import catalog, data_packs
 from models.catalog import Entry
-from models.scenario.schema import ActionSpec, ActuatorSpec, ChoiceSpec, Scenario, SensorSpec, read_scenario
+from models.scenario.schema import ActionSpec, ActuatorSpec, DiscreteActionSpec, Scenario, SensorSpec, read_scenario
 from models.sinergym.choices import choice_specs
-from models.sinergym.literals import Box, Space, Table, space
+from models.sinergym.literals import BoxSpec, Space, Table, space
 from models.sinergym.rewards import RewardReader
-from models.sinergym.section_reader import Fields
+from models.sinergym.section_reader import SectionReader
 from models.weather.epw import find_column
-from models.weather.noise import Noise
+from models.weather.noise import ColumnNoise
 from topics.codec import describe_validation_errors
 from topics.errors import InvalidConfig, did_you_mean
 from topics.keys import check_name
@@ -56,7 +56,7 @@ _RUN_PERIOD = "[day, month, year, day, month, year]"
 
 
 @dataclass(frozen=True, slots=True)
-class Parsed:
+class SinergymConfig:
     """What a configuration says.
 
     Attributes:
@@ -72,12 +72,12 @@ class Parsed:
     forms: tuple[str, ...]
     scenario: Scenario
     weathers: dict[str, tuple[str, ...]]
-    noise: dict[str, Noise]
-    choices: tuple[ChoiceSpec, ...] | None
+    noise: dict[str, ColumnNoise]
+    choices: tuple[DiscreteActionSpec, ...] | None
     reason: str
 
 
-class Reader(Fields):
+class Reader(SectionReader):
     """Reads a configuration.
 
     Args:
@@ -94,7 +94,7 @@ class Reader(Fields):
         self.path, self.tables, self.overridden = path, tables, overridden
         self.renamed: dict[str, str] = {}
 
-    def read(self) -> Parsed:
+    def read(self) -> SinergymConfig:
         """All that is said; `InvalidConfig` has all faults, one a line."""
         self._check_keys()
         base = self._id_base()
@@ -122,7 +122,7 @@ class Reader(Fields):
         forms = [] if self.given.get("only_discrete") else [CONTINUOUS]
         forms += [DISCRETE] if self.given.get("action_space_discrete") else []
         scenario = read_scenario(fields, str(self.path))
-        return Parsed(base, tuple(forms), scenario, weathers, noise, choices, reason)
+        return SinergymConfig(base, tuple(forms), scenario, weathers, noise, choices, reason)
 
     def _unless(self, argument: str, read: Callable[[], T]) -> T:
         """What is read; its mistakes do not matter where an argument replaces it."""
@@ -139,22 +139,22 @@ class Reader(Fields):
         replaced = [name for argument in self.overridden for name in OVERRIDDEN_BY.get(argument, ())]
         for name in REQUIRED:
             if self.given.get(name) is None and name not in replaced:
-                self.fault(f"{name} is missing")
+                self.add_error(f"{name} is missing")
         config = self.given.get("building_config")
         if isinstance(config, Mapping):
             self.known(config, ("timesteps_per_hour", "runperiod"), "building_config: ")
         only = self.given.get("only_discrete")
         if only is not None and not isinstance(only, bool):
-            self.fault(f"only_discrete: true or false expected, got {only!r}")
+            self.add_error(f"only_discrete: true or false expected, got {only!r}")
         if only is True and not self.given.get("action_space_discrete"):
-            self.fault("only_discrete: true leaves nothing without action_space_discrete")
+            self.add_error("only_discrete: true leaves nothing without action_space_discrete")
 
     def kept_episodes(self) -> int | None:
         """`max_ep_store`: of how many episodes the files are kept, where they are; None where it says nothing."""
         given = self.given.get("max_ep_store")
         if given is None or (type(given) is int and given >= 1):
             return given
-        self.fault(f"max_ep_store: a whole number of 1 or more expected, got {given!r}")
+        self.add_error(f"max_ep_store: a whole number of 1 or more expected, got {given!r}")
         return None
 
     # The building, its weather and its run period
@@ -164,9 +164,9 @@ class Reader(Fields):
         if base is None:
             return ""
         if not isinstance(base, str):
-            self.fault(f"id_base: a text expected, got {base!r}")
+            self.add_error(f"id_base: a text expected, got {base!r}")
             return ""
-        return self.attempt(lambda: check_name(base, "the base of the ids"), "id_base") or ""
+        return self.collect(lambda: check_name(base, "the base of the ids"), "id_base") or ""
 
     def _building(self) -> str:
         return self._file("building_file", self.given.get("building_file"), catalog.buildings, MODEL)
@@ -176,7 +176,7 @@ class Reader(Fields):
         if text is None:
             return ""
         if not isinstance(text, str) or not text:
-            self.fault(f"{where}: the name of a file expected, got {text!r}")
+            self.add_error(f"{where}: the name of a file expected, got {text!r}")
             return ""
         beside = self.path.parent / Path(text)
         if beside.is_file():
@@ -186,10 +186,10 @@ class Reader(Fields):
             if entry.path.name == text:
                 return entry.name
         if not packed and Path(text).stem in promised:
-            self.fault(f"{where}: {text!r} is in the data pack {PACK!r}: {data_packs.command(PACK)}")
+            self.add_error(f"{where}: {text!r} is in the data pack {PACK!r}: {data_packs.command(PACK)}")
         else:
             names = [entry.path.name for entry in packed]
-            self.fault(
+            self.add_error(
                 f"{where}: no file {text!r} beside {self.path.name} or in the data pack; {did_you_mean(text, names)}"
             )
         return ""
@@ -203,14 +203,14 @@ class Reader(Fields):
         self.known(given, ("weather_files", "keys"), f"{where}: ")
         files, keys = given.get("weather_files"), self.texts(given.get("keys"), f"{where}.keys")
         if not isinstance(files, list):
-            self.fault(f"{where}.weather_files: a list of files expected, got {files!r}")
+            self.add_error(f"{where}.weather_files: a list of files expected, got {files!r}")
             return {}
         if len(files) != len(keys) or not files:
-            self.fault(f"{where}: {len(files)} weather_files and {len(keys)} keys; there should be a key for each")
+            self.add_error(f"{where}: {len(files)} weather_files and {len(keys)} keys; there should be a key for each")
         for key in dict.fromkeys(key for key in keys if keys.count(key) > 1):
-            self.fault(f"{where}.keys: {key!r} stands twice")
+            self.add_error(f"{where}.keys: {key!r} stands twice")
         for key in keys:
-            self.attempt(lambda key=key: check_name(key, "the key"), f"{where}.keys")  # type: ignore[misc]
+            self.collect(lambda key=key: check_name(key, "the key"), f"{where}.keys")  # type: ignore[misc]
         found = {}
         for number, (key, file) in enumerate(zip(keys, files, strict=False)):
             names = file if isinstance(file, list) else [file]
@@ -226,7 +226,7 @@ class Reader(Fields):
         if steps is None:
             return {}
         if type(steps) is not int:
-            self.fault(f"building_config.timesteps_per_hour: a whole number expected, got {steps!r}")
+            self.add_error(f"building_config.timesteps_per_hour: a whole number expected, got {steps!r}")
             return {}
         return {"steps_per_hour": steps}
 
@@ -238,10 +238,10 @@ class Reader(Fields):
             d1, m1, y1, d2, m2, y2 = period
             begin, end = date(y1, m1, d1), date(y2, m2, d2)
         except (TypeError, ValueError) as error:
-            self.fault(f"building_config.runperiod: {_RUN_PERIOD} expected, got {period!r} ({error})")
+            self.add_error(f"building_config.runperiod: {_RUN_PERIOD} expected, got {period!r} ({error})")
             return {}
         if end < begin:
-            self.fault(f"building_config.runperiod ends ({end}) before it begins ({begin})")
+            self.add_error(f"building_config.runperiod ends ({end}) before it begins ({begin})")
         return {"begin": begin.isoformat(), "end": end.isoformat()}
 
     # What is observed
@@ -253,9 +253,11 @@ class Reader(Fields):
             if name in list(TimeField):
                 fields.append(TimeField(name))
             else:
-                self.fault(f"time_variables: no field {name!r} of the clock; {did_you_mean(name, map(str, TimeField))}")
+                self.add_error(
+                    f"time_variables: no field {name!r} of the clock; {did_you_mean(name, map(str, TimeField))}"
+                )
         if len(set(fields)) < len(fields):
-            self.fault("time_variables: a field is named twice")
+            self.add_error("time_variables: a field is named twice")
         return tuple(fields)
 
     def _sensors(self) -> dict[str, SensorSpec]:
@@ -263,7 +265,7 @@ class Reader(Fields):
         for variable, spec in self.mapping("variables").items():
             where = f"variables.{variable}"
             if not isinstance(spec, Mapping):
-                self.fault(f"{where}: variable_names and keys expected, got {spec!r}")
+                self.add_error(f"{where}: variable_names and keys expected, got {spec!r}")
                 continue
             self.known(spec, ("variable_names", "keys"), f"{where}: ")
             for said, key in self._named_keys(spec.get("variable_names"), spec.get("keys"), where):
@@ -280,11 +282,13 @@ class Reader(Fields):
             keys = self.texts(keys, f"{where}.keys")
             return [(f"{key.lower().replace(' ', '_')}_{names}", key) for key in keys]
         if isinstance(keys, str):
-            self.fault(f"{where}: with one key there is one name, got {names!r}")
+            self.add_error(f"{where}: with one key there is one name, got {names!r}")
             return []
         names, keys = self.texts(names, f"{where}.variable_names"), self.texts(keys, f"{where}.keys")
         if len(names) != len(keys):
-            self.fault(f"{where}: {len(names)} variable_names and {len(keys)} keys; there should be a name for each")
+            self.add_error(
+                f"{where}: {len(names)} variable_names and {len(keys)} keys; there should be a name for each"
+            )
         return list(zip(names, keys, strict=False))
 
     def _meters(self) -> dict[str, str]:
@@ -300,7 +304,7 @@ class Reader(Fields):
     def _once(self, said: str, name: str, where: str) -> None:
         """Remembers a name of an observation; two that are one in a topic are a fault."""
         if name in self.renamed.values():
-            self.fault(f"{where}: two observations are called {name!r}")
+            self.add_error(f"{where}: two observations are called {name!r}")
         self.renamed[said] = name
 
     # What is decided
@@ -310,10 +314,10 @@ class Reader(Fields):
         found = self._specs("actuators")
         given = self.given.get("action_space")
         bounds = self._space("action_space") if given is not None else None
-        if bounds is not None and not isinstance(bounds, Box):
-            self.fault(f"action_space: a Box is expected, got {given!r}; a discrete one is action_space_discrete")
+        if bounds is not None and not isinstance(bounds, BoxSpec):
+            self.add_error(f"action_space: a Box is expected, got {given!r}; a discrete one is action_space_discrete")
         elif bounds is not None and len(bounds.low) != len(found):
-            self.fault(f"action_space has {len(bounds.low)} dimensions, and there are {len(found)} actuators")
+            self.add_error(f"action_space has {len(bounds.low)} dimensions, and there are {len(found)} actuators")
         elif bounds is not None:
             for (name, spec), low, high in zip(list(found.items()), bounds.low, bounds.high, strict=True):
                 found[name] = spec.model_copy(update={"low": low, "high": high})
@@ -324,7 +328,7 @@ class Reader(Fields):
         context = self._specs("context")
         for name in context:
             if name in decided:
-                self.fault(f"context: {name!r} is an actuator of the action already")
+                self.add_error(f"context: {name!r} is an actuator of the action already")
         found: dict[str, Any] = {"actuators": {**decided, **context}, **self._initial_context(list(context))}
         return found | ({"actions": {name: ActionSpec(actuators=(name,)) for name in decided}} if context else {})
 
@@ -334,7 +338,7 @@ class Reader(Fields):
         if not given or "actuators" in self.overridden:  # Sinergym takes an empty list for none
             return {}
         if not isinstance(given, list) or len(given) != len(names):
-            self.fault(
+            self.add_error(
                 f"initial_context: a number for each of {len(names)} actuators of context expected, got {given!r}"
             )
             return {}
@@ -349,12 +353,12 @@ class Reader(Fields):
         for key, spec in self.mapping(section).items():
             where = f"{section}.{key}"
             if not isinstance(spec, Mapping) or not all(isinstance(spec.get(n), str) for n in names):
-                self.fault(f"{where}: {', '.join(names)} expected, got {spec!r}")
+                self.add_error(f"{where}: {', '.join(names)} expected, got {spec!r}")
                 continue
             self.known(spec, names, f"{where}: ")
             name = self.name(spec["variable_name"], where)
             if name in found:
-                self.fault(f"{where}: two actuators are called {name!r}")
+                self.add_error(f"{where}: two actuators are called {name!r}")
             elif name is not None:
                 found[name] = ActuatorSpec(
                     component_type=spec["element_type"], control_type=spec["value_type"], key=str(key)
@@ -364,22 +368,24 @@ class Reader(Fields):
     def _space(self, name: str) -> Space | None:
         given = self.given[name]
         if not isinstance(given, str):
-            self.fault(f"{name}: the text of a space expected, got {given!r}")
+            self.add_error(f"{name}: the text of a space expected, got {given!r}")
             return None
-        return self.attempt(lambda: space(given), name)
+        return self.collect(lambda: space(given), name)
 
-    def _choices(self, base: str, actuators: Mapping[str, ActuatorSpec]) -> tuple[tuple[ChoiceSpec, ...] | None, str]:
+    def _choices(
+        self, base: str, actuators: Mapping[str, ActuatorSpec]
+    ) -> tuple[tuple[DiscreteActionSpec, ...] | None, str]:
         """The discrete dimensions of these actuators; None and the reason if nobody knows what the choices mean."""
         given = self.given.get("action_space_discrete")
         if not given or "discrete" in self.overridden or (discrete := self._space("action_space_discrete")) is None:
             return (), ""
-        if isinstance(discrete, Box):
-            self.fault(f"action_space_discrete: Discrete or MultiDiscrete expected, got {given!r}")
+        if isinstance(discrete, BoxSpec):
+            self.add_error(f"action_space_discrete: Discrete or MultiDiscrete expected, got {given!r}")
             return (), ""
         meaning = self.tables.get(base.lower())
         if meaning is None:
             return None, self._unknown_choices(base)
-        return self.attempt(lambda: choice_specs(discrete, meaning, actuators), "action_space_discrete") or (), ""
+        return self.collect(lambda: choice_specs(discrete, meaning, actuators), "action_space_discrete") or (), ""
 
     def _unknown_choices(self, base: str) -> str:
         if base in PACK_IDS and not data_packs.is_installed(PACK):
@@ -393,19 +399,19 @@ class Reader(Fields):
 
     # Weather noise and reward
 
-    def _variability(self) -> dict[str, Noise]:
+    def _variability(self) -> dict[str, ColumnNoise]:
         found = {}
         for said, numbers in self.mapping("weather_variability").items():
             where = f"weather_variability.{said}"
-            column = self.attempt(lambda said=said: find_column(str(said)).name, where)  # type: ignore[misc]
+            column = self.collect(lambda said=said: find_column(str(said)).name, where)  # type: ignore[misc]
             if not isinstance(numbers, list) or len(numbers) not in (3, 4):
-                self.fault(f"{where}: [sigma, mu, tau] or [sigma, mu, tau, [low, high]] expected, got {numbers!r}")
+                self.add_error(f"{where}: [sigma, mu, tau] or [sigma, mu, tau, [low, high]] expected, got {numbers!r}")
                 continue
             low, high = self.pair(numbers[3], f"{where}.3") if len(numbers) == 4 else (None, None)
             try:
-                noise = Noise(sigma=numbers[0], mu=numbers[1], tau_h=numbers[2], low=low, high=high)
+                noise = ColumnNoise(sigma=numbers[0], mu=numbers[1], tau_h=numbers[2], low=low, high=high)
             except ValidationError as error:
-                self.fault(f"{where}: {describe_validation_errors(error)}")
+                self.add_error(f"{where}: {describe_validation_errors(error)}")
                 continue
             if column is not None:
                 found[column] = noise

@@ -21,7 +21,7 @@ _SPACES = tuple(prefix + "{}" for prefix in ("gym.spaces.", "gymnasium.spaces.",
 
 
 @dataclass(frozen=True, slots=True)
-class Box:
+class BoxSpec:
     """A value for each dimension, within its bounds."""
 
     low: tuple[float, ...]
@@ -29,7 +29,7 @@ class Box:
 
 
 @dataclass(frozen=True, slots=True)
-class Discrete:
+class DiscreteSpec:
     """One of `n` choices."""
 
     n: int
@@ -56,7 +56,7 @@ class Offsets:
     added: tuple[tuple[int, float], ...]
 
 
-Space = Box | Discrete | MultiDiscrete
+Space = BoxSpec | DiscreteSpec | MultiDiscrete
 Table = Rows | Offsets
 
 
@@ -102,7 +102,7 @@ def space_of(node: ast.expr) -> Space:
     raise _refused(node, "a space: Box(low=…, high=…), Discrete(n) or MultiDiscrete([…])")
 
 
-def _box(node: ast.Call) -> Box:
+def _box(node: ast.Call) -> BoxSpec:
     said = _arguments(node, ("low", "high", "shape", "dtype"))
     if not {"low", "high"} <= set(said):
         raise _refused(node, "a Box with low= and high=")
@@ -116,7 +116,7 @@ def _box(node: ast.Call) -> Box:
     for least, most in zip(low, high, strict=True):
         if not least < most:
             raise _refused(node, f"a Box whose low is below its high, not {least:g} to {most:g}")
-    return Box(low, high)
+    return BoxSpec(low, high)
 
 
 def _length(node: ast.expr) -> int:
@@ -126,12 +126,12 @@ def _length(node: ast.expr) -> int:
     return int(shape[0])
 
 
-def _discrete(node: ast.Call) -> Discrete:
+def _discrete(node: ast.Call) -> DiscreteSpec:
     said = _arguments(node, ("n",))
     count: Any = literal(said["n"]) if "n" in said else None
     if not _whole(count, 1):
         raise _refused(node, "Discrete(n) with a whole number of choices")
-    return Discrete(count)
+    return DiscreteSpec(count)
 
 
 def _multi_discrete(node: ast.Call) -> MultiDiscrete:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from models import data_packs
-from models.sinergym.section_reader import Fields
+from models.sinergym.section_reader import SectionReader
 from topics.errors import did_you_mean
 
 MODULE = "sinergym.utils.rewards:"
@@ -34,7 +34,7 @@ class RewardReader:
         pack: the data pack, which has a file of prices.
     """
 
-    def __init__(self, fields: Fields, path: Path, renamed: Mapping[str, str], pack: str) -> None:
+    def __init__(self, fields: SectionReader, path: Path, renamed: Mapping[str, str], pack: str) -> None:
         self._fields, self._path, self._renamed, self._pack = fields, path, renamed, pack
         self._given = fields.mapping("reward_kwargs")
         self._forms: dict[str, Callable[[], dict[str, Any]]] = {
@@ -52,7 +52,7 @@ class RewardReader:
         form = self._forms.get(kind.removeprefix(MODULE)) if isinstance(kind, str) and kind.startswith(MODULE) else None
         if kind is not None and form is None:
             known = ", ".join(repr(MODULE + name) for name in self._forms)
-            self._fields.fault(f"reward: {kind!r} is not known here; what is known: {known}")
+            self._fields.add_error(f"reward: {kind!r} is not known here; what is known: {known}")
         if form is None or self._fields.given.get("reward_kwargs") is None:
             return {}
         return form()
@@ -80,7 +80,7 @@ class RewardReader:
         ):
             most = self._number(name, usual)
             if most < 0:
-                self._fields.fault(f"reward_kwargs.{name}: 0 or more expected, got {most:g}")
+                self._fields.add_error(f"reward_kwargs.{name}: 0 or more expected, got {most:g}")
             found[ours] = most or None
         return found | self._seasons() | self._temperatures() | self._power()
 
@@ -89,10 +89,10 @@ class RewardReader:
         self._known("energy_weight", "energy_variables", zones, threshold, *_NUMBERS)
         found = {"kind": "multi_zone", **self._weights(), "threshold": self._number(threshold, 0.5)}
         if found["threshold"] < 0:
-            self._fields.fault(f"reward_kwargs.{threshold}: 0 or more expected, got {found['threshold']:g}")
+            self._fields.add_error(f"reward_kwargs.{threshold}: 0 or more expected, got {found['threshold']:g}")
         given = self._given.get(zones)
         if not isinstance(given, Mapping) or not given or not all(isinstance(n, str) for n in given.values()):
-            self._fields.fault(f"reward_kwargs.{zones}: temperatures and their setpoints expected, got {given!r}")
+            self._fields.add_error(f"reward_kwargs.{zones}: temperatures and their setpoints expected, got {given!r}")
             given = {}
         names = self._names([*map(str, given), *given.values()], f"reward_kwargs.{zones}")
         found["zones"] = dict(zip(names[: len(given)], names[len(given) :], strict=True))
@@ -106,7 +106,7 @@ class RewardReader:
         found = {"kind": "energy_cost", **self._weights(usual=0.4)}
         found["weight_temperature"] = self._share("temperature_weight", 0.4)
         if found["weight"] + found["weight_temperature"] > 1 + 1e-9:
-            self._fields.fault("reward_kwargs: energy_weight and temperature_weight are above 1 together")
+            self._fields.add_error("reward_kwargs: energy_weight and temperature_weight are above 1 together")
         found["lambda_cost"] = self._number("lambda_energy_cost", 1.0)
         if self._given.get("energy_cost_variables") is not None:  # always the price that the wrapper observes
             self._fields.texts(self._given["energy_cost_variables"], "reward_kwargs.energy_cost_variables")
@@ -127,7 +127,7 @@ class RewardReader:
     def _share(self, name: str, usual: float) -> float:
         share = self._number(name, usual)
         if not 0 <= share <= 1:
-            self._fields.fault(f"reward_kwargs.{name}: 0 to 1 expected, got {share:g}")
+            self._fields.add_error(f"reward_kwargs.{name}: 0 to 1 expected, got {share:g}")
         return share
 
     def _seasons(self) -> dict[str, Any]:
@@ -136,7 +136,7 @@ class RewardReader:
             low, high = self._fields.pair(self._given.get(name), f"reward_kwargs.{name}")
             found[ours] = [low, high]
             if not low < high:
-                self._fields.fault(f"reward_kwargs.{name}: [low, high] expected, got [{low:g}, {high:g}]")
+                self._fields.add_error(f"reward_kwargs.{name}: [low, high] expected, got [{low:g}, {high:g}]")
         for name, (ours, usual) in _DAYS.items():
             found[ours] = self._month_day(self._given.get(name, usual), f"reward_kwargs.{name}")
         return found
@@ -152,7 +152,9 @@ class RewardReader:
         given = self._given.get("range_comfort_hours", [9, 19])
         whole = isinstance(given, list) and len(given) == 2 and all(type(hour) is int for hour in given)
         if not whole or not 0 <= given[0] <= given[1] <= 23:
-            self._fields.fault(f"reward_kwargs.range_comfort_hours: [first, last] of 0 to 23 expected, got {given!r}")
+            self._fields.add_error(
+                f"reward_kwargs.range_comfort_hours: [first, last] of 0 to 23 expected, got {given!r}"
+            )
             return [9, 20]
         return [given[0], given[1] + 1]
 
@@ -161,7 +163,7 @@ class RewardReader:
             month, day = given
             date(2000, month, day)
         except (TypeError, ValueError) as error:
-            self._fields.fault(f"{where}: [month, day] expected, got {given!r} ({error})")
+            self._fields.add_error(f"{where}: [month, day] expected, got {given!r} ({error})")
             return [1, 1]
         return [month, day]
 
@@ -174,7 +176,7 @@ class RewardReader:
         names = list(names)
         for name in names:
             if name not in self._renamed:
-                self._fields.fault(
+                self._fields.add_error(
                     f"{where}: no variable or meter is called {name!r}; {did_you_mean(name, self._renamed)}"
                 )
         return [self._renamed.get(name, name) for name in names]
@@ -183,7 +185,7 @@ class RewardReader:
         """The file of prices: beside the configuration, an absolute path, or one of the data pack (left out: that)."""
         given = self._given.get(_PRICES, _PACKED_PRICES)
         if not isinstance(given, str) or not given:
-            self._fields.fault(
+            self._fields.add_error(
                 f"reward_kwargs.{_PRICES}: the file of prices (as EnergyCostWrapper reads it: ';' between columns, "
                 f"EUR/MWh in the column 'value') expected, got {given!r}"
             )
@@ -201,5 +203,5 @@ class RewardReader:
             if packed is not None
             else f"; if it is of the data pack {self._pack!r}: {data_packs.command(self._pack)}"
         )
-        self._fields.fault(f"reward_kwargs.{_PRICES}: no file {given!r} beside {self._path.name}{hint}")
+        self._fields.add_error(f"reward_kwargs.{_PRICES}: no file {given!r} beside {self._path.name}{hint}")
         return ""

@@ -16,7 +16,7 @@ from typing import Any
 
 from models import data_packs
 from models.scenario.schema import Scenario, load_yaml
-from models.sinergym.config import PACK, Parsed, Reader
+from models.sinergym.config import PACK, Reader, SinergymConfig
 from models.sinergym.literals import Table, literal, table, text_of, tree
 from topics.errors import InvalidConfig, UnknownName, did_you_mean
 from topics.scenario_ids import DEMO, DISCRETE, pack_ids, variants
@@ -31,7 +31,7 @@ class Configuration:
     """What a file describes: scenarios by id, the ids of those without a table of choices, and why they have none."""
 
     scenarios: dict[str, Scenario]
-    lacking: tuple[str, ...]
+    unsupported: tuple[str, ...]
     reason: str
 
 
@@ -75,7 +75,7 @@ def scenario_of(
         InvalidConfig: as in `scenarios_of`, or the one that is wanted is discrete and there is no table for it.
     """
     found = read(config, discrete_tables=discrete_tables, overridden=overridden)
-    ids = [*found.scenarios, *found.lacking]
+    ids = [*found.scenarios, *found.unsupported]
     name = (wanted or ids[0]).removeprefix(_EPLUS)
     end = f"-{name.removesuffix('-v1')}-v1"
     fits = [i for i in ids if i == name] or [i for i in ids if i.endswith(end)]
@@ -83,7 +83,7 @@ def scenario_of(
         raise UnknownName(f"{config}: {wanted!r} fits several: {', '.join(fits)}")
     if not fits:
         raise UnknownName(f"{config} has no scenario {wanted!r}; {did_you_mean(name, ids)}")
-    if fits[0] in found.lacking:
+    if fits[0] in found.unsupported:
         raise InvalidConfig(found.reason)
     return found.scenarios[fits[0]]
 
@@ -101,7 +101,7 @@ def read(
     return _variants(Reader(load_yaml(config), config, tables, overridden).read(), config)
 
 
-def _variants(parsed: Parsed, path: Path) -> Configuration:
+def _variants(parsed: SinergymConfig, path: Path) -> Configuration:
     """Each weather in each form, without and with noise."""
     found, lacking = {}, []
     for key, weather in parsed.weathers.items():

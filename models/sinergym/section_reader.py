@@ -11,23 +11,23 @@ from topics.keys import check_name, safe_name
 T = TypeVar("T")
 
 
-class Fields:
+class SectionReader:
     """The content of a file while it is read; `faults` is what is wrong with it."""
 
     def __init__(self, given: Mapping[str, Any]) -> None:
         self.given = given
         self.faults: list[str] = []
 
-    def fault(self, text: str) -> None:
+    def add_error(self, text: str) -> None:
         """Remembers what is wrong."""
         self.faults.append(text)
 
-    def attempt(self, do: Callable[[], T], where: str) -> T | None:
+    def collect(self, do: Callable[[], T], where: str) -> T | None:
         """What `do` gives, or None and its mistake remembered."""
         try:
             return do()
         except UsageError as error:
-            self.fault(f"{where}: {error}")
+            self.add_error(f"{where}: {error}")
             return None
 
     def known(self, given: Mapping[Any, Any], names: Iterable[str], where: str) -> None:
@@ -35,7 +35,7 @@ class Fields:
         names = list(names)
         for name in given:
             if name not in names:
-                self.fault(f"{where}unknown setting {name!r}; {did_you_mean(str(name), names)}")
+                self.add_error(f"{where}unknown setting {name!r}; {did_you_mean(str(name), names)}")
 
     def mapping(self, name: str) -> Mapping[Any, Any]:
         """The section of that name; empty where it is left out."""
@@ -43,7 +43,7 @@ class Fields:
         if given is None:
             return {}
         if not isinstance(given, Mapping):
-            self.fault(f"{name}: names and values expected, got {given!r}")
+            self.add_error(f"{name}: names and values expected, got {given!r}")
             return {}
         return given
 
@@ -51,20 +51,20 @@ class Fields:
         """A list of texts; empty, and a fault, if it is none."""
         if isinstance(given, list) and all(isinstance(text, str) for text in given):
             return given
-        self.fault(f"{where}: a list of texts expected, got {given!r}")
+        self.add_error(f"{where}: a list of texts expected, got {given!r}")
         return []
 
     def number(self, given: Any, where: str) -> float:
         """A number; 0, and a fault, if it is none."""
         if isinstance(given, int | float) and not isinstance(given, bool):
             return float(given)
-        self.fault(f"{where}: a number expected, got {given!r}")
+        self.add_error(f"{where}: a number expected, got {given!r}")
         return 0.0
 
     def name(self, text: Any, where: str) -> str | None:
         """The name under which `text` can stand in a topic; it is kept where it can itself."""
         if not isinstance(text, str) or not text:
-            self.fault(f"{where}: a name expected, got {text!r}")
+            self.add_error(f"{where}: a name expected, got {text!r}")
             return None
         try:
             return check_name(text, where)
@@ -74,7 +74,7 @@ class Fields:
     def pair(self, given: Any, where: str) -> tuple[float, float]:
         """Two numbers; 0 and 1, and a fault, if there are others."""
         if not isinstance(given, list) or len(given) != 2:
-            self.fault(f"{where}: two numbers expected, got {given!r}")
+            self.add_error(f"{where}: two numbers expected, got {given!r}")
             return 0.0, 1.0
         low, high = (self.number(number, where) for number in given)
         return low, high

@@ -47,7 +47,7 @@ def _least(value: float | tuple[float, float]) -> float:
     return value[0] if isinstance(value, tuple) else value
 
 
-class Noise(BaseModel):
+class ColumnNoise(BaseModel):
     """Noise on one column, in the unit of the column.
 
     Attributes:
@@ -80,18 +80,18 @@ class Noise(BaseModel):
         return value
 
     @model_validator(mode="after")
-    def _limits(self) -> Noise:
+    def _limits(self) -> ColumnNoise:
         if self.low is not None and self.high is not None and self.low >= self.high:
             raise ValueError(f"low ({self.low:g}) should be less than high ({self.high:g})")
         return self
 
 
-Variability = dict[str, Noise]
+Variability = dict[str, ColumnNoise]
 """Noise by column of the weather file."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Disturbed:
+class NoisyWeather:
     """The columns that changed, each float64 (rows,) with four decimals, and the parameters that were drawn.
 
     Attributes:
@@ -175,7 +175,7 @@ _NO_NOISE = {
 _CONTRADICTIONS = ((_DEW, (_HUMIDITY,)), (_GLOBAL, (_DIRECT, _DIFFUSE)))
 
 
-def checked(variability: Mapping[str, Noise]) -> list[tuple[Column, Noise]]:
+def checked(variability: Mapping[str, ColumnNoise]) -> list[tuple[Column, ColumnNoise]]:
     """The columns with their noise, in the order of the file.
 
     Raises:
@@ -183,7 +183,7 @@ def checked(variability: Mapping[str, Noise]) -> list[tuple[Column, Noise]]:
         InvalidConfig: a column twice, one that takes no noise, columns that follow from each other, or limits
             that leave nothing of the physical range.
     """
-    found: dict[str, Noise] = {}
+    found: dict[str, ColumnNoise] = {}
     for text, noise in variability.items():
         column = find_column(text)
         if column.name in found:
@@ -207,7 +207,7 @@ def _high(column: Column) -> float:
     return 100.0 if column.name == _HUMIDITY else column.high
 
 
-def _limits(column: Column, noise: Noise) -> tuple[float, float]:
+def _limits(column: Column, noise: ColumnNoise) -> tuple[float, float]:
     low = column.low if noise.low is None else max(column.low, noise.low)
     return low, _high(column) if noise.high is None else min(_high(column), noise.high)
 
@@ -216,7 +216,7 @@ def _drawn(rng: np.random.Generator, value: float | tuple[float, float]) -> floa
     return float(rng.uniform(*value)) if isinstance(value, tuple) else float(value)
 
 
-def disturbed(weather: Weather, variability: Mapping[str, Noise], rng: np.random.Generator) -> Disturbed:
+def with_noise(weather: Weather, variability: Mapping[str, ColumnNoise], rng: np.random.Generator) -> NoisyWeather:
     """`weather` with noise on the columns of `variability`, and what follows from it in others.
 
     One number is taken of `rng`. Each column has a generator of its own, made of that number and the column's
@@ -240,7 +240,7 @@ def disturbed(weather: Weather, variability: Mapping[str, Noise], rng: np.random
     hour.settle_moisture()
     hour.settle_infrared()
     hour.settle_radiation()
-    return Disturbed(hour.changed(), drawn)
+    return NoisyWeather(hour.changed(), drawn)
 
 
 class _Hours:
