@@ -2,8 +2,8 @@
 
 from agent_sdk import registration
 from agent_sdk.bus.bus import Bus, connect
-from agent_sdk.bus.controller_link import ControlLink
+from agent_sdk.bus.controller_link import ControllerLink
 
-__all__ = ["Bus", "ControlLink", "connect"]
+__all__ = ["Bus", "ControllerLink", "connect"]
 
 registration.register()

@@ -8,11 +8,11 @@ from typing import Any
 
 import gymnasium as gym
 
-from agent_sdk.bus.controller_link import ControlLink
+from agent_sdk.bus.controller_link import ControllerLink
 from agent_sdk.envs.arguments import check_arguments
 from agent_sdk.envs.building_env import BuildingEnv
 from agent_sdk.rewards import Reward
-from agent_sdk.rewards.config import Kind
+from agent_sdk.rewards.config import RewardConfig
 from agent_sdk.wrappers import apply_wrappers, wrappers_of
 from topics import yaml12
 from topics.errors import InvalidConfig
@@ -46,7 +46,7 @@ def save_env(env: gym.Env[Any, Any], path: str | Path) -> None:
             wrapper that cannot be written as data.
     """
     building = env.unwrapped
-    if not isinstance(building, BuildingEnv) or not isinstance(building.link, ControlLink):
+    if not isinstance(building, BuildingEnv) or not isinstance(building.link, ControllerLink):
         raise InvalidConfig(f"{type(building).__name__} has no scenario to be written; save a zenostat/ environment")
     fields = yaml12.parse(building.link.scenario(), "the node's scenario")
     fields["reward"] = _written(building.reward)
@@ -57,7 +57,7 @@ def save_env(env: gym.Env[Any, Any], path: str | Path) -> None:
 def _written(reward: Reward | None) -> dict[str, Any] | None:
     if reward is None:
         return None
-    if not isinstance(reward, Kind):
+    if not isinstance(reward, RewardConfig):
         raise InvalidConfig(
             f"the reward {reward!r} is code of your own and cannot stand in a file; pass it again by "
             "load_env(path, reward=...) after saving the environment with reward=None"

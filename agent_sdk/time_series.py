@@ -65,7 +65,7 @@ def hour_of_leap_year(moment: datetime) -> int:
     return (_DAYS_BEFORE[moment.month - 1] + moment.day - 1) * 24 + moment.hour
 
 
-class AnySignal(BaseModel, ABC):
+class TimeSeries(BaseModel, ABC):
     """A number for each hour.
 
     Attributes:
@@ -94,7 +94,7 @@ class AnySignal(BaseModel, ABC):
         """The number of the hour in which a moment lies."""
 
 
-class Constant(AnySignal):
+class Constant(TimeSeries):
     """The same number at all times: `{value: 0.25, unit: EUR/kWh}`."""
 
     value: Number
@@ -128,7 +128,7 @@ class Period(BaseModel):
         )
 
 
-class HourTable(AnySignal):
+class TimeOfUse(TimeSeries):
     """A time of use: the first period that holds, else `otherwise`.
 
     `{table: [{value: 0.30, hours: [8, 20], weekdays: [mon, tue, wed, thu, fri]}], otherwise: 0.12, unit: EUR/kWh}`
@@ -149,7 +149,7 @@ class HourTable(AnySignal):
         return next((p.value for p in self.table if p.holds(month, weekday, hour)), self.otherwise)
 
 
-class HourlySeries(AnySignal):
+class HourlySeries(TimeSeries):
     """A year of hours: `{hourly: [..8760 or 8784 numbers..], unit: g/kWh}`."""
 
     hourly: tuple[Number, ...]
@@ -169,7 +169,7 @@ class HourlySeries(AnySignal):
         return _leap_year(list(self.hourly))
 
 
-class HourlyFile(AnySignal):
+class HourlyFile(TimeSeries):
     """A column of a CSV file with a row for each hour of a year.
 
     `{csv: prices.csv, column: value, unit: EUR/MWh, delimiter: ;}`
@@ -257,8 +257,8 @@ def _leap_year(numbers: list[float]) -> list[float]:
     return [*numbers[:_FEBRUARY_29], *numbers[_FEBRUARY_28:_FEBRUARY_29], *numbers[_FEBRUARY_29:]]
 
 
-_FORMS: dict[str, type[AnySignal]] = {
-    "value": Constant, "table": HourTable, "hourly": HourlySeries, "csv": HourlyFile,
+_FORMS: dict[str, type[TimeSeries]] = {
+    "value": Constant, "table": TimeOfUse, "hourly": HourlySeries, "csv": HourlyFile,
 }  # fmt: skip
 _EXPECTED = (
     "a signal expected: {value: 0.25, unit: EUR/kWh}, or one with `csv` and `column`, `hourly`, or `table` and "
@@ -276,7 +276,7 @@ def _form(given: Any) -> str | None:
 
 Signal = Annotated[
     Annotated[Constant, Tag("@value")]
-    | Annotated[HourTable, Tag("@table")]
+    | Annotated[TimeOfUse, Tag("@table")]
     | Annotated[HourlySeries, Tag("@hourly")]
     | Annotated[HourlyFile, Tag("@csv")],
     Discriminator(_form, custom_error_type="signal", custom_error_message=_EXPECTED),
@@ -315,12 +315,12 @@ def grams_per_kwh(unit: str) -> float:
     return GRAMS[above] / kwh
 
 
-def _is_a_price(signal: AnySignal) -> AnySignal:
+def _is_a_price(signal: TimeSeries) -> TimeSeries:
     per_kwh(signal.unit)
     return signal
 
 
-def _is_an_intensity(signal: AnySignal) -> AnySignal:
+def _is_an_intensity(signal: TimeSeries) -> TimeSeries:
     grams_per_kwh(signal.unit)
     return signal
 

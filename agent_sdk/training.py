@@ -19,9 +19,9 @@ from agent_sdk.bus.sample import SampleView
 from agent_sdk.controllers import Controller, Values
 from agent_sdk.envs import spaces
 from agent_sdk.envs.actions import Actions
-from agent_sdk.envs.time_features import clock
+from agent_sdk.envs.time_features import time_features
 from agent_sdk.evaluation.evaluate import Maker, run_episode
-from agent_sdk.evaluation.metrics import Result
+from agent_sdk.evaluation.metrics import EpisodeMetrics
 from agent_sdk.vec_normalization import beside_model, load_normalization, mark_normalized, normalization_of
 from agent_sdk.wrappers import restore_wrappers, save_wrappers
 from topics import yaml12
@@ -93,7 +93,7 @@ class EvaluationCallback(BaseCallback):
         self._path = path
         self._env: gym.Env[Any, Any] | None = None
         self._due = 0
-        self.results: dict[int, tuple[Result, ...]] = {}
+        self.results: dict[int, tuple[EpisodeMetrics, ...]] = {}
         self.best_reward: float | None = None
 
     def __enter__(self) -> EvaluationCallback:
@@ -146,7 +146,7 @@ class EvaluationCallback(BaseCallback):
             self._env = env
         return self._env
 
-    def _log(self, results: tuple[Result, ...]) -> None:
+    def _log(self, results: tuple[EpisodeMetrics, ...]) -> None:
         metrics = [result.metrics() for result in results]
         for name in metrics[0]:
             values = [one.get(name) for one in metrics]
@@ -178,7 +178,7 @@ class EvaluationCallback(BaseCallback):
 
 def evaluate_model(
     model: BaseAlgorithm, env: gym.Env[Any, Any], *, episodes: int = 1, seed: int = 0
-) -> tuple[Result, ...]:
+) -> tuple[EpisodeMetrics, ...]:
     """Episodes of a model, without exploration, in an environment that is wrapped as those of its training.
 
     The observations go through the model's `VecNormalize` if it has one, which learns nothing of them. Episode k is
@@ -246,7 +246,7 @@ def _random_state_kept() -> Iterator[None]:
             np.random.set_state(numpy)
 
 
-class PolicyControl(Controller):
+class PolicyController(Controller):
     """A trained model as a controller.
 
     Args:
@@ -286,7 +286,7 @@ class PolicyControl(Controller):
         values, fields = sample.values, self.manifest.task.time
         if fields:
             begin = sample.time - self._step if sample.step else sample.time
-            values = np.concatenate([clock(fields, begin, sample.time), values])
+            values = np.concatenate([time_features(fields, begin, sample.time), values])
         observation: Any = values.astype(np.float32)
         if self._normalization is not None:
             observation = self._normalization.normalize_obs(observation)
@@ -351,7 +351,7 @@ def load_policy(path: str | Path, algorithm: str | type[BaseAlgorithm] | None = 
 
     normalization = load_normalization(model, path)
 
-    def policy(manifest: Manifest) -> PolicyControl:
-        return PolicyControl(manifest, model, normalization)
+    def policy(manifest: Manifest) -> PolicyController:
+        return PolicyController(manifest, model, normalization)
 
     return policy

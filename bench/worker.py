@@ -205,11 +205,11 @@ def engines(found: dict[str, Any], pace: Pace, *, count: int) -> None:
 def slots(found: dict[str, Any], pace: Pace, *, count: int, **more: Any) -> None:
     """Slots of one node, without an environment around them: what the bus and the node take of it."""
     from agent_sdk.bus.bus import connect
-    from agent_sdk.bus.local_node import OwnNode
+    from agent_sdk.bus.local_node import LocalNode
     from bridge.runtime.affinity import Affinity
 
     placement = Affinity(more.get("affinity", Affinity.SEPARATE_CORES))
-    node = OwnNode({**found, "slots": count, "name": "bench"}, placement)
+    node = LocalNode({**found, "slots": count, "name": "bench"}, placement)
     with ExitStack() as stack:
         stack.callback(node.close)
         bus = stack.enter_context(connect(node.endpoint, affinity=placement, core=node.core))

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
     from agent_sdk import Bus
-    from agent_sdk.evaluation.metrics import Result
+    from agent_sdk.evaluation.metrics import EpisodeMetrics
 
 NODE = "office"
 ZENOSTAT = [sys.executable, "-P", "-m", "cli.main"]
@@ -36,16 +36,16 @@ def demo(
     Example: `zenostat demo --begin 01-08 --end 01-14`
     """
     from agent_sdk import connect
-    from agent_sdk.bus.local_node import OwnNode
+    from agent_sdk.bus.local_node import LocalNode
     from bridge.runtime.affinity import Affinity
 
     folder.mkdir(parents=True, exist_ok=True)
     recording, picture = folder / "run.rrd", folder / "run.png"
-    results: dict[str, tuple[Result, float]] = {}
+    results: dict[str, tuple[EpisodeMetrics, float]] = {}
     with ExitStack() as stack, progress() as bars:
         settings = {"building": building, "weather": weather, "begin": begin, "end": end, "name": NODE}
         with out.status("starting the node"):
-            own = OwnNode(settings, Affinity.SEPARATE_CORES)
+            own = LocalNode(settings, Affinity.SEPARATE_CORES)
         stack.callback(own.close)
         watcher = _start(
             "monitor", "--connect", own.endpoint, "--save", recording, "--screenshot", picture, "--once", wait=True
@@ -80,12 +80,12 @@ def _rest(process: subprocess.Popen[str]) -> list[str]:
     return [line.strip() for line in said.splitlines() if line.strip()]
 
 
-def _episode(bus: Bus, endpoint: str, controller: str, title: str, bars: Progress) -> tuple[Result, float]:
+def _episode(bus: Bus, endpoint: str, controller: str, title: str, bars: Progress) -> tuple[EpisodeMetrics, float]:
     """One episode under one controller in a process of its own; its totals and its timesteps per second."""
-    from agent_sdk.evaluation.metrics import Tally
+    from agent_sdk.evaluation.metrics import MetricsAccumulator
 
     manifest = bus.manifest(NODE)
-    tally, bar = Tally(manifest), bars.add_task(title, total=manifest.steps, rate="")
+    tally, bar = MetricsAccumulator(manifest), bars.add_task(title, total=manifest.steps, rate="")
     start = 0.0
     with bus.listen(NODE) as samples:
         process = _start("run", "--node", NODE, "--controller", controller, "--connect", endpoint)

@@ -17,7 +17,7 @@ from cli.tables import show, show_json
 from topics.errors import InvalidConfig
 
 if TYPE_CHECKING:
-    from agent_sdk.evaluation.evaluate import Evaluation, Progress, Spread
+    from agent_sdk.evaluation.evaluate import Evaluation, MetricSummary, Progress
 
 _UNITS = {"kwh": "kWh", "w": "W", "kw": "kW", "k": "K", "kh": "K h", "percent": "%"}
 _TEXTS = ("controller", "weather")
@@ -108,7 +108,7 @@ def _show(found: Evaluation, title: str) -> None:
         out.print(f"{', '.join(names)}: {source}", soft_wrap=True, markup=False)
 
 
-def _tells(name: str, summary: Mapping[str, Mapping[str, Spread]]) -> bool:
+def _tells(name: str, summary: Mapping[str, Mapping[str, MetricSummary]]) -> bool:
     """Whether a row says something: counts of what should not happen only where it did."""
     if name not in ("late", "rejected", "terminated"):
         return True
@@ -124,7 +124,7 @@ def _label(name: str) -> str:
     return name.replace(".", ": ").replace("_", " ")
 
 
-def _cell(spread: Spread | None) -> str:
+def _cell(spread: MetricSummary | None) -> str:
     if spread is None:
         return ""
     size = abs(spread.mean)

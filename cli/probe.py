@@ -15,7 +15,7 @@ from cli.tables import show, show_json
 from topics.errors import ErrorCollector, InvalidConfig
 
 if TYPE_CHECKING:
-    from agent_sdk.evaluation.probe import Probed, Progress
+    from agent_sdk.evaluation.probe import ProbeReport, Progress
     from agent_sdk.evaluation.probe_effects import Effect
 
 _MOST = 5
@@ -92,7 +92,7 @@ def _watcher(stack: ExitStack, scenario: str) -> Progress:
     return watch
 
 
-def _plain(found: Probed) -> dict[str, Any]:
+def _plain(found: ProbeReport) -> dict[str, Any]:
     """All of it, times as texts."""
     manifest = found.manifest
     effects = [asdict(effect) for effect in found.effects]
@@ -109,7 +109,7 @@ def _plain(found: Probed) -> dict[str, Any]:
     }
 
 
-def _show(found: Probed, scenario: str) -> None:
+def _show(found: ProbeReport, scenario: str) -> None:
     columns = ("actuator", "held at", "first felt", "by", "difference", "of its range", "held", "after")
     title = f"{scenario}: {len(found.times)} steps, held for {found.hours:g} h"
     rows = [row for effect in found.effects for row in _rows(effect)]
@@ -140,6 +140,6 @@ def _texts(effect: Effect) -> Iterator[str]:
     if not effect.felt:
         exact = "to the last bit" if effect.identical else "beyond rounding"
         yield f"{effect.actuator} has no effect on any point: nothing differs {exact} in any branch"
-    if effect.echoes:
-        yield f"{effect.actuator}: only repeated by {', '.join(effect.echoes)}"
+    if effect.pass_through:
+        yield f"{effect.actuator}: only repeated by {', '.join(effect.pass_through)}"
     yield from (f"{effect.actuator}: {note}" for note in effect.notes)

@@ -94,7 +94,7 @@ def rows(sample: SampleView, names: Sequence[str]) -> list[Row]:
         Row(kind, point.name, number(value), point.unit, point.low, point.high)
         for (kind, point), value in zip(points, sample.values.tolist(), strict=True)
     ]
-    rulers, applied = sample.ruled_by, sample.applied.tolist()
+    rulers, applied = sample.value_source, sample.effective.tolist()
     found += [
         Row("actuator", a.name, number(value), a.unit, a.low, a.high, rulers[a.name])
         for a, value in zip(manifest.actuators, applied, strict=True)

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 from cli.tables import show
 
 if TYPE_CHECKING:
-    from agent_sdk.evaluation.metrics import Result
+    from agent_sdk.evaluation.metrics import EpisodeMetrics
 
 
-def show_results(results: Mapping[str, tuple[Result, float]], title: str) -> None:
+def show_results(results: Mapping[str, tuple[EpisodeMetrics, float]], title: str) -> None:
     """Print energy, peak, comfort and timesteps a second; `results` has a column each, by its heading."""
     pairs = list(results.values())
     rows = {

@@ -19,9 +19,9 @@ from topics.keys import safe_name
 if TYPE_CHECKING:
     from rich.progress import Progress
 
-    from agent_sdk import ControlLink
+    from agent_sdk import ControllerLink
     from agent_sdk.controllers import Agent
-    from agent_sdk.evaluation.metrics import Result
+    from agent_sdk.evaluation.metrics import EpisodeMetrics
 
 _WORDS = {"true": True, "false": False}
 
@@ -54,14 +54,14 @@ def run(
     Example: `zenostat run --node office --controller rbc --set margin=0.5`
     """
     from agent_sdk import connect as connect_bus
-    from agent_sdk.controllers import Agent, create, load_controller
+    from agent_sdk.controllers import Agent, load_controller, make_controller
 
     made_by = load_controller(controller)
     given = _seeded(made_by, read_parameters(parameters or []), seed, begins=reset or episodes > 1, name=controller)
     name = safe_name(controller.rpartition(":")[2])
     with connect_bus(connect or default_endpoint(keys), keys=keys, certificate=certificate) as bus:
-        agent = Agent(create(made_by, bus.manifest(node), given))
-        results: dict[str, tuple[Result, float]] = {}
+        agent = Agent(make_controller(made_by, bus.manifest(node), given))
+        results: dict[str, tuple[EpisodeMetrics, float]] = {}
         with bus.controller(node, name=name, level=level) as link, progress() as bars:
             for number in range(episodes):
                 if reset or number:
@@ -73,12 +73,12 @@ def run(
     show_results(results, f"{link.manifest.building}, {link.manifest.weather}")
 
 
-def _episode(link: ControlLink, agent: Agent, bars: Progress) -> tuple[Result, float]:
+def _episode(link: ControllerLink, agent: Agent, bars: Progress) -> tuple[EpisodeMetrics, float]:
     """Answer all samples to the episode's end, and show how far it is; its totals and its timesteps per second."""
-    from agent_sdk.evaluation.metrics import Tally
+    from agent_sdk.evaluation.metrics import MetricsAccumulator
 
     bar = bars.add_task(f"{link.manifest.node}: {link.name}", total=link.manifest.steps, rate="")
-    tally, rate = Tally(link.manifest), 0.0
+    tally, rate = MetricsAccumulator(link.manifest), 0.0
     start, first, shown = time.monotonic(), None, 0.0
     for sample in link:
         if not sample.truncated:

@@ -27,4 +27,4 @@ with agent_sdk.connect(asked.connect) as bus:
             # Actuators that are not named keep what they have: here the building's own control.
             sample.send({"core_zn_cooling_setpoint": 29.0 if empty else 25.0})
         print(f"{sample.step} timesteps to {sample.time}: {energy_kwh:.0f} kWh")
-        print(f"core cooling setpoint is ruled by {sample.ruled_by['core_zn_cooling_setpoint']}")
+        print(f"core cooling setpoint is ruled by {sample.value_source['core_zn_cooling_setpoint']}")

@@ -22,7 +22,7 @@ import gymnasium as gym
 import numpy as np
 
 import agent_sdk  # registers the environments
-from agent_sdk.controllers import Agent, ComfortBandRules
+from agent_sdk.controllers import Agent, RuleBasedController
 from agent_sdk.envs.building_env import BuildingEnv
 
 parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -46,7 +46,7 @@ No more than 1 K above it: the reward measures one zone, and the others shall no
 
 def rules(env: gym.Env[Any, Any], **parameters: float) -> Callable[[gym.Env[Any, Any]], Any]:
     """The rule-based controller as a function of the environment."""
-    agent = Agent(ComfortBandRules(env.unwrapped.manifest, **parameters))
+    agent = Agent(RuleBasedController(env.unwrapped.manifest, **parameters))
     return lambda env: agent.action(env.unwrapped.sample)
 
 

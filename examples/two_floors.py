@@ -27,7 +27,7 @@ parser.add_argument("--node", default="office")
 asked = parser.parse_args()
 
 
-def control(link: agent_sdk.ControlLink, half: str) -> None:
+def control(link: agent_sdk.ControllerLink, half: str) -> None:
     """One half's controller: the node waits for both."""
     for sample in link:
         if half == "north":
@@ -49,7 +49,7 @@ with agent_sdk.connect(asked.connect) as bus, bus.listen(asked.node) as samples:
         thread.start()
     ruled = collections.Counter()
     for sample in samples:
-        ruled.update(f"{name} by {who.partition('-')[0]}" for name, who in sample.ruled_by.items() if who)
+        ruled.update(f"{name} by {who.partition('-')[0]}" for name, who in sample.value_source.items() if who)
         if sample.truncated:
             break
     for thread in threads:

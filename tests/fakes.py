@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from agent_sdk.envs import spaces
 from agent_sdk.envs.actions import Actions
-from agent_sdk.envs.time_features import clock
+from agent_sdk.envs.time_features import time_features
 from topics.errors import UnknownName
 from topics.messages import Action, Task, TimeField, WeatherSeries
 
@@ -106,7 +106,7 @@ class FakeBuilding(gym.Env[NDArray[np.float32], Any]):
             self.outdoor("relative_humidity"),
             joules,
         ]
-        return np.concatenate([clock(TIME, begin, self.time), sensors]).astype(np.float32)
+        return np.concatenate([time_features(TIME, begin, self.time), sensors]).astype(np.float32)
 
     def _info(self, applied: list[float]) -> dict[str, Any]:
         told = {"time": self.time.isoformat(), "step": self._step, "late": 0, "rejected": 0}

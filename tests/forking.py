@@ -48,7 +48,7 @@ def plan(env: BuildingEnv, seed: int, steps: int | None = None) -> list[Any]:
 
 def row(env: BuildingEnv, reward: float = 0.0) -> Row:
     """All that is known of a sample: the points and the actuators as float64, and the reward."""
-    return [env.sample.step, *env.sample.values.tolist(), *env.sample.applied.tolist(), reward]
+    return [env.sample.step, *env.sample.values.tolist(), *env.sample.effective.tolist(), reward]
 
 
 def go(env: BuildingEnv, actions: Sequence[Any]) -> list[Row]:
@@ -87,8 +87,8 @@ def without_rewards(rows: Sequence[Row]) -> list[Row]:
 
 def engines(env: BuildingEnv) -> list[psutil.Process]:
     """The engines of its node that run, the youngest last."""
-    assert env.own_node is not None
-    return engines_of(env.own_node.pid)
+    assert env.local_node is not None
+    return engines_of(env.local_node.pid)
 
 
 def new_engine(env: BuildingEnv, make_one: Callable[[], Any]) -> tuple[Any, psutil.Process]:

@@ -25,7 +25,7 @@ def own_control(env: BuildingEnv, **reset: Any) -> Rows:
     env.reset(**reset)
     rows = []
     while True:
-        rows.append([*env.sample.values.tolist(), *env.sample.applied.tolist()])
+        rows.append([*env.sample.values.tolist(), *env.sample.effective.tolist()])
         if env.sample.truncated:
             return rows
         env.link.send(np.zeros(len(env.manifest.actuators)), bytes(len(env.manifest.actuators)))

@@ -274,7 +274,7 @@ def test_a_fork_that_fails_leaves_the_episode_as_it_was(
 ) -> None:
     faults = Faults(scratch, monkeypatch)
     env = make(**FOUR)
-    node = psutil.Process(env.own_node.pid)
+    node = psutil.Process(env.local_node.pid)
     mine = plan(env, 1)
     straight = episode(env, mine)
     env.reset()
@@ -322,7 +322,7 @@ def test_an_engine_that_dies_while_it_forks_fails_its_episode_alone(
     env.reset()
     go(env, mine[:20])
     with env.branch() as sibling, env.snapshot() as snapshot:
-        children = len(psutil.Process(env.own_node.pid).children())
+        children = len(psutil.Process(env.local_node.pid).children())
         faults.set(Faults.PARENT_DIES)
         with pytest.raises(EngineDied, match="SIGKILL"):
             env.branch(snapshot=snapshot)
@@ -334,7 +334,7 @@ def test_an_engine_that_dies_while_it_forks_fails_its_episode_alone(
         with pytest.raises(EngineDied, match="SIGKILL"):
             go(env, mine[30:])
         same(go(sibling, mine[20:]), straight[21:])
-        until(lambda: len(psutil.Process(env.own_node.pid).children()) == children - 2, "no zombie is left")
+        until(lambda: len(psutil.Process(env.local_node.pid).children()) == children - 2, "no zombie is left")
     same(episode(env, mine), straight)
     env.close()
 
@@ -345,7 +345,7 @@ def test_a_node_out_of_descriptors_refuses_a_fork_and_goes_on(scratch: Path) -> 
     straight = episode(env, mine)
     env.reset()
     got = go(env, mine[:20])
-    node = psutil.Process(env.own_node.pid)
+    node = psutil.Process(env.local_node.pid)
     was = node.rlimit(psutil.RLIMIT_NOFILE)
     node.rlimit(psutil.RLIMIT_NOFILE, (node.num_fds(), was[1]))
     for fork in (env.branch, env.snapshot):
@@ -498,7 +498,7 @@ def test_nothing_is_left_of_forks_that_were_closed(scratch: Path) -> None:
 def test_a_thousand_resets_and_a_thousand_branches_leave_a_node_as_it_was(scratch: Path) -> None:
     env = make(**FOUR)
     mine = plan(env, 1)
-    node = psutil.Process(env.own_node.pid)
+    node = psutil.Process(env.local_node.pid)
 
     def rounds(count: int) -> None:
         for _ in range(count):

@@ -145,9 +145,9 @@ def test_a_stranger_reads_and_writes_with_msgpack_alone(endpoint: str, bus: agen
             sample = link.receive()
             seen = stranger.json()
             assert seen["step"] == [sample.step]
-            assert seen["applied"] == sample.applied[place]
+            assert seen["applied"] == sample.effective[place]
             assert (seen["applied"] == 26.0) == (ruler == "anonymous")
-            assert seen["ruler"] == ruler == sample.ruled_by["core_zn_cooling_setpoint"]
+            assert seen["ruler"] == ruler == sample.value_source["core_zn_cooling_setpoint"]
             _check_points(seen["values"], sample)
         assert stranger.end()[0] == 0
 
@@ -187,8 +187,8 @@ def test_a_strangers_faulty_write_changes_nothing_and_is_named(bus: agent_sdk.Bu
             assert expected[name] in next_event(events, EventKind.REJECTED).text
         sample.send()
         after = link.receive()
-        assert set(after.ruled_by.values()) == {""}
-        assert after.wire.rejected == rejected + 3
+        assert set(after.value_source.values()) == {""}
+        assert after.message.rejected == rejected + 3
 
 
 def test_a_message_that_is_too_large_is_refused_by_name_and_a_larger_one_not_taken_in(bus: agent_sdk.Bus) -> None:
@@ -228,9 +228,9 @@ def test_two_controllers_are_both_waited_for(bus: agent_sdk.Bus, second_bus: age
             rest.send({name: value["heating" in name] for name in names[half:]})
             ours, theirs = core.receive(), rest.receive()
             assert (ours.step, theirs.step) == (step + 1, step + 1)
-            assert ours.wire == theirs.wire
-            assert list(ours.ruled_by.values()) == [core.name] * half + [rest.name] * (len(names) - half)
-            assert ours.applied.tolist() == [value["heating" in name] for name in names]
+            assert ours.message == theirs.message
+            assert list(ours.value_source.values()) == [core.name] * half + [rest.name] * (len(names) - half)
+            assert ours.effective.tolist() == [value["heating" in name] for name in names]
 
 
 def test_a_higher_level_rules_until_it_is_released(bus: agent_sdk.Bus, second_bus: agent_sdk.Bus) -> None:
@@ -248,7 +248,7 @@ def test_a_higher_level_rules_until_it_is_released(bus: agent_sdk.Bus, second_bu
             usual.send({"core_zn_cooling_setpoint": 24.0})
             sample, _ = usual.receive(), urgent.receive()
             index = [a.name for a in usual.manifest.actuators].index("core_zn_cooling_setpoint")
-            rulers.append((sample.ruled_by["core_zn_cooling_setpoint"], sample.applied[index]))
+            rulers.append((sample.value_source["core_zn_cooling_setpoint"], sample.effective[index]))
         assert rulers == [(urgent.name, 29.0), (usual.name, 24.0)]
 
 
@@ -283,7 +283,7 @@ def test_nodes_controllers_and_status(bus: agent_sdk.Bus) -> None:
         assert (controller.connected, controller.accepted) == (True, 1)
         assert status.node_rss_bytes > 0
         assert status.engine_rss_bytes > 0
-        assert bus.latest("office") == sample.wire
+        assert bus.latest("office") == sample.message
     with pytest.raises(NodeNotFound, match=r"no node 'offise' on .*; near names: 'office'"):
         bus.manifest("offise")
 
@@ -310,17 +310,17 @@ def test_another_takes_over_from_one_that_vanished(endpoint: str, bus: agent_sdk
             second.send({"core_zn_cooling_setpoint": 27.0})
             after = second.receive()
             assert after.step == 4
-            assert after.ruled_by["core_zn_cooling_setpoint"] == second.name
+            assert after.value_source["core_zn_cooling_setpoint"] == second.name
 
 
 # Listeners
 
 
-def trajectory(link: agent_sdk.ControlLink) -> Iterator[tuple[bytes, bytes]]:
+def trajectory(link: agent_sdk.ControllerLink) -> Iterator[tuple[bytes, bytes]]:
     """Values and actuators of an episode under commands that change, sample by sample."""
     sample, chance = link.reset(), np.random.default_rng(1)
     while True:
-        yield sample.values.tobytes(), sample.applied.tobytes()
+        yield sample.values.tobytes(), sample.effective.tobytes()
         if sample.truncated:
             return
         link.send(np.array([chance.uniform(a.low, a.high) for a in link.manifest.actuators]))

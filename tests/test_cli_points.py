@@ -44,14 +44,14 @@ def standing(module_folder: Path) -> Iterator[agent_sdk.Bus]:
         assert made.status("office").rejected == 0
 
 
-def rulers(link: agent_sdk.ControlLink, steps: int) -> list[tuple[float, str]]:
+def rulers(link: agent_sdk.ControllerLink, steps: int) -> list[tuple[float, str]]:
     """What the point really was in each of the next timesteps, and who set it; the controller keeps all as it is."""
     sample, found = link.current(), []
     place = [a.name for a in link.manifest.actuators].index(POINT)
     for _ in range(steps):
         sample.send()
         sample = link.receive()
-        found.append((sample.applied[place], sample.ruled_by[POINT].rpartition("-")[0].rpartition("-")[0]))
+        found.append((sample.effective[place], sample.value_source[POINT].rpartition("-")[0].rpartition("-")[0]))
     return found
 
 
@@ -233,8 +233,8 @@ def test_read_shows_the_latest_sample(node: NodeProgram, bus: agent_sdk.Bus) -> 
             told = [(row["name"], row["unit"], row["low"], row["high"]) for row in kinds[kind]]
             assert told == [(point.name, point.unit, point.low, point.high) for point in points]
         applied = [float("nan") if row["value"] is None else row["value"] for row in kinds["actuator"]]
-        assert np.array_equal(applied, sample.applied, equal_nan=True)
-        assert {row["name"]: row["ruled_by"] for row in kinds["actuator"]} == sample.ruled_by
+        assert np.array_equal(applied, sample.effective, equal_nan=True)
+        assert {row["name"]: row["ruled_by"] for row in kinds["actuator"]} == sample.value_source
         lines = zenostat(node.endpoint, "read", "office", AIR).stdout.splitlines()
         assert lines[0].split() == ["kind", "name", "value", "unit", "low", "high", "ruled", "by"]
         assert lines[1].split()[:4] == ["sensor", AIR, f"{sample[AIR]:.6g}", "degC"]
@@ -272,7 +272,7 @@ def test_watch_tells_each_sample_once_from_the_present_one_on(node: NodeProgram,
     for line, seen in zip(told, samples, strict=False):
         assert line["time"] == seen.time.isoformat()
         assert line["points"] == {name: seen[name] for name in (AIR, POINT) if name in link.manifest.names}
-        applied = seen.applied[place]
+        applied = seen.effective[place]
         assert line["actuators"] == {POINT: None if np.isnan(applied) else applied}
 
 

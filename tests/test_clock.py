@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent_sdk.envs.time_features import BOUNDS, clock
+from agent_sdk.envs.time_features import BOUNDS, time_features
 from models.building.model import for_episode, read_building, write
 from models.catalog import find_building, find_weather
 from topics.messages import TimeField
@@ -55,7 +55,7 @@ def test_the_clock_is_energyplus_own(tmp_path: Path) -> None:
     done = subprocess.run(run, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=True)
     seen = json.loads(done.stdout.splitlines()[-1])
     assert len(seen) == period.steps
-    ours = [clock(_FIELDS, period.time(k), period.time(k + 1)).tolist() for k in range(period.steps)]
+    ours = [time_features(_FIELDS, period.time(k), period.time(k + 1)).tolist() for k in range(period.steps)]
     assert [row[:6] for row in ours] == [row[:6] for row in seen]
     nominal = [k for k in range(period.steps) if seen[k][8] == pytest.approx(1 / 4)]
     assert [ours[k][6:] for k in nominal] == [pytest.approx(seen[k][6:8]) for k in nominal]
@@ -63,7 +63,7 @@ def test_the_clock_is_energyplus_own(tmp_path: Path) -> None:
 
 
 def fields_of(begin: datetime, end: datetime) -> dict[TimeField, float]:
-    return dict(zip(TimeField, clock(list(TimeField), begin, end).tolist(), strict=True))
+    return dict(zip(TimeField, time_features(list(TimeField), begin, end).tolist(), strict=True))
 
 
 @given(st.dates(max_value=date(9999, 12, 30)), st.sampled_from(DIVISORS), st.data())
@@ -116,5 +116,5 @@ def test_the_last_timestep_of_a_year_belongs_to_it() -> None:
 def test_the_fields_come_in_the_order_asked() -> None:
     begin, end = datetime(2017, 7, 2, 9), datetime(2017, 7, 2, 9, 15)  # a Sunday
     asked = [TimeField.CURRENT_TIME, TimeField.DAY_OF_WEEK, TimeField.HOUR]
-    assert clock(asked, begin, end).tolist() == [9.25, 1.0, 9.0]
-    assert clock([], begin, end).shape == (0,)
+    assert time_features(asked, begin, end).tolist() == [9.25, 1.0, 9.0]
+    assert time_features([], begin, end).shape == (0,)

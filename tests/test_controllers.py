@@ -21,19 +21,19 @@ from agent_sdk.bus.sample import SampleView
 from agent_sdk.controllers import (
     CONTROLLERS,
     Agent,
-    BuildingControl,
-    ComfortBandRules,
+    BaselineController,
     Controller,
     FixedSetpoints,
     IncrementalRules,
-    PidControl,
-    RandomControl,
+    PIDController,
+    RandomController,
+    RuleBasedController,
     ScheduledSetback,
     action_of,
-    create,
     load_controller,
+    make_controller,
 )
-from agent_sdk.controllers.action_roles import Role, parts_of
+from agent_sdk.controllers.action_roles import Role, bind_actions
 from agent_sdk.controllers.loader import _beside
 from agent_sdk.controllers.setback import weekdays
 from agent_sdk.envs.spaces import action_space
@@ -91,7 +91,7 @@ def single(name: str, low: float | None, high: float | None) -> Manifest:
         ("office_cooling_setpoint", 22.5, 35.0, Role.COOLING),
         ("chws_supply_temperature", 5.0, 10.0, Role.COLD_WATER),
         ("water_temperature", 25.0, 45.0, Role.HOT_WATER),
-        ("radiant_bed1_availability", 0.0, 1.0, Role.SWITCH),
+        ("radiant_bed1_availability", 0.0, 1.0, Role.AVAILABILITY),
         ("battery_discharge_rate", 0.0, 1.0, Role.STORAGE),
         ("cooling_coil_fraction", 0.0, 1.0, Role.OTHER),
         ("cooling_flow", 0.0, 5.0, Role.OTHER),
@@ -99,7 +99,7 @@ def single(name: str, low: float | None, high: float | None) -> Manifest:
     ],
 )
 def test_what_an_action_is(name: str, low: float | None, high: float | None, role: Role) -> None:
-    assert parts_of(single(name, low, high))[0].role is role
+    assert bind_actions(single(name, low, high))[0].role is role
 
 
 def test_thermostats_have_their_own_zone_and_switches_the_room_of_their_name() -> None:
@@ -116,9 +116,9 @@ def test_thermostats_have_their_own_zone_and_switches_the_room_of_their_name() -
         actuator("radiant_water", 25.0, 45.0),
         sensors=sensors,
     )
-    rooms = [part.temperatures for part in parts_of(of)]
+    rooms = [part.temperatures for part in bind_actions(of)]
     assert rooms == [(1,), (0,), (2,), (0, 1, 2)]
-    assert [part.people for part in parts_of(of)] == [(3,)] * 4  # what is not measured follows what is
+    assert [part.people for part in bind_actions(of)] == [(3,)] * 4  # what is not measured follows what is
 
 
 # Rules on comfort bands
@@ -126,7 +126,7 @@ def test_thermostats_have_their_own_zone_and_switches_the_room_of_their_name() -
 
 def test_rules_keep_the_seasons_band_while_people_are_in_and_set_back_else() -> None:
     of = node(sensors=(ROOM, PEOPLE))
-    rules = ComfortBandRules(of)
+    rules = RuleBasedController(of)
     assert rules.act(view(of, WINTER, people=2.0)) == pytest.approx({HEAT.name: 21.0, COOL.name: 22.5})
     assert rules.act(view(of, WINTER, people=0.0)) == pytest.approx({HEAT.name: 19.0, COOL.name: 24.5})
     assert rules.act(view(of, SUMMER, people=2.0)) == pytest.approx({HEAT.name: 22.5, COOL.name: 25.0})
@@ -136,14 +136,14 @@ def test_rules_set_back_far_where_the_reward_counts_occupied_hours_only() -> Non
     of = node(HEAT, COOL, sensors=(ROOM, PEOPLE))
     of = of.model_copy(update={"task": of.task.model_copy(update={"reward": {"kind": "occupied"}})})
     night = WINTER.replace(hour=3)
-    assert ComfortBandRules(of).act(view(of, night, people=0.0)) == pytest.approx({HEAT.name: 15.0, COOL.name: 29.5})
+    assert RuleBasedController(of).act(view(of, night, people=0.0)) == pytest.approx({HEAT.name: 15.0, COOL.name: 29.5})
     closed = ScheduledSetback(of).act(view(of, night))
     assert closed == pytest.approx({HEAT.name: 15.0, COOL.name: 29.5})
 
 
 def test_rules_bring_a_zone_back_an_hour_before_people_came_the_day_before() -> None:
     of = node(sensors=(ROOM, PEOPLE))
-    rules = ComfortBandRules(of)
+    rules = RuleBasedController(of)
     came = datetime(2017, 1, 16, 8)  # the first sample that counts them closes the quarter that began at 7:45
     rules.act(view(of, came, people=1.0))
     back = {}
@@ -155,7 +155,7 @@ def test_rules_bring_a_zone_back_an_hour_before_people_came_the_day_before() -> 
 
 def test_rules_forget_at_an_episodes_begin() -> None:
     of = node(sensors=(ROOM, PEOPLE))
-    rules = ComfortBandRules(of)
+    rules = RuleBasedController(of)
     rules.act(view(of, datetime(2017, 1, 16, 8), people=1.0))
     noon = view(of, datetime(2017, 1, 17, 12), people=0.0)
     assert rules.act(noon)[HEAT.name] == 19.0
@@ -165,7 +165,7 @@ def test_rules_forget_at_an_episodes_begin() -> None:
 
 def test_where_nobody_is_counted_zones_are_in_use_at_night_too() -> None:
     of = node()
-    assert ComfortBandRules(of).act(view(of, datetime(2017, 1, 16, 3)))[HEAT.name] == pytest.approx(21.0)
+    assert RuleBasedController(of).act(view(of, datetime(2017, 1, 16, 3)))[HEAT.name] == pytest.approx(21.0)
 
 
 def test_the_band_is_the_rewards_or_the_users() -> None:
@@ -173,20 +173,20 @@ def test_the_band_is_the_rewards_or_the_users() -> None:
     cooling = actuator("cooling_setpoint", 20.0, 30.0)
     action = Action(name="cooling_setpoint", unit="degC", low=20.0, high=30.0, actuators=("cooling_setpoint",))
     of = node(cooling, task=Task(actions=(action,), reward=reward))
-    assert ComfortBandRules(of).act(view(of)) == pytest.approx({"cooling_setpoint": 26.0})
-    assert ComfortBandRules(of, high=25.0, margin=0.0).act(view(of)) == {"cooling_setpoint": 25.0}
+    assert RuleBasedController(of).act(view(of)) == pytest.approx({"cooling_setpoint": 26.0})
+    assert RuleBasedController(of, high=25.0, margin=0.0).act(view(of)) == {"cooling_setpoint": 25.0}
     strange = node(cooling, task=Task(actions=(action,), reward={"kind": "somebody's"}))
-    assert ComfortBandRules(strange).act(view(strange, SUMMER)) == pytest.approx({"cooling_setpoint": 25.0})
+    assert RuleBasedController(strange).act(view(strange, SUMMER)) == pytest.approx({"cooling_setpoint": 25.0})
 
 
 def test_july_is_winter_in_the_south() -> None:
     of = node().model_copy(update={"latitude_deg": -33.9})
-    assert ComfortBandRules(of).act(view(of, SUMMER)) == pytest.approx({HEAT.name: 21.0, COOL.name: 22.5})
+    assert RuleBasedController(of).act(view(of, SUMMER)) == pytest.approx({HEAT.name: 21.0, COOL.name: 22.5})
 
 
 def test_a_margin_wider_than_the_band_meets_in_its_middle() -> None:
     of = node(actuator("heating_setpoint", 10.0, 30.0), actuator("cooling_setpoint", 10.0, 30.0))
-    assert set(ComfortBandRules(of, low=20.0, high=21.0, margin=5.0).act(view(of)).values()) == {20.5}
+    assert set(RuleBasedController(of, low=20.0, high=21.0, margin=5.0).act(view(of)).values()) == {20.5}
 
 
 def test_one_action_that_sets_several_thermostats_is_ruled_by_any_of_their_zones() -> None:
@@ -195,29 +195,29 @@ def test_one_action_that_sets_several_thermostats_is_ruled_by_any_of_their_zones
     pair = tuple(thermostat(f"heat_{z}", z, "Heating Setpoint", 15.0, 22.5) for z in "AB")
     together = Action(name="heating", unit="degC", low=15.0, high=22.5, actuators=("heat_A", "heat_B"))
     of = node(*pair, sensors=tuple(sensors), task=Task(actions=(together,)))
-    said = ComfortBandRules(of).act(view(of, people_A=0.0, people_B=1.0))
+    said = RuleBasedController(of).act(view(of, people_A=0.0, people_B=1.0))
     assert said == pytest.approx({"heat_A": 21.0, "heat_B": 21.0})
     assert action_of(of, said).tolist() == pytest.approx([21.0], rel=1e-6)
     each = node(*pair, sensors=tuple(sensors))
-    apart = ComfortBandRules(each).act(view(each, WINTER.replace(hour=3), people_A=0.0, people_B=1.0))
+    apart = RuleBasedController(each).act(view(each, WINTER.replace(hour=3), people_A=0.0, people_B=1.0))
     assert apart == pytest.approx({"heat_A": 19.0, "heat_B": 21.0})
 
 
 @pytest.mark.parametrize(("air", "hot"), [(18.0, 45.0), (20.0, 45.0), (20.5, 35.0), (21.0, 25.0), (30.0, 25.0)])
 def test_heating_water_is_hottest_at_the_bands_lower_end(air: float, hot: float) -> None:
     of = single("water_temperature", 25.0, 45.0)
-    assert ComfortBandRules(of).act(view(of, air=air)) == {"water_temperature": hot}
+    assert RuleBasedController(of).act(view(of, air=air)) == {"water_temperature": hot}
 
 
 @pytest.mark.parametrize(("air", "cold"), [(22.5, 10.0), (23.0, 7.5), (23.5, 5.0), (30.0, 5.0)])
 def test_chilled_water_is_coldest_at_the_bands_upper_end(air: float, cold: float) -> None:
     of = single("chw_temperature", 5.0, 10.0)
-    assert ComfortBandRules(of).act(view(of, air=air)) == {"chw_temperature": cold}
+    assert RuleBasedController(of).act(view(of, air=air)) == {"chw_temperature": cold}
 
 
 def test_a_switch_goes_on_below_the_band_and_off_above_its_middle() -> None:
     of = single("radiant_availability", 0.0, 1.0)
-    rules = ComfortBandRules(of, margin=0.3)
+    rules = RuleBasedController(of, margin=0.3)
     airs = [21.8, 21.0, 20.4, 20.2, 21.0, 21.7, 21.8, 21.0]
     assert [rules.act(view(of, air=air))["radiant_availability"] for air in airs] == [0, 0, 0, 1, 1, 1, 0, 0]
     rules.begin(view(of))
@@ -226,7 +226,7 @@ def test_a_switch_goes_on_below_the_band_and_off_above_its_middle() -> None:
 
 def test_storage_stands_idle() -> None:
     of = node(HEAT, actuator("battery_charge_rate", 0.0, 1.0))
-    assert ComfortBandRules(of).act(view(of))["battery_charge_rate"] == 0.0
+    assert RuleBasedController(of).act(view(of))["battery_charge_rate"] == 0.0
 
 
 SITE = node(
@@ -271,13 +271,13 @@ def test_what_is_set_lies_within_the_bounds(name: str, samples: list[tuple[float
 )
 def test_parameters_that_cannot_be(given: dict[str, Any], says: str) -> None:
     with pytest.raises(InvalidConfig, match=says):
-        create(ComfortBandRules, node(), given)
+        make_controller(RuleBasedController, node(), given)
 
 
 def test_rules_need_something_to_rule() -> None:
     for of in (single("fan", 0.0, 1.0), manifest()):
         with pytest.raises(InvalidConfig, match="the rule-based controller needs an action that sets a heating"):
-            ComfortBandRules(of)
+            RuleBasedController(of)
 
 
 # Random
@@ -285,10 +285,10 @@ def test_rules_need_something_to_rule() -> None:
 
 def test_random_is_uniform_repeats_by_its_seed_and_goes_on_after_a_begin() -> None:
     of = node()
-    first, second = RandomControl(of, seed=1), RandomControl(of, seed=1)
+    first, second = RandomController(of, seed=1), RandomController(of, seed=1)
     drawn = [first.act(view(of)) for _ in range(2000)]
     assert [second.act(view(of)) for _ in range(2000)] == drawn
-    assert RandomControl(of, seed=2).act(view(of)) != drawn[0]
+    assert RandomController(of, seed=2).act(view(of)) != drawn[0]
     heat = np.array([values[HEAT.name] for values in drawn])
     # Uniform on 15 to 22.5: mean 18.75, standard deviation 7.5 / sqrt(12); of the mean of 2000, a 45th of that.
     assert abs(heat.mean() - 18.75) < 5 * 7.5 / math.sqrt(12 * 2000)
@@ -301,16 +301,16 @@ def test_random_is_uniform_repeats_by_its_seed_and_goes_on_after_a_begin() -> No
 def test_random_draws_rows_of_choices() -> None:
     rows = ((15.0, 30.0), (20.0, 25.0), (22.0, 23.0))
     of = node(task=discrete(DiscreteAction(actions=(HEAT.name, COOL.name), values=rows)))
-    control = RandomControl(of, seed=0)
+    control = RandomController(of, seed=0)
     drawn = {(values[HEAT.name], values[COOL.name]) for values in (control.act(view(of)) for _ in range(100))}
     assert drawn == set(rows)
 
 
 def test_random_needs_bounds_and_a_seed_that_is_one() -> None:
     with pytest.raises(InvalidConfig, match="nothing can be drawn for 'heating_setpoint': give the action bounds"):
-        RandomControl(single("heating_setpoint", None, 22.5))
+        RandomController(single("heating_setpoint", None, 22.5))
     with pytest.raises(InvalidConfig, match="seed = -1"):
-        RandomControl(node(), seed=-1)
+        RandomController(node(), seed=-1)
 
 
 # Fixed
@@ -332,7 +332,7 @@ def test_fixed_values_by_name_and_the_bands_ends_for_the_rest() -> None:
 )
 def test_fixed_values_that_cannot_be(given: dict[str, Any], says: str) -> None:
     with pytest.raises(InvalidConfig, match=says):
-        create(FixedSetpoints, node(), given)
+        make_controller(FixedSetpoints, node(), given)
 
 
 @pytest.mark.parametrize(
@@ -424,7 +424,7 @@ def test_weekdays() -> None:
 )
 def test_setbacks_that_cannot_be(given: dict[str, Any], says: str) -> None:
     with pytest.raises(InvalidConfig, match=says):
-        create(ScheduledSetback, node(), given)
+        make_controller(ScheduledSetback, node(), given)
 
 
 def test_setback_needs_setpoints_and_heating_below_cooling() -> None:
@@ -475,7 +475,7 @@ def test_incremental_needs_a_setpoint_and_a_temperature() -> None:
 # PID. A timestep is a quarter of an hour.
 
 
-def outputs(control: PidControl, airs: list[float], name: str = "valve") -> list[float]:
+def outputs(control: PIDController, airs: list[float], name: str = "valve") -> list[float]:
     return [control.act(view(control.manifest, air=air))[name] for air in airs]
 
 
@@ -488,14 +488,14 @@ def test_pid_against_a_sequence_by_hand() -> None:
     21.5 -0.5  -1   1    -0.5 * 1 / 0.25 = -2   48
     21   0     0    1    +1                     52
     """
-    control = PidControl(single("valve", 0.0, 100.0), setpoint=21.0, kp=2.0, ki=4.0, kd=0.5)
+    control = PIDController(single("valve", 0.0, 100.0), setpoint=21.0, kp=2.0, ki=4.0, kd=0.5)
     assert outputs(control, [20.0, 20.5, 21.5, 21.0]) == pytest.approx([53.0, 51.5, 48.0, 52.0])
 
 
 def test_pid_direct_acting_is_the_mirror_image() -> None:
     of = single("valve", 0.0, 100.0)
-    heats = PidControl(of, setpoint=21.0, kp=2.0, ki=4.0, kd=0.5)
-    cools = PidControl(of, setpoint=21.0, kp=2.0, ki=4.0, kd=0.5, reverse=False)
+    heats = PIDController(of, setpoint=21.0, kp=2.0, ki=4.0, kd=0.5)
+    cools = PIDController(of, setpoint=21.0, kp=2.0, ki=4.0, kd=0.5, reverse=False)
     airs = [20.0, 20.5, 21.5, 21.0]
     assert outputs(cools, airs) == pytest.approx([100.0 - u for u in outputs(heats, airs)])
 
@@ -503,17 +503,17 @@ def test_pid_direct_acting_is_the_mirror_image() -> None:
 def test_pid_takes_no_integral_on_while_it_is_at_a_limit() -> None:
     """ki 4 is 1 a K and step. At -1 K the output stands at 51 after a step, then at its limit of 52."""
     of = single("valve", 0.0, 52.0)
-    control = PidControl(of, setpoint=21.0, kp=0.0, ki=4.0, bias=50.0)
+    control = PIDController(of, setpoint=21.0, kp=0.0, ki=4.0, bias=50.0)
     assert outputs(control, [20.0] * 100) == [51.0] + [52.0] * 99
     # It leaves the limit at once; a wound up integral would hold it there for ninety steps more.
     assert outputs(control, [22.0, 22.0]) == [51.0, 50.0]
-    low = PidControl(single("valve", 48.0, 100.0), setpoint=21.0, kp=0.0, ki=4.0, bias=50.0)
+    low = PIDController(single("valve", 48.0, 100.0), setpoint=21.0, kp=0.0, ki=4.0, bias=50.0)
     assert outputs(low, [22.0] * 100) == [49.0] + [48.0] * 99
     assert outputs(low, [20.0, 20.0]) == [49.0, 50.0]
 
 
 def test_pid_forgets_at_an_episodes_begin() -> None:
-    control = PidControl(single("valve", 0.0, 100.0), setpoint=21.0, kp=2.0, ki=4.0, kd=0.5)
+    control = PIDController(single("valve", 0.0, 100.0), setpoint=21.0, kp=2.0, ki=4.0, kd=0.5)
     first = outputs(control, [20.0, 20.5])
     control.begin(view(control.manifest))
     assert outputs(control, [20.0, 20.5]) == first
@@ -521,13 +521,13 @@ def test_pid_forgets_at_an_episodes_begin() -> None:
 
 @given(st.lists(st.floats(-80.0, 80.0), min_size=1, max_size=30), st.booleans())
 def test_pid_stays_within_its_limits(airs: list[float], reverse: bool) -> None:
-    control = PidControl(single("valve", 0.0, 1.0), setpoint=21.0, kp=3.0, ki=9.0, kd=2.0, low=0.2, reverse=reverse)
+    control = PIDController(single("valve", 0.0, 1.0), setpoint=21.0, kp=3.0, ki=9.0, kd=2.0, low=0.2, reverse=reverse)
     assert all(0.2 <= u <= 1.0 for u in outputs(control, airs))
 
 
 def test_pid_holds_a_room_without_offset() -> None:
     """A room that loses 1 K an hour for each K to 0 degC outside and is heated by up to 40 K an hour: 21 needs 21."""
-    control = PidControl(single("valve", 0.0, 40.0), setpoint=21.0, kp=2.0, ki=2.0, bias=0.0)
+    control = PIDController(single("valve", 0.0, 40.0), setpoint=21.0, kp=2.0, ki=2.0, bias=0.0)
     air = 15.0
     for _ in range(400):
         (heat,) = outputs(control, [air])
@@ -538,7 +538,7 @@ def test_pid_holds_a_room_without_offset() -> None:
 
 def test_pid_drives_a_named_actuator_and_holds_others() -> None:
     of = node(sensors=(sensor("a"), sensor("b")))
-    control = PidControl(of, setpoint=21.0, sensor="b", actuator=HEAT.name, kp=1.0, ki=0.0, cooling_setpoint=28.0)
+    control = PIDController(of, setpoint=21.0, sensor="b", actuator=HEAT.name, kp=1.0, ki=0.0, cooling_setpoint=28.0)
     assert control.act(view(of, a=0.0, b=20.0)) == {HEAT.name: 22.0, COOL.name: 28.0}  # the setpoint, and 1
 
 
@@ -565,14 +565,14 @@ def test_pid_drives_a_named_actuator_and_holds_others() -> None:
 )
 def test_pids_that_cannot_be(of: Manifest, given: dict[str, Any], says: str) -> None:
     with pytest.raises(InvalidConfig, match=says):
-        create(PidControl, of, {"setpoint": 21.0, **given})
+        make_controller(PIDController, of, {"setpoint": 21.0, **given})
 
 
 def test_pid_needs_a_setpoint() -> None:
     with pytest.raises(
         InvalidConfig, match=r"PidControl needs setpoint: --set setpoint=\.\.\., or setpoint= in Python"
     ):
-        create(PidControl, node(HEAT), {})
+        make_controller(PIDController, node(HEAT), {})
 
 
 # As an agent
@@ -664,9 +664,9 @@ def test_an_agent_keeps_what_is_not_named_until_the_episode_ends() -> None:
 
 def test_the_buildings_own_control_as_an_agent() -> None:
     empty = manifest(sensors=[ROOM])
-    assert Agent(BuildingControl(empty)).action(view(empty)).shape == (0,)
+    assert Agent(BaselineController(empty)).action(view(empty)).shape == (0,)
     with pytest.raises(InvalidAction, match="none at all are the building's own control"):
-        Agent(BuildingControl(node())).action(view(node()))
+        Agent(BaselineController(node())).action(view(node()))
 
 
 # Controllers by name
@@ -710,16 +710,16 @@ class Bare:
 
 def test_short_names() -> None:
     assert set(CONTROLLERS) == {"building", "rbc", "random", "fixed", "setback", "incremental", "pid"}
-    assert load_controller("rbc") is ComfortBandRules
+    assert load_controller("rbc") is RuleBasedController
     assert all(issubclass(found, Controller) for found in CONTROLLERS.values())
 
 
 def test_a_class_of_anybodys_in_a_file(tmp_path: Path, modules: dict[str, Any]) -> None:
     (tmp_path / "mine.py").write_text(MINE)
-    made = create(load_controller(f"{tmp_path}/mine.py:Mine"), node(), {"setpoint": 26.5})
+    made = make_controller(load_controller(f"{tmp_path}/mine.py:Mine"), node(), {"setpoint": 26.5})
     assert made.act(view(node())) == {"cooling_setpoint": 26.5}
     with pytest.raises(InvalidConfig, match="Mine takes no parameter 'setpint'; near names: 'setpoint'"):
-        create(type(made), node(), {"setpint": 1})
+        make_controller(type(made), node(), {"setpint": 1})
 
 
 def test_a_module_in_the_present_folder(

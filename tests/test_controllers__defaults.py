@@ -13,7 +13,7 @@ from builders import actuator, manifest, sensor
 from nodes import SMALL
 from test_controllers import view
 
-from agent_sdk.controllers import Agent, PidControl
+from agent_sdk.controllers import Agent, PIDController
 from agent_sdk.controllers.comfort_band import inside
 from agent_sdk.envs.arguments import of_scenario
 from agent_sdk.envs.building_env import BuildingEnv
@@ -68,7 +68,7 @@ def test_pid_settles_where_a_zone_follows_its_setpoint_at_once_or_with_a_lag(
     """A zone that follows its setpoint by `gain`, and stands 2 K above it."""
     of = manifest(sensors=[sensor("air")], actuators=[actuator("cooling_setpoint", 15.0, 35.0)])
     of = of.model_copy(update={"steps_per_hour": steps_per_hour})
-    control, air, airs = PidControl(of, setpoint=24.0), 27.0, []
+    control, air, airs = PIDController(of, setpoint=24.0), 27.0, []
     left = math.exp(-1.0 / steps_per_hour / lag_h) if lag_h else 0.0
     for _ in range(200 * steps_per_hour):
         (setpoint,) = control.act(view(of, air=air)).values()
@@ -82,7 +82,7 @@ def test_pid_settles_where_a_zone_follows_its_setpoint_at_once_or_with_a_lag(
 
 def test_pid_does_not_swing_in_a_building() -> None:
     with closing(BuildingEnv(**of_scenario("datacenter_dx-chicago-continuous-v1"), **WEEK)) as env:
-        agent = Agent(PidControl(env.manifest, setpoint=24.0))
+        agent = Agent(PIDController(env.manifest, setpoint=24.0))
         env.reset(seed=0)
         for _ in range(300):
             env.step(agent.action(env.sample))

@@ -16,7 +16,7 @@ from nodes import SMALL, NodeProgram
 
 import agent_sdk
 from agent_sdk.bus.sample import SampleView
-from agent_sdk.controllers import Agent, ComfortBandRules, Controller, IncrementalRules, RandomControl, action_of
+from agent_sdk.controllers import Agent, Controller, IncrementalRules, RandomController, RuleBasedController, action_of
 from agent_sdk.envs.spaces import action_space
 from eplus_node.config import plan, read_config
 from topics.messages import Manifest, Sample
@@ -73,14 +73,14 @@ def check_acts(controller: type[Controller], of: Manifest) -> None:
 
 @pytest.mark.parametrize("name", [*FORMS.values(), *(f"{b}-{WEATHERS[0]}-discrete-v1" for b in BUNDLED)])
 def test_rules_act_on_each_building_of_the_pack_and_some_of_ours(name: str) -> None:
-    check_acts(ComfortBandRules, manifest_of(name))
+    check_acts(RuleBasedController, manifest_of(name))
     if not name.startswith("radiant"):
         check_acts(IncrementalRules, manifest_of(name))
 
 
 def test_rules_take_the_band_of_a_data_centre() -> None:
     of = manifest_of("datacenter_cw-hot-continuous-v1")
-    values = ComfortBandRules(of).act(made_up(of, "2017-07-17T12:00:00", 26.5, 0.0))
+    values = RuleBasedController(of).act(made_up(of, "2017-07-17T12:00:00", 26.5, 0.0))
     # 18 to 27 degC; 26.5 is half way from where the water is warmest (10) to where it is coldest (5).
     assert values == pytest.approx({"cooling_setpoint": 26.0, "chws_supply_temperature": 7.5})
 
@@ -91,9 +91,9 @@ def test_rules_heat_the_rooms_of_the_radiant_building_that_are_cold() -> None:
     row = sample.values.copy()
     row[of.names.index("secondfloor_bedroom02_air_temperature")] = 18.0
     cold = SampleView(
-        sample.wire.model_copy(update={"values": row.tobytes()}), of, {name: i for i, name in enumerate(of.names)}
+        sample.message.model_copy(update={"values": row.tobytes()}), of, {name: i for i, name in enumerate(of.names)}
     )
-    values = ComfortBandRules(of).act(cold)
+    values = RuleBasedController(of).act(cold)
     assert [name for name, value in values.items() if value == 1.0] == ["radiant_bed2_availavility"]
     assert values["water_temperature"] == 45.0
     assert action_of(of, values).tolist() == [0, 0, 0, 1, 0, 20]
@@ -102,7 +102,7 @@ def test_rules_heat_the_rooms_of_the_radiant_building_that_are_cold() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [*pack_ids(), *(f"{b}-{WEATHERS[0]}-continuous-v1" for b in BUILDINGS)])
 def test_rules_act_on_each_id_of_the_pack_and_each_of_our_buildings(name: str) -> None:
-    check_acts(ComfortBandRules, manifest_of(name))
+    check_acts(RuleBasedController, manifest_of(name))
 
 
 # Real runs
@@ -123,9 +123,9 @@ def day(controller: type[Controller], env: gym.Env[Any, Any], **parameters: Any)
 def test_rules_are_more_comfortable_than_chance(name: str) -> None:
     given = SMALL if name in BUILDINGS else {"scenario": name, "begin": "07-03", "end": "07-03"}
     with gym.make("zenostat/Building-v1", **given, affinity="off") as env:
-        rules, chance = day(ComfortBandRules, env), day(RandomControl, env, seed=0)
+        rules, chance = day(RuleBasedController, env), day(RandomController, env, seed=0)
         assert rules > chance
-        assert day(ComfortBandRules, env) == rules  # nothing is left of the episode before
+        assert day(RuleBasedController, env) == rules  # nothing is left of the episode before
 
 
 # `zenostat run`

@@ -15,7 +15,7 @@ from builders import manifest, sensor
 from nodes import command_of, until
 
 from agent_sdk.envs.building_env import BuildingEnv
-from agent_sdk.envs.termination import Limits
+from agent_sdk.envs.termination import TerminationLimits
 from topics.errors import EpisodeChanged, InvalidConfig
 from topics.messages import Task, TerminationLimit
 
@@ -29,13 +29,13 @@ def make(**given: Any) -> BuildingEnv:
     return env
 
 
-def limits(*of: TerminationLimit) -> Limits:
+def limits(*of: TerminationLimit) -> TerminationLimits:
     """Of a node with the sensors north and south, four timesteps an hour."""
-    return Limits(manifest(sensors=[sensor("north"), sensor("south")], task=Task(terminate=of)))
+    return TerminationLimits(manifest(sensors=[sensor("north"), sensor("south")], task=Task(terminate=of)))
 
 
-def broken_at(watch: Limits, rows: list[tuple[float, float]]) -> list[int]:
-    return [i for i, row in enumerate(rows) if watch.broken(np.array(row))]
+def broken_at(watch: TerminationLimits, rows: list[tuple[float, float]]) -> list[int]:
+    return [i for i, row in enumerate(rows) if watch.violated(np.array(row))]
 
 
 def test_a_limit_without_patience_ends_at_once() -> None:
@@ -52,10 +52,10 @@ def test_a_limit_with_patience_counts_hours_without_a_break() -> None:
 
 def test_a_new_episode_forgets_what_was_outside() -> None:
     watch = limits(TerminationLimit(points=("north",), high=26.0, duration_s=1800.0))
-    assert not watch.broken(np.array([27.0, 0.0]))
+    assert not watch.violated(np.array([27.0, 0.0]))
     watch.reset()
-    assert not watch.broken(np.array([27.0, 0.0]))
-    assert "north = 27" in watch.broken(np.array([27.0, 0.0]))
+    assert not watch.violated(np.array([27.0, 0.0]))
+    assert "north = 27" in watch.violated(np.array([27.0, 0.0]))
 
 
 def test_an_episode_ends_when_comfort_was_left_for_two_hours(scratch: Path) -> None:
@@ -108,7 +108,7 @@ def test_what_a_person_sets_is_told(scratch: Path) -> None:
 
     env = make()
     env.reset(seed=0)
-    with agent_sdk.connect(env.own_node.endpoint) as bus:
+    with agent_sdk.connect(env.local_node.endpoint) as bus:
         bus.write("building", "core_zn_cooling_setpoint", 29.0, priority=8, source="facility manager")
     at = [a.name for a in env.manifest.actuators].index("core_zn_cooling_setpoint")
     told = env.step([20.0, 25.0])[4]

@@ -13,10 +13,10 @@ import pytest
 from builders import actuator, manifest, meter, own_action, sensor
 
 from agent_sdk.bus.sample import SampleView
-from agent_sdk.controllers import Agent, ComfortBandRules, Controller, FixedSetpoints, RandomControl
+from agent_sdk.controllers import Agent, Controller, FixedSetpoints, RandomController, RuleBasedController
 from agent_sdk.envs.building_env import BuildingEnv
-from agent_sdk.evaluation.evaluate import Evaluation, Row, evaluate
-from agent_sdk.evaluation.metrics import Result, Tally
+from agent_sdk.evaluation.evaluate import EpisodeRecord, Evaluation, evaluate
+from agent_sdk.evaluation.metrics import EpisodeMetrics, MetricsAccumulator
 from agent_sdk.rewards import LinearReward, MultiZoneReward, OccupiedReward, read_reward
 from agent_sdk.testing import Climate, FakeBuilding, FakeLink
 from topics.errors import InvalidConfig, UnknownName
@@ -45,8 +45,8 @@ def view(of: Manifest, step: int, values: list[float], *, late: int = 0, rejecte
     return SampleView(wire, of, {name: i for i, name in enumerate(of.names)})
 
 
-def tallied(of: Manifest, *rows: list[float], reward: Any = None, terms: Any = None) -> Result:
-    tally = Tally(of, reward)
+def tallied(of: Manifest, *rows: list[float], reward: Any = None, terms: Any = None) -> EpisodeMetrics:
+    tally = MetricsAccumulator(of, reward)
     tally.add(view(of, 0, [1e9] * len(of.names)))  # what stands there before the first timestep counts for nothing
     for step, row in enumerate(rows, 1):
         tally.add(view(of, step, row), terms)
@@ -100,7 +100,7 @@ def test_an_episode_by_hand() -> None:
     assert metrics["mean_reward"] == pytest.approx(-0.75)
     assert metrics["mean_reward.comfort"] == pytest.approx(-0.25)
     assert metrics["natural_gas_kwh"] == pytest.approx(3.0)
-    assert Tally(OFFICE).sources == {
+    assert MetricsAccumulator(OFFICE).sources == {
         "electricity_kwh": "meter Electricity:Facility",
         "natural_gas_kwh": "meter NaturalGas:Facility",
         "district_heating_water_kwh": "meter DistrictHeatingWater:Facility",
@@ -120,7 +120,7 @@ def test_without_meters_power_times_the_timestep_counts_and_is_called_so(reading
     assert found.energy_kwh == {}
     assert found.metrics()["electricity_kwh"] is None
     assert (found.mean_power_w, found.peak_kw) == (pytest.approx(2000.0), pytest.approx(3.0))
-    said = Tally(of).sources["mean_power_w"]
+    said = MetricsAccumulator(of).sources["mean_power_w"]
     assert said.startswith("sensor demand, W times the timestep")
     assert ("approximation" in said) == (reading is Aggregation.INSTANT)
 
@@ -130,7 +130,7 @@ def test_what_a_scenario_does_not_tell_is_absent() -> None:
     found = tallied(of, [30.0])
     known = {name: value for name, value in found.metrics().items() if value is not None}
     assert known == {"steps": 1, "late": 0, "rejected": 0, "terminated": 0.0}
-    assert Tally(of).sources == {}
+    assert MetricsAccumulator(of).sources == {}
 
 
 def test_without_a_timestep_nothing_is_known() -> None:
@@ -174,7 +174,7 @@ def test_zones_with_setpoints_of_their_own() -> None:
 
 
 def test_messages_that_were_refused_in_this_episode_and_a_second_one() -> None:
-    tally = Tally(OFFICE)
+    tally = MetricsAccumulator(OFFICE)
     row = [24.0, 24.0, 0.0, KWH, 0.0, 0.0, 0.0, 0.0]
     tally.add(view(OFFICE, 0, row, late=7, rejected=2))
     tally.add(view(OFFICE, 1, row, late=9, rejected=2))
@@ -189,12 +189,14 @@ def test_messages_that_were_refused_in_this_episode_and_a_second_one() -> None:
 # The spread
 
 
-def result(reward: float | None) -> Result:
-    return Result(1, reward, {}, {}, None, None, None, None, None, None, None, 0, 0, terminated=False)
+def result(reward: float | None) -> EpisodeMetrics:
+    return EpisodeMetrics(1, reward, {}, {}, None, None, None, None, None, None, None, 0, 0, terminated=False)
 
 
 def test_mean_standard_deviation_and_interval(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = Evaluation(tuple(Row("rbc", k, k, "", result(value)) for k, value in enumerate((1.0, 2.0, 6.0))), {})
+    found = Evaluation(
+        tuple(EpisodeRecord("rbc", k, k, "", result(value)) for k, value in enumerate((1.0, 2.0, 6.0))), {}
+    )
     spread = found.summary()["rbc"]["reward"]
     assert (spread.count, spread.mean, spread.deviation) == (3, 3.0, pytest.approx(math.sqrt(7.0)))
     assert "mean_power_w" not in found.summary()["rbc"]
@@ -236,7 +238,7 @@ def test_the_same_call_gives_the_same_tables_and_the_same_seeds_to_all() -> None
 def test_the_sum_of_an_episode_is_that_of_the_environment() -> None:
     (row,) = evaluate(building(), ["rbc"], seed=3).rows
     with BuildingEnv(**building()) as env:
-        agent, rewards, ended = Agent(ComfortBandRules(env.manifest)), [], False
+        agent, rewards, ended = Agent(RuleBasedController(env.manifest)), [], False
         env.reset(seed=3)
         while not ended:
             _, reward, _, ended, _ = env.step(agent.action(env.sample))
@@ -271,7 +273,7 @@ def test_parameters_go_to_those_that_take_them() -> None:
 
     evaluate(
         building(),
-        {"mine": maker("mine"), "bound": partial(maker("bound"), seed=9), "drawn": RandomControl},
+        {"mine": maker("mine"), "bound": partial(maker("bound"), seed=9), "drawn": RandomController},
         seed=4,
         parameters={"margin": 0.5, "zone_2_cooling_setpoint": 27.0},
     )
@@ -322,8 +324,8 @@ def test_what_faults_do_to_points_does_not_count() -> None:
     """Metrics are of the building, as rewards are: a point that was dropped has the value that EnergyPlus gave."""
     values = [22.0, 30.0, 1.0, KWH, KWH, 0.0, 0.0, 0.0]
     told = view(OFFICE, 1, [NAN] * len(values))
-    told.wire = told.wire.model_copy(update={"undisturbed": np.array(values, "<f8").tobytes()})
-    tally = Tally(OFFICE, None)
+    told.message = told.message.model_copy(update={"undisturbed": np.array(values, "<f8").tobytes()})
+    tally = MetricsAccumulator(OFFICE, None)
     tally.add(view(OFFICE, 0, values))
     tally.add(told)
     assert tally.result() == tallied(OFFICE, values)

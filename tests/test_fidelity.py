@@ -60,7 +60,7 @@ def _over_the_bus(node: NodeProgram) -> tuple[Manifest, NDArray[np.float64]]:
         samples = []
         for sample in link:
             assert sample.step == len(samples)
-            assert set(sample.ruled_by.values()) == {""}
+            assert set(sample.value_source.values()) == {""}
             samples.append(sample.values)
             sample.send()
         assert sample.truncated

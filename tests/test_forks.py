@@ -62,7 +62,7 @@ def test_a_fork_is_a_fresh_start_to_the_bit(kind: str, scratch: Path) -> None:
 def test_many_resets_leave_nothing(scratch: Path) -> None:
     """No process, descriptor, file or folder more after fifty episodes than after three."""
     env = make(SMALL)
-    node = psutil.Process(env.own_node.pid)
+    node = psutil.Process(env.local_node.pid)
 
     def held() -> tuple[int, int, int]:
         return len(engines(env)), node.num_fds(), len(within(scratch))
@@ -130,7 +130,7 @@ def test_the_engine_of_the_next_weather_is_started_ahead(scratch: Path) -> None:
     for seed, start in ((5, "started"), (6, "started"), (7, "started"), (None, "started"), (None, "ahead")):
         assert began(env, seed)[0] == start
     assert len(engines(env)) == 2
-    assert len([path for path in within(env.own_node.folder) if path.suffix == ".epw"]) == 2
+    assert len([path for path in within(env.local_node.folder) if path.suffix == ".epw"]) == 2
     env.close()
     plain.close()
 

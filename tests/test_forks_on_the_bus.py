@@ -194,10 +194,10 @@ def test_several_engines_in_a_branch_stand_where_their_one_parent_stood(bus: Bus
         name = bus.branch("office", CreateBranch(controller=link.name, slots=3))
         with bus.controller(name) as hold:
             sample = hold.current()
-            assert sample.wire.values == before.values * 3
-            assert sample.wire.step == [5] * 3
+            assert sample.message.values == before.values * 3
+            assert sample.message.step == [5] * 3
             hold.send()
-            rows = hold.receive().wire.values
+            rows = hold.receive().message.values
         sample = link.current()
         sample.send()
-        assert rows == link.receive().wire.values * 3
+        assert rows == link.receive().message.values * 3

@@ -157,15 +157,15 @@ with open_session(connect=[endpoint]) as session:
 """
 
 
-def day(link: agent_sdk.ControlLink) -> list[bytes]:
+def day(link: agent_sdk.ControllerLink) -> list[bytes]:
     """The values of all samples of an episode with setpoints that change with the step."""
     sample = link.reset(seed=0)
-    seen = [sample.wire.values]
+    seen = [sample.message.values]
     while not sample.truncated:
         zones = len(link.manifest.actuators) // 2
         link.send(np.array([20.0, 24.0 + sample.step % 5] * zones))
         sample = link.receive()
-        seen.append(sample.wire.values)
+        seen.append(sample.message.values)
     return seen
 
 

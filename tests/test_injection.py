@@ -16,7 +16,7 @@ from nodes import SMALL, WEATHER, NodeProgram, until
 
 import agent_sdk
 from agent_sdk import Bus
-from agent_sdk.bus.controller_link import ControlLink
+from agent_sdk.bus.controller_link import ControllerLink
 from bridge.faults import LinkFaults
 from eplus_node.config import plan, read_config
 from eplus_node.fault_injection import FaultInjection
@@ -38,20 +38,20 @@ def command(step: int) -> float:
 
 
 def day(
-    link: ControlLink,
+    link: ControllerLink,
     at: Callable[[int], float] = command,
     between: Callable[[int], object] | None = None,
     **reset: Any,
 ) -> list[Sample]:
     """An episode; all its samples. `between` is done at each sample before it is answered."""
     sample = link.reset(**reset)
-    found = [sample.wire]
+    found = [sample.message]
     while not sample.truncated:
         if between is not None:
             between(sample.step)
         sample.send({SETPOINT: at(sample.step)})
         sample = link.receive()
-        found.append(sample.wire)
+        found.append(sample.message)
     return found
 
 
@@ -62,7 +62,7 @@ class Stage:
         clean: a day without faults.
     """
 
-    def __init__(self, bus: Bus, link: ControlLink) -> None:
+    def __init__(self, bus: Bus, link: ControllerLink) -> None:
         self.bus, self.link = bus, link
         manifest = link.manifest
         self.names, self.actuators = list(manifest.names), [a.name for a in manifest.actuators]

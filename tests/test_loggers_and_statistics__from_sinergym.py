@@ -12,7 +12,7 @@ import pytest
 
 from agent_sdk import wrappers as w
 from agent_sdk.testing.fake_env import FakeEnv
-from agent_sdk.wrappers.base import Step
+from agent_sdk.wrappers.base import StepBatch
 from agent_sdk.wrappers.metric_loggers import MeansLog
 from agent_sdk.wrappers.single import Single
 from models.weather.noise import ornstein_uhlenbeck
@@ -26,7 +26,7 @@ class RowCore(MeansLog):
         super().__init__(view, every=10**9)
         self.rows = rows
 
-    def values(self, row: int, step: Step) -> dict[str, float]:
+    def values(self, row: int, step: StepBatch) -> dict[str, float]:
         return super().values(row, step) | {"largest_action": float(np.max(step.actions[row]))}
 
     def write(self, values: Mapping[str, float], step: int) -> None:

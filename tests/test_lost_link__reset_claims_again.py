@@ -103,7 +103,7 @@ def test_an_own_node_that_was_frozen(slots: int) -> None:
     env.close()
 
 
-def answer_for_ever(controller: agent_sdk.ControlLink) -> None:
+def answer_for_ever(controller: agent_sdk.ControllerLink) -> None:
     while True:
         controller.receive().send()
 
@@ -146,7 +146,7 @@ def test_a_controller_without_gymnasium(scratch: Path) -> None:
             answer_for_ever(controller)
         until(lambda: bus.nodes() == ["office"], "the link is back")
         controller.reset().send({"core_zn_cooling_setpoint": 26.0})
-        assert controller.receive().ruled_by["core_zn_cooling_setpoint"] == controller.name
+        assert controller.receive().value_source["core_zn_cooling_setpoint"] == controller.name
 
 
 def test_a_claim_that_only_the_node_lost(scratch: Path) -> None:

@@ -167,11 +167,11 @@ def test_each_slot_has_its_own_part_of_the_frame() -> None:
 
 
 def test_a_sample_says_what_was_applied_and_who_ruled() -> None:
-    assert view().applied[0] == 20.0
-    assert np.isnan(view().applied[1])
-    assert view().ruled_by == {"heat": "agent", "cool": ""}
-    assert view(slot=1).applied.tolist() == [15.0, 26.0]
-    assert view(slot=1).ruled_by == {"heat": "", "cool": "wall"}
+    assert view().effective[0] == 20.0
+    assert np.isnan(view().effective[1])
+    assert view().value_source == {"heat": "agent", "cool": ""}
+    assert view(slot=1).effective.tolist() == [15.0, 26.0]
+    assert view(slot=1).value_source == {"heat": "", "cool": "wall"}
 
 
 def test_a_value_is_read_by_name_and_an_unknown_name_lists_near_ones() -> None:

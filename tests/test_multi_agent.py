@@ -295,7 +295,7 @@ def test_pettingzoos_own_checks_pass_on_a_real_building(office: ZonesEnv) -> Non
 
 def test_the_zones_of_a_real_building(office: ZonesEnv) -> None:
     assert office.possible_agents == list(ZONES)
-    assert office.env.own_node is not None
+    assert office.env.local_node is not None
     office.reset(seed=2)
     assert office.observation_names("core_zn") == (
         "outdoor_temperature", "outdoor_humidity", "core_zn_air_temperature", "core_zn_relative_humidity",

@@ -21,7 +21,7 @@ from nodes import SMALL, NodeProgram, free_port, until
 
 import agent_sdk
 from agent_sdk import Bus
-from agent_sdk.bus.controller_link import ControlLink
+from agent_sdk.bus.controller_link import ControllerLink
 from agent_sdk.bus.sample import SampleView
 from bridge.exchange.step_schedule import StepSchedule
 from cli.pace import read_pace
@@ -149,7 +149,7 @@ def round_trips(bus: Bus, times: int = 5) -> None:
         bus.weather("office", ["dry_bulb"])
 
 
-def held(link: ControlLink) -> None:
+def held(link: ControllerLink) -> None:
     """The first timestep in lockstep, with a command that holds from then on."""
     link.current().send({SETPOINT: 27.0})
     assert link.receive().step == 1
@@ -164,7 +164,7 @@ def rest(samples: Iterator[SampleView]) -> list[Sample]:
     """All samples up to the episode's last."""
     found = []
     for sample in samples:
-        found.append(sample.wire)
+        found.append(sample.message)
         if sample.truncated:
             return found
     raise AssertionError("the node is gone")
@@ -176,7 +176,7 @@ def reference(module_folder: Path) -> list[Sample]:
     with NodeProgram(module_folder / "n", **SMALL) as node, agent_sdk.connect(node.endpoint, affinity="off") as bus:
         found = []
         for sample in bus.controller("office"):
-            found.append(sample.wire)
+            found.append(sample.message)
             sample.send({SETPOINT: 27.0})
         return found[1:]
 
@@ -251,7 +251,7 @@ def test_a_command_that_comes_in_time_rules_the_next_timestep(bus: Bus) -> None:
         assert bus.status("office").step == [0]
         bus.pace("office", 1e9)
         index = [a.name for a in link.manifest.actuators].index(SETPOINT)
-        assert link.receive().applied[index] == 28.0
+        assert link.receive().effective[index] == 28.0
 
 
 @pytest.mark.parametrize("mode", ["free", "paced"])

@@ -85,7 +85,7 @@ def to_the_end(samples: Iterator[SampleView]) -> list[SampleView]:
 
 
 def applied(sample: SampleView, point: str = POINT) -> float:
-    return float(sample.applied[[a.name for a in sample.manifest.actuators].index(point)])
+    return float(sample.effective[[a.name for a in sample.manifest.actuators].index(point)])
 
 
 def told_steps(program: Program, values: list[float]) -> None:
@@ -132,9 +132,9 @@ def test_a_killed_controller_is_noticed_and_the_policy_follows(scratch: Path, po
         assert [sample.step for sample in rest] == [*range(3, STEPS + 1)]
         assert all(sample.fallback for sample in rest)
         if policy == "hold":
-            assert {(applied(s), s.ruled_by[POINT]) for s in rest} == {(27.0, name)}
+            assert {(applied(s), s.value_source[POINT]) for s in rest} == {(27.0, name)}
         else:
-            assert {s.ruled_by[POINT] for s in rest} == {""}
+            assert {s.value_source[POINT] for s in rest} == {""}
             assert {applied(s) for s in rest} == {24.0, 26.7}  # the building's own: at work, and set back
         agent_ = status_of(bus, name)
         assert (agent_.accepted, agent_.missed, agent_.bypassed) == (2, STEPS - 2, True)
@@ -164,9 +164,9 @@ def test_one_that_was_killed_comes_back_at_the_present_step(scratch: Path) -> No
                     second.tell("27 on")
         found = to_the_end(samples)
     assert [sample.step for sample in found] == [*range(1, STEPS + 1)]
-    who = [{sample.ruled_by[point] for point in SOUTH} for sample in found]
+    who = [{sample.value_source[point] for point in SOUTH} for sample in found]
     fell = [sample.step for sample in found if sample.fallback]
-    assert {sample.ruled_by[point] for sample in found for point in NORTH} == {north.name}
+    assert {sample.value_source[point] for sample in found for point in NORTH} == {north.name}
     assert who == [{name}] * 31 + [{successor}] * (STEPS - 31)
     assert [applied(sample, SOUTH[0]) for sample in found] == [26.0] * 31 + [27.0] * (STEPS - 31)
     # It had answered sample 21 before it was killed, or had not.
@@ -214,7 +214,7 @@ def test_a_frozen_controller_s_late_command_says_how_late_and_rules_nothing(scra
             frozen += [sample] if sample.step <= again.step else []
             assert sample.step <= again.step or (applied(sample), sample.fallback) == (24.0, False)
     assert [s.step for s in frozen] == [*range(2, again.step + 1)]
-    assert {(applied(s), s.ruled_by[POINT], s.fallback) for s in frozen} == {(25.0, name, True)}
+    assert {(applied(s), s.value_source[POINT], s.fallback) for s in frozen} == {(25.0, name, True)}
 
 
 @pytest.mark.parametrize("policy", ["abort", "hold"])
@@ -267,7 +267,7 @@ def test_abort_is_told_to_the_other_controller_and_a_reset_begins_anew(scratch: 
         if how == "killed":  # whoever is still there at the reset is waited for
             sample.send(dict.fromkeys(NORTH, 25.0))
             sample = north.receive()
-            assert (sample.step, sample.fallback, sample.ruled_by[SOUTH[0]]) == (1, False, "")
+            assert (sample.step, sample.fallback, sample.value_source[SOUTH[0]]) == (1, False, "")
 
 
 # Together
@@ -309,11 +309,11 @@ def test_two_controllers_and_a_supervisor_are_as_one_to_the_bit(scratch: Path) -
     assert len(many) == STEPS + 1
     for sample in many[1:]:
         who = dict.fromkeys(NORTH, name) | dict.fromkeys(SOUTH, south.name)
-        ruler = sample.ruled_by[POINT]
+        ruler = sample.value_source[POINT]
         if 9 <= sample.step <= 12:
             assert ruler.startswith("supervisor-")
             who[POINT] = ruler
-        assert sample.ruled_by == {point: who.get(point, "") for point in sample.ruled_by}
+        assert sample.value_source == {point: who.get(point, "") for point in sample.value_source}
     with (
         office(scratch / "one") as (node, bus),
         bus.controller("office", name="one", actuators=[*COOLING]) as one,
@@ -325,8 +325,8 @@ def test_two_controllers_and_a_supervisor_are_as_one_to_the_bit(scratch: Path) -
             single[-1].send({point: wanted(point, step) for point in COOLING} | override)
             single.append(one.receive())
     for together, alone in zip(many, single, strict=True):
-        assert together.wire.values == alone.wire.values
-        assert together.wire.effective == alone.wire.effective
+        assert together.message.values == alone.message.values
+        assert together.message.effective == alone.message.effective
     assert np.isfinite(single[-1].values).all()
     assert {applied(sample) for sample in many[9:13]} == {28.0}
 

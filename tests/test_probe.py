@@ -17,8 +17,8 @@ import pytest
 from nodes import SMALL, command_of, interrupted, nothing_left, programs_of
 
 from agent_sdk.envs.building_env import BuildingEnv
-from agent_sdk.evaluation.probe import Asked, Probed, probe
-from agent_sdk.evaluation.probe_effects import Held, Ranges, effect_of
+from agent_sdk.evaluation.probe import ProbeReport, ProbeRequest, probe
+from agent_sdk.evaluation.probe_effects import HoldExperiment, Ranges, effect_of
 from topics.errors import InvalidConfig, UnknownName
 from topics.messages import Actuator, Aggregation, Manifest, Meter, Mode, Policy, Sensor, Versions
 
@@ -43,7 +43,7 @@ OFFICE: dict[str, Any] = {
 
 
 @pytest.fixture(scope="module")
-def office() -> Probed:
+def office() -> ProbeReport:
     """A summer Monday, two hours from 10 and from 15 o'clock."""
     return probe(OFFICE, hours=2, days=1, at=(10, 15))
 
@@ -58,8 +58,8 @@ def test_the_one_zone_data_centre_does_not_feel_its_only_action(begin: str, scra
     found = probe("smalldatacenter-hot-continuous-v1", days=1, begin=begin, end=begin, affinity="off")
     (effect,) = found.effects
     assert (effect.actuator, effect.felt, effect.first_min, effect.identical) == ("cooling_setpoint", (), None, True)
-    assert effect.echoes == ("cooling_setpoint",)
-    assert effect.obeyed  # the schedule was what it was told to be: it is the building that does not care
+    assert effect.pass_through == ("cooling_setpoint",)
+    assert effect.tracked  # the schedule was what it was told to be: it is the building that does not care
     assert any("FlowControlWithApproachTemperatures" in note for note in effect.notes)
 
 
@@ -68,10 +68,10 @@ def test_the_two_zone_data_centre_does(scratch: Path) -> None:
     found = probe("datacenter_dx-hot-continuous-v1", days=1, begin="07-03", end="07-03", affinity="off")
     (effect,) = found.effects
     assert {"west_zone_air_temperature", "HVAC_electricity_demand_rate"} <= {felt.point for felt in effect.felt}
-    assert effect.echoes == ("cooling_setpoint",)
+    assert effect.pass_through == ("cooling_setpoint",)
 
 
-def test_a_cooling_setpoint_is_felt_by_its_zone_and_the_meter_and_by_nothing_that_is_given(office: Probed) -> None:
+def test_a_cooling_setpoint_is_felt_by_its_zone_and_the_meter_and_by_nothing_that_is_given(office: ProbeReport) -> None:
     cooling, _ = office.effects
     felt = {one.point: one for one in cooling.felt}
     assert set(felt) == {"core_air", "electricity"}  # neither weather nor people
@@ -79,13 +79,13 @@ def test_a_cooling_setpoint_is_felt_by_its_zone_and_the_meter_and_by_nothing_tha
     assert 0.0 < felt["core_air"].share <= 1.0
     assert felt["core_air"].unit == "degC"
     assert cooling.first_min == 15.0
-    assert (cooling.low, cooling.high, cooling.obeyed) == (22.5, 29.0, True)
-    assert cooling.echoes == ("core_asked",)
+    assert (cooling.low, cooling.high, cooling.tracked) == (22.5, 29.0, True)
+    assert cooling.pass_through == ("core_asked",)
 
 
-def test_a_heating_setpoint_far_below_a_summer_s_day_changes_nothing(office: Probed) -> None:
+def test_a_heating_setpoint_far_below_a_summer_s_day_changes_nothing(office: ProbeReport) -> None:
     _, heating = office.effects
-    assert (heating.felt, heating.identical, heating.echoes) == ((), True, ())
+    assert (heating.felt, heating.identical, heating.pass_through) == ((), True, ())
 
 
 def test_branching_is_only_a_shortcut(scratch: Path) -> None:
@@ -188,13 +188,13 @@ def _manifest(**given: Any) -> Manifest:
 def test_a_temperature_without_bounds_is_held_two_kelvin_from_what_it_was() -> None:
     (bounded,) = _manifest().actuators
     free = bounded.model_copy(update={"unit": "degC", "low": None, "high": None})
-    asked = Asked(_manifest(actuators=(free,)), 1.0, 1, (7,), (), {}, {})
+    asked = ProbeRequest(_manifest(actuators=(free,)), 1.0, 1, (7,), (), {}, {})
     assert asked.held_at(free, 24.0) == (("low", 22.0), ("high", 26.0))
     half = free.model_copy(update={"low": 20.0})
     assert asked.held_at(half, 24.0) == (("low", 20.0), ("high", 26.0))
     silent = free.model_copy(update={"feedback": None})
     with pytest.raises(InvalidConfig, match="say --low setpoint=VALUE and --high setpoint=VALUE"):
-        Asked(_manifest(actuators=(silent,)), 1.0, 1, (7,), (), {}, {})
+        ProbeRequest(_manifest(actuators=(silent,)), 1.0, 1, (7,), (), {}, {})
 
 
 @pytest.mark.parametrize(
@@ -208,7 +208,7 @@ def test_a_temperature_without_bounds_is_held_two_kelvin_from_what_it_was() -> N
 def test_branches_are_spread_over_the_working_days(begin: str, steps: int, days: int, times: list[str]) -> None:
     manifest = _manifest(begin=f"{begin}T00:00:00", steps=steps)
     first = datetime.fromisoformat(begin)
-    found = [first + timedelta(minutes=15 * step) for step in Asked(manifest, 3.0, days, (7,), (), {}, {}).steps]
+    found = [first + timedelta(minutes=15 * step) for step in ProbeRequest(manifest, 3.0, days, (7,), (), {}, {}).steps]
     assert found == [datetime.fromisoformat(f"{day}T07:00") for day in times]
 
 
@@ -216,10 +216,10 @@ def _effect(
     points: list[list[float]], alone: list[list[float]], *, side: Any = "high", value: float = 30.0, **given: Any
 ):
     manifest = _manifest(**given)
-    one = Held(side, value, BEGIN, np.array(points), np.array(alone), np.full(len(points), value))
+    one = HoldExperiment(side, value, BEGIN, np.array(points), np.array(alone), np.full(len(points), value))
     ranges = Ranges(4)
     ranges.add(one.points)
-    ranges.add(one.alone)
+    ranges.add(one.reference)
     return effect_of(manifest, manifest.actuators[0], [one], range(4), ranges.spans)
 
 
@@ -232,7 +232,7 @@ def test_the_share_is_of_the_range_and_the_first_felt_is_the_end_of_its_timestep
     assert (used.difference, used.share, used.after_min) == (1.0, 1.0, 45.0)
     assert [felt.point for felt in effect.felt] == ["used", "air"]
     assert effect.first_min == 30.0
-    assert effect.echoes == ("asked",)
+    assert effect.pass_through == ("asked",)
 
 
 def test_rounding_is_no_effect_and_not_identical() -> None:

@@ -63,7 +63,7 @@ def test_the_hand_and_the_reward_agree(
 def test_terms_and_measures_say_what_the_reward_is_made_of() -> None:
     got = LinearReward().bind(NODE)(values(25.0, 18.0, 2000.0), WINTER)
     assert got.terms == pytest.approx({"energy": -0.1, "comfort": -1.75})
-    assert got.measures == pytest.approx({"power_w": 2000.0, "degrees_outside": 3.5})
+    assert got.metrics == pytest.approx({"power_w": 2000.0, "degrees_outside": 3.5})
 
 
 @pytest.mark.parametrize(("weight", "reward"), [(0.0, -3.0), (1.0, -0.1), (0.25, -0.025 - 2.25)])

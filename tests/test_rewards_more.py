@@ -28,16 +28,16 @@ from agent_sdk.rewards import (
     EnergyCostReward,
     ExponentialReward,
     HourlyReward,
-    Kind,
     LinearReward,
     MultiZoneReward,
-    NormalisedReward,
+    NormalizedReward,
     OccupiedReward,
     Outcome,
     PeakReward,
+    RewardConfig,
     TariffReward,
     ThermalSensationReward,
-    of_function,
+    from_function,
     read_reward,
 )
 from agent_sdk.rewards.thermal_sensation import dissatisfied
@@ -106,9 +106,9 @@ GIVEN: dict[str, dict[str, Any]] = {
 """What each kind needs."""
 
 
-def made(kind: str, **more: Any) -> Kind:
+def made(kind: str, **more: Any) -> RewardConfig:
     found = read_reward({"kind": kind, **GIVEN[kind], **more})
-    assert isinstance(found, Kind)
+    assert isinstance(found, RewardConfig)
     return found
 
 
@@ -144,7 +144,7 @@ def test_the_reward_is_the_sum_of_its_terms_and_none_is_positive(
         assert got.reward == sum(got.terms.values())
         assert all(term <= 0.0 for term in got.terms.values())
         assert all(np.ndim(number) == 0 and math.isfinite(number) for number in (*got.terms.values(), got.reward))
-        assert all(np.ndim(number) == 0 for number in got.measures.values())
+        assert all(np.ndim(number) == 0 for number in got.metrics.values())
 
 
 @settings(max_examples=100, deadline=None)
@@ -159,7 +159,7 @@ def test_slots_are_what_each_of_them_is_alone(kind: str, slots: list[tuple[Array
         assert got.reward.shape == (len(slots),)
         singles = [bound(row, begin) for bound, row, begin in zip(alone, rows, begins, strict=True)]
         assert got.reward == pytest.approx([single.reward for single in singles])
-        for name, of in (("terms", got.terms), ("measures", got.measures)):
+        for name, of in (("terms", got.terms), ("measures", got.metrics)):
             assert set(of) == set(getattr(singles[0], name))
             for key, column in of.items():
                 assert column.shape == (len(slots),)
@@ -171,7 +171,7 @@ def test_slots_are_what_each_of_them_is_alone(kind: str, slots: list[tuple[Array
 def test_one_begin_does_for_any_leading_shape(kind: str, begin: datetime, batch: Array) -> None:
     got = made(kind).bind(NODE)(batch, begin)
     assert got.reward.shape == (2, 3)
-    assert all(term.shape == (2, 3) for term in (*got.terms.values(), *got.measures.values()))
+    assert all(term.shape == (2, 3) for term in (*got.terms.values(), *got.metrics.values()))
     assert got.reward[1, 2] == pytest.approx(made(kind).bind(NODE)(batch[1, 2], begin).reward)
 
 
@@ -229,7 +229,7 @@ described = st.sampled_from(sorted(GIVEN)).flatmap(
 @given(described)
 def test_a_reward_that_was_written_is_read_back(said: dict[str, Any]) -> None:
     reward = read_reward(said)
-    assert isinstance(reward, Kind)
+    assert isinstance(reward, RewardConfig)
     plain = reward.model_dump(mode="json", exclude_defaults=True)
     assert plain["kind"] == said["kind"]
     assert read_reward(plain) == reward
@@ -259,7 +259,7 @@ def test_exponential() -> None:
     assert bound(values(north=20.0, south=23.5), WINTER).reward == 0.0  # the ends belong to the band
     got = bound(values(north=18.0, south=24.5, power=2000.0), WINTER)
     assert got.terms == pytest.approx({"energy": -0.1, "comfort": -0.5 * (math.exp(2.0) + math.exp(1.0))})
-    assert got.measures == pytest.approx({"power_w": 2000.0, "degrees_outside": 3.0})
+    assert got.metrics == pytest.approx({"power_w": 2000.0, "degrees_outside": 3.0})
     just_outside = bound(values(north=20.0 - 1e-9), WINTER).terms["comfort"]
     assert just_outside == pytest.approx(-0.5)
     assert bound(values(north=1e6), WINTER).reward == pytest.approx(-0.5 * math.exp(100.0))
@@ -282,7 +282,7 @@ def test_hourly(hours: tuple[int, int], hour: int, inside: bool) -> None:
 def test_each_slot_has_its_own_hour() -> None:
     rows, begins = np.array([values(power=1000.0)] * 2), [WINTER, WINTER.replace(hour=3)]
     assert HourlyReward(weight=0.4).bind(NODE)(rows, begins).terms["energy"] == pytest.approx([-0.04, -0.1])
-    costs = made("tariff").bind(NODE)(np.array([values(electricity=KWH)] * 2), begins).measures["cost"]
+    costs = made("tariff").bind(NODE)(np.array([values(electricity=KWH)] * 2), begins).metrics["cost"]
     assert costs == pytest.approx([0.3, 0.1])
     peaks = PeakReward().bind(NODE)
     peaks(np.array([values(electricity=KWH)] * 2), begins)
@@ -291,31 +291,31 @@ def test_each_slot_has_its_own_hour() -> None:
 
 
 def test_normalised_by_what_was_seen() -> None:
-    bound = NormalisedReward(weight=0.25).bind(NODE)
+    bound = NormalizedReward(weight=0.25).bind(NODE)
     nothing = bound(values(), WINTER)
-    assert (nothing.reward, nothing.measures["max_power_w"]) == (0.0, 0.0)  # 0 of 0 is 0
+    assert (nothing.reward, nothing.metrics["max_power_w"]) == (0.0, 0.0)  # 0 of 0 is 0
     assert bound(values(power=4000.0, north=18.0), WINTER).terms == pytest.approx({"energy": -0.25, "comfort": -0.75})
     got = bound(values(power=1000.0, north=19.5), WINTER)
     assert got.terms == pytest.approx({"energy": -0.25 / 4, "comfort": -0.75 / 4})
-    assert got.measures == pytest.approx(
+    assert got.metrics == pytest.approx(
         {"power_w": 1000.0, "degrees_outside": 0.5, "max_power_w": 4000.0, "max_degrees": 2.0}
     )
 
 
 def test_normalised_by_what_is_given() -> None:
     sample = values(power=4000.0, north=14.0)
-    fixed = NormalisedReward(max_power_w=2000.0, max_degrees=12.0, moving=False).bind(NODE)
+    fixed = NormalizedReward(max_power_w=2000.0, max_degrees=12.0, moving=False).bind(NODE)
     for _ in range(2):
         assert fixed(sample, WINTER).terms == pytest.approx({"energy": -1.0, "comfort": -0.25})
-    growing = NormalisedReward(max_power_w=2000.0, max_degrees=12.0).bind(NODE)
+    growing = NormalizedReward(max_power_w=2000.0, max_degrees=12.0).bind(NODE)
     assert growing(sample, WINTER).terms == pytest.approx({"energy": -0.5, "comfort": -0.25})
     with pytest.raises(ValidationError, match="max_power_w and max_degrees"):
-        NormalisedReward(moving=False, max_power_w=1.0)
+        NormalizedReward(moving=False, max_power_w=1.0)
 
 
 def test_the_maxima_stay_unless_they_are_to_be_forgotten() -> None:
     for forget, share in ((False, -0.25), (True, -0.5)):
-        bound = NormalisedReward(forget=forget).bind(NODE)
+        bound = NormalizedReward(forget=forget).bind(NODE)
         bound(values(power=2000.0), WINTER)
         bound.reset()
         assert bound(values(power=1000.0), WINTER).terms["energy"] == pytest.approx(share)
@@ -325,17 +325,17 @@ def test_multi_zone_by_the_thermostats_with_the_zones_keys() -> None:
     bound = MultiZoneReward().bind(NODE)
     assert bound(values(north=20.5, south=25.5), WINTER).reward == 0.0
     got = bound(values(north=19.5, south=26.5, power=1000.0), SUMMER)  # 20.5 and 25.5 are the ends
-    assert got.measures["degrees_outside"] == pytest.approx(1.0 + 1.0)
+    assert got.metrics["degrees_outside"] == pytest.approx(1.0 + 1.0)
     assert got.terms == pytest.approx({"energy": -0.05, "comfort": -1.0})
 
 
 def test_multi_zone_by_names() -> None:
     one = MultiZoneReward(zones={"north": "south_heating"}, threshold=1.0).bind(NODE)  # 19 to 21
-    assert one(values(north=22.5), WINTER).measures["degrees_outside"] == pytest.approx(1.5)
-    assert one(values(north=18.0, south=0.0), WINTER).measures["degrees_outside"] == pytest.approx(1.0)
+    assert one(values(north=22.5), WINTER).metrics["degrees_outside"] == pytest.approx(1.5)
+    assert one(values(north=18.0, south=0.0), WINTER).metrics["degrees_outside"] == pytest.approx(1.0)
     two = MultiZoneReward(zones={"north": ("north_heating", "south_cooling")}, threshold=0.0).bind(NODE)
     assert two(values(north=22.5), WINTER).reward == 0.0
-    assert two(values(north=0.0), WINTER).measures["degrees_outside"] == pytest.approx(21.0)
+    assert two(values(north=0.0), WINTER).metrics["degrees_outside"] == pytest.approx(21.0)
 
 
 PRICE = {"table": PERIODS, "otherwise": 100.0, "unit": "EUR/MWh"}
@@ -345,7 +345,7 @@ PRICE = {"table": PERIODS, "otherwise": 100.0, "unit": "EUR/MWh"}
 def test_energy_cost(hour: int, price: float) -> None:
     bound = EnergyCostReward.model_validate({"price": PRICE, "lambda_cost": 2.0}).bind(NODE)
     got = bound(values(electricity=5 * KWH, north=18.0, power=1e9), WINTER.replace(hour=hour))
-    assert got.measures == pytest.approx(
+    assert got.metrics == pytest.approx(
         {"power_w": 20_000.0, "degrees_outside": 2.0, "energy_kwh": 5.0, "cost": 5.0 * price}
     )
     assert got.terms == pytest.approx({"energy": -0.8, "comfort": -0.8, "cost": -0.2 * 2.0 * 5.0 * price})
@@ -369,18 +369,18 @@ def test_tariff() -> None:
     bound = TariffReward.model_validate({**GIVEN["tariff"], "weight": 0.25, "lambda_cost": 2.0}).bind(NODE)
     monday = bound(values(electricity=10 * KWH, north=18.0), WINTER)
     assert monday.terms == pytest.approx({"cost": -0.25 * 2.0 * 3.0, "comfort": -1.5})
-    assert monday.measures == pytest.approx({"degrees_outside": 2.0, "energy_kwh": 10.0, "cost": 3.0})
+    assert monday.metrics == pytest.approx({"degrees_outside": 2.0, "energy_kwh": 10.0, "cost": 3.0})
     sunday = bound(values(electricity=10 * KWH), WINTER - timedelta(days=1))
-    assert sunday.measures["cost"] == pytest.approx(1.0)
+    assert sunday.metrics["cost"] == pytest.approx(1.0)
 
 
 def test_carbon() -> None:
     bound = made("carbon", weight=0.25, lambda_carbon=2.0).bind(NODE)  # the intensity of hour k is k g/kWh
     got = bound(values(electricity=10 * KWH, north=18.0), datetime(2017, 1, 11, 10, 30))
-    assert got.measures == pytest.approx({"degrees_outside": 2.0, "energy_kwh": 10.0, "co2_kg": 2.5})
+    assert got.metrics == pytest.approx({"degrees_outside": 2.0, "energy_kwh": 10.0, "co2_kg": 2.5})
     assert got.terms == pytest.approx({"carbon": -0.25 * 2.0 * 2.5, "comfort": -1.5})
     heavy = CarbonReward.model_validate({"intensity": {"value": 0.4, "unit": "t/MWh"}}).bind(NODE)
-    assert heavy(values(electricity=KWH), WINTER).measures["co2_kg"] == pytest.approx(0.4)
+    assert heavy(values(electricity=KWH), WINTER).metrics["co2_kg"] == pytest.approx(0.4)
 
 
 def test_peak() -> None:
@@ -391,7 +391,7 @@ def test_peak() -> None:
     for k, (kw, added, peak) in enumerate(schedule):
         got = bound(values(electricity=kw / 4 * KWH), begin + timedelta(minutes=15 * k))
         assert got.terms == pytest.approx({"energy": -0.05 * kw, "comfort": 0.0, "peak": -3.0 * added})
-        assert got.measures["peak_kw"] == pytest.approx(peak)
+        assert got.metrics["peak_kw"] == pytest.approx(peak)
     bound.reset()
     assert bound(values(electricity=2.75 * KWH), begin).terms["peak"] == pytest.approx(-3.0)
     same_month_next_year = bound(values(electricity=2.75 * KWH), begin.replace(year=2018))
@@ -424,14 +424,14 @@ def test_a_month_of_peaks_is_a_demand_charge(kilowatts: list[float], threshold_k
 def test_occupied(more: dict[str, Any], people: tuple[float, float], degrees_outside: float) -> None:
     sample = values(north=18.0, south=24.5, power=1000.0, north_people=people[0], south_people=people[1])
     got = OccupiedReward(**more).bind(NODE)(sample, WINTER)
-    assert got.measures["degrees_outside"] == pytest.approx(degrees_outside)
+    assert got.metrics["degrees_outside"] == pytest.approx(degrees_outside)
     assert got.terms == pytest.approx({"energy": -0.05, "comfort": -0.5 * degrees_outside})
 
 
 def test_zones_without_people_are_left_out_unless_they_are_named() -> None:
     node = node_of(*SENSORS[:6])  # the people of the south are not measured
     got = OccupiedReward().bind(node)(values(node, north=19.0, south=0.0, north_people=2.0), WINTER)
-    assert got.measures == pytest.approx({"power_w": 0.0, "degrees_outside": 1.0, "people": 2.0})
+    assert got.metrics == pytest.approx({"power_w": 0.0, "degrees_outside": 1.0, "people": 2.0})
     with pytest.raises(InvalidConfig, match=r"at 'south': .*\('Zone People Occupant Count', 'South'\)"):
         OccupiedReward(temperatures=("north", "south")).bind(node)
 
@@ -447,15 +447,15 @@ def test_energypluss_own_votes() -> None:
     assert bound(np.array([0.0, 0.5, -0.5, 99.0]), WINTER).reward == 0.0
     got = bound(np.array([1000.0, 0.75, -1.5, 99.0]), WINTER)
     assert got.terms == pytest.approx({"energy": -0.05, "comfort": -0.5 * (0.25 + 1.0)})
-    assert got.measures == pytest.approx({"power_w": 1000.0, "beyond_limit": 1.25, "pmv_mean": -0.375})
+    assert got.metrics == pytest.approx({"power_w": 1000.0, "beyond_limit": 1.25, "pmv_mean": -0.375})
 
 
 def test_energypluss_own_dissatisfied_and_those_of_the_votes() -> None:
     reading = ThermalSensationReward(by="ppd").bind(SENSED)(np.array([0.0, 3.0, 3.0, 30.0]), WINTER)
     assert reading.reward == pytest.approx(-0.5 * 0.2)
-    assert reading.measures["ppd_mean"] == pytest.approx(30.0)
+    assert reading.metrics["ppd_mean"] == pytest.approx(30.0)
     voted = ThermalSensationReward(by="ppd", pmv="a", limit=5.0).bind(SENSED)(np.array([0.0, 1.0, 3.0, 30.0]), WINTER)
-    assert voted.measures["ppd_mean"] == pytest.approx(26.12, abs=0.01)  # ISO 7730: 26 % at a vote of 1
+    assert voted.metrics["ppd_mean"] == pytest.approx(26.12, abs=0.01)  # ISO 7730: 26 % at a vote of 1
     assert voted.reward == pytest.approx(-0.5 * 0.2112, abs=1e-4)
 
 
@@ -493,17 +493,17 @@ def test_the_votes_of_the_standard(
         south_humidity=humidity,
     )  # fmt: skip
     voted = ThermalSensationReward(**people).bind(NODE)(sample, WINTER)
-    assert voted.measures["pmv_mean"] == pytest.approx(pmv, abs=0.01)
+    assert voted.metrics["pmv_mean"] == pytest.approx(pmv, abs=0.01)
     assert voted.reward == pytest.approx(-0.5 * 2 * abs(pmv), abs=0.01)
     felt = ThermalSensationReward(by="ppd", **people).bind(NODE)(sample, WINTER)
-    assert felt.measures["ppd_mean"] == pytest.approx(ppd, abs=0.6)
+    assert felt.metrics["ppd_mean"] == pytest.approx(ppd, abs=0.6)
 
 
 @needs_library
 def test_clothing_goes_by_the_season_of_the_building() -> None:
     sample = values(north=22.0, south=22.0)
     voted = {
-        (node.latitude_deg, begin.month): float(ThermalSensationReward().bind(node)(sample, begin).measures["pmv_mean"])
+        (node.latitude_deg, begin.month): float(ThermalSensationReward().bind(node)(sample, begin).metrics["pmv_mean"])
         for node in (NODE, NODE_SOUTH)
         for begin in (WINTER, SUMMER)
     }
@@ -516,8 +516,8 @@ def test_named_sensors_are_computed_from_though_there_are_votes() -> None:
     node = node_of(*SENSORS, *SENSED.sensors[1:])
     named = ThermalSensationReward(temperatures="south", radiant="north_radiant", humidities="north_humidity")
     sample = np.append(values(node_of(*SENSORS), south=27.0, north_radiant=27.0), [9.0, 9.0, 99.0])
-    assert named.bind(node)(sample, SUMMER).measures["pmv_mean"] == pytest.approx(0.77, abs=0.01)
-    assert ThermalSensationReward().bind(node)(sample, SUMMER).measures["pmv_mean"] == 9.0
+    assert named.bind(node)(sample, SUMMER).metrics["pmv_mean"] == pytest.approx(0.77, abs=0.01)
+    assert ThermalSensationReward().bind(node)(sample, SUMMER).metrics["pmv_mean"] == 9.0
 
 
 def test_without_the_library_the_command_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -538,26 +538,26 @@ def test_a_power_counts_for_the_timestep_and_a_meter_as_it_is() -> None:
         got = PeakReward(energy=energy).bind(node)(
             values(power=8000.0, electricity=5 * KWH, gas=7 * KWH), WINTER
         )  # fmt: skip
-        assert got.measures["energy_kwh"] == pytest.approx(kwh)
-        assert got.measures["power_w"] == pytest.approx(kwh * 4000.0)
+        assert got.metrics["energy_kwh"] == pytest.approx(kwh)
+        assert got.metrics["power_w"] == pytest.approx(kwh * 4000.0)
 
 
 def test_the_energy_that_is_taken_where_none_is_named() -> None:
     hvac, facility = meter("hvac", "ELECTRICITY:HVAC"), meter("all", "Electricity:Facility")
     both = node_of(SENSORS[1], SENSORS[3], meters=[hvac, facility])
     sample = np.array([22.0, 4000.0, 2 * KWH, 3 * KWH])
-    assert PeakReward().bind(both)(sample, WINTER).measures["energy_kwh"] == pytest.approx(3.0)
+    assert PeakReward().bind(both)(sample, WINTER).metrics["energy_kwh"] == pytest.approx(3.0)
     one = node_of(SENSORS[1], SENSORS[3], meters=[hvac])
-    assert PeakReward().bind(one)(sample[:3], WINTER).measures["energy_kwh"] == pytest.approx(2.0)
+    assert PeakReward().bind(one)(sample[:3], WINTER).metrics["energy_kwh"] == pytest.approx(2.0)
     none = node_of(SENSORS[1], SENSORS[3], meters=[meter("gas", "NaturalGas:Facility")])
-    assert PeakReward().bind(none)(sample[:3], WINTER).measures["energy_kwh"] == pytest.approx(1.0)
+    assert PeakReward().bind(none)(sample[:3], WINTER).metrics["energy_kwh"] == pytest.approx(1.0)
 
 
 def test_a_sensor_of_energy_has_to_read_the_sum() -> None:
     fan = {"name": "fan", "variable": "Fan Electricity Energy", "key": "Fan", "unit": "J"}
     summed = node_of(SENSORS[1], Sensor(**fan, aggregation=Aggregation.SUM))
     got = PeakReward(energy="fan").bind(summed)(np.array([22.0, 2 * KWH]), WINTER)
-    assert got.measures["energy_kwh"] == pytest.approx(2.0)
+    assert got.metrics["energy_kwh"] == pytest.approx(2.0)
     with pytest.raises(InvalidConfig, match=r"\('Fan Electricity Energy', 'Fan', 'sum'\) in sensors="):
         PeakReward(energy="fan").bind(node_of(SENSORS[1], Sensor(**fan, aggregation=Aggregation.INSTANT)))
 
@@ -600,7 +600,7 @@ def test_summer_is_in_june_elsewhere(latitude_deg: float | None) -> None:
 def test_each_slot_has_its_own_season() -> None:
     rows = np.array([values(north=20.0), values(north=20.0), values(north=20.0)])
     got = LinearReward().bind(NODE)(rows, [WINTER, SUMMER, WINTER])
-    assert got.measures["degrees_outside"].tolist() == [0.0, 3.0 + 1.0, 0.0]
+    assert got.metrics["degrees_outside"].tolist() == [0.0, 3.0 + 1.0, 0.0]
 
 
 @pytest.mark.parametrize("day", [(13, 1), (2, 30), (0, 1), (6, 0)])
@@ -624,7 +624,7 @@ def test_an_episode_of_one_slot_forgets_that_slots_peak() -> None:
 
 
 def test_a_state_is_a_copy_and_an_empty_one_is_the_beginning() -> None:
-    bound = NormalisedReward().bind(NODE)
+    bound = NormalizedReward().bind(NODE)
     begin = bound.state()
     bound(values(power=1000.0), WINTER)
     kept = bound.state()
@@ -637,7 +637,7 @@ def test_a_state_is_a_copy_and_an_empty_one_is_the_beginning() -> None:
 
 
 def test_the_state_of_another_reward_and_other_slots_are_refused() -> None:
-    bound = NormalisedReward().bind(NODE)
+    bound = NormalizedReward().bind(NODE)
     with pytest.raises(InvalidConfig, match="remembers max_power_w, max_degrees; the state has month, peak_kw"):
         bound.restore({"month": 1, "peak_kw": 2})
     bound(np.array([values(), values()]), WINTER)
@@ -649,14 +649,14 @@ def test_the_state_of_another_reward_and_other_slots_are_refused() -> None:
 
 BARE = node_of(sensor("outdoor", "Site Outdoor Air Drybulb Temperature"))
 WARM = node_of(SENSORS[1], SENSORS[3], meters=[meter("water", "Water:Facility").model_copy(update={"unit": "m3"})])
-THERE: dict[str, tuple[Kind, Manifest, str]] = {
+THERE: dict[str, tuple[RewardConfig, Manifest, str]] = {
     "no power": (ExponentialReward(), BARE, "the exponential reward needs a sensor of 'Facility Total HVAC"),
     "no zone": (PeakReward(energy="fans"), node_of(SENSORS[4]), "the peak reward needs .* 'Zone Air Temperature'"),
     "no energy": (PeakReward(), node_of(SENSORS[1]), "the peak reward needs the energy .*'Electricity:Facility' in m"),
     "unknown energy": (PeakReward(energy="elec"), NODE, "'elec', which the node does not have; near .*'electricity'"),
     "no energy's unit": (PeakReward(energy="north"), NODE, r"power in W, which 'north' is not \(degC\); there are"),
     "water": (PeakReward(energy="water"), WARM, r"'water' is not \(m3\); near names: 'power'"),
-    "unknown temperature": (NormalisedReward(temperatures="nort"), NODE, "'nort'.*near names: 'north'"),
+    "unknown temperature": (NormalizedReward(temperatures="nort"), NODE, "'nort'.*near names: 'north'"),
     "power as a temperature": (HourlyReward(temperatures="power"), NODE, "hourly reward needs a sensor in degC"),
     "no setpoints": (MultiZoneReward(), WARM, "the multi_zone reward needs .*'Zone Thermostat Heating Setpoint"),
     "unknown setpoint": (MultiZoneReward(zones={"north": "setpoint"}), NODE, "multi_zone reward names 'setpoint'"),
@@ -674,7 +674,9 @@ THERE: dict[str, tuple[Kind, Manifest, str]] = {
 
 
 @pytest.mark.parametrize(("reward", "node", "words"), THERE.values(), ids=THERE)
-def test_a_point_that_is_missing_is_named_when_the_reward_is_bound(reward: Kind, node: Manifest, words: str) -> None:
+def test_a_point_that_is_missing_is_named_when_the_reward_is_bound(
+    reward: RewardConfig, node: Manifest, words: str
+) -> None:
     with pytest.raises(InvalidConfig, match=words):
         reward.bind(node)
 
@@ -721,7 +723,7 @@ def test_a_function_is_a_reward() -> None:
 
 def test_a_function_may_give_one_number() -> None:
     for function in (lambda v, b: -v["power"], lambda v, b: {"reward": -v["power"]}):
-        got = of_function(function).bind(NODE)(values(power=2.0), WINTER)
+        got = from_function(function).bind(NODE)(values(power=2.0), WINTER)
         assert (got.reward, got.terms) == (-2.0, {"reward": -2.0})
 
 

@@ -265,7 +265,7 @@ def test_two_routers(folder: Path, scratch: Path, closed: bool) -> None:
             sample.send({"core_zn_cooling_setpoint": 25.0})
             sample = link.receive()
         assert sample.step == 3
-        assert sample.ruled_by["core_zn_cooling_setpoint"] == link.name
+        assert sample.value_source["core_zn_cooling_setpoint"] == link.name
 
 
 def test_a_router_keeps_the_rules(folder: Path, scratch: Path) -> None:

@@ -201,9 +201,9 @@ def test_weathers_are_drawn_by_the_seed(scratch: Path) -> None:
 def test_an_environment_on_a_bus_takes_the_scenario_over(scratch: Path) -> None:
     """Spaces, clock and reward come from the manifest of a node that runs elsewhere."""
     own = make(f"{SMALL}-discrete-v1", time=["month", "hour"], reward={"kind": "linear", "weight": 1.0})
-    assert own.own_node is not None
+    assert own.local_node is not None
     own.link.close()
-    guest = gym.make("zenostat/Scenario-v1", connect=own.own_node.endpoint, node="building", affinity="off").unwrapped
+    guest = gym.make("zenostat/Scenario-v1", connect=own.local_node.endpoint, node="building", affinity="off").unwrapped
     assert isinstance(guest, BuildingEnv)
     assert guest.action_space == gym.spaces.Discrete(10)
     assert guest.observation_names[:2] == ("month", "hour")
@@ -219,7 +219,7 @@ def test_a_model_that_works_against_its_actuators_says_so(scratch: Path) -> None
     packs.sinergym()
     with pytest.warns(UserWarning, match="cooling_setpoint.*no effect.*FlowControlWithApproachTemperatures"):
         env = make("zenostat/smalldatacenter-hot-continuous-v1")
-    with agent_sdk.connect(env.own_node.endpoint) as bus:
+    with agent_sdk.connect(env.local_node.endpoint) as bus:
         assert "FlowControlWithApproachTemperatures" in bus.manifest("building").warnings[0]
     env.close()
 

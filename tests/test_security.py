@@ -280,8 +280,8 @@ def test_a_monitor_reads(watcher: agent_sdk.Bus, bus: agent_sdk.Bus) -> None:
         sample = link.reset()
         until(lambda: watcher.controllers() == [("office", link.name)], "the controller is there")
         heard = next(samples)
-        assert (heard.step, heard.wire.values) == (0, sample.wire.values)
-        assert watcher.latest("office") == sample.wire
+        assert (heard.step, heard.message.values) == (0, sample.message.values)
+        assert watcher.latest("office") == sample.message
 
 
 def test_a_monitor_hears_no_commands(node: NodeProgram, pki: Path, bus: agent_sdk.Bus) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agent_sdk.envs.arguments import OF_A_NODE, OF_THE_SCENARIO, _of_file, check_reward, for_node
+from agent_sdk.envs.arguments import FROM_SCENARIO, NODE_ARGUMENTS, _of_file, check_reward, for_node
 from bridge.runtime.affinity import Affinity
 from eplus_node.config import read_config
 from topics.errors import InvalidConfig, UsageError
@@ -181,7 +181,7 @@ def test_numpys_numbers_are_numbers() -> None:
 
 
 def test_a_node_knows_every_setting_that_is_handed_on() -> None:
-    named = dict.fromkeys(set(OF_A_NODE) - {"file"}, None)
+    named = dict.fromkeys(set(NODE_ARGUMENTS) - {"file"}, None)
     with pytest.raises(InvalidConfig, match="no setting 'colour'") as raised:
         read_config({**named, "colour": "red"})
     assert str(raised.value).count("no setting") == 1
@@ -224,7 +224,7 @@ def test_a_folder_is_no_file(tmp_path: Path) -> None:
 def test_a_good_reward_starts_nothing(tmp_path: Path) -> None:
     file = tmp_path / "mine.yaml"
     file.write_text("reward: {kind: linear, weight: 0.25}\n")
-    for reward in (None, "linear", {"kind": "linear"}, OF_THE_SCENARIO):
+    for reward in (None, "linear", {"kind": "linear"}, FROM_SCENARIO):
         check_reward(reward, {"scenario": str(file)}, Affinity.OFF)
 
 
@@ -232,5 +232,5 @@ def test_a_bad_reward_is_said_with_what_else_is_wrong(tmp_path: Path) -> None:
     file = tmp_path / "mine.yaml"
     file.write_text("building: no-such-building\nweather: USA_CO_Denver\nreward: {kind: linear, weight: 3}\n")
     with pytest.raises(InvalidConfig) as raised:
-        check_reward(OF_THE_SCENARIO, for_node({"file": file}, "b"), Affinity.OFF)
+        check_reward(FROM_SCENARIO, for_node({"file": file}, "b"), Affinity.OFF)
     assert [w for w in ("reward: weight", "no building 'no-such-building'") if w not in str(raised.value)] == []

@@ -20,10 +20,10 @@ from agent_sdk.time_series import (
     Constant,
     HourlyFile,
     HourlySeries,
-    HourTable,
     Intensity,
     Price,
     Signal,
+    TimeOfUse,
     grams_per_kwh,
     hour_of_leap_year,
     per_kwh,
@@ -93,7 +93,7 @@ def test_several_moments_give_an_array() -> None:
     for signal in (
         Constant(value=2.0, unit="EUR/kWh"),
         HourlySeries(hourly=YEAR, unit="EUR/kWh"),
-        HourTable(table=({"value": 1.0, "hours": (2, 4)},), otherwise=0.5, unit="EUR/kWh"),  # type: ignore[arg-type]
+        TimeOfUse(table=({"value": 1.0, "hours": (2, 4)},), otherwise=0.5, unit="EUR/kWh"),  # type: ignore[arg-type]
     ):
         found = signal.at(moments)
         assert isinstance(found, np.ndarray)
@@ -110,7 +110,7 @@ def test_a_series_is_a_year(length: int) -> None:
 # Tables
 
 WORKDAYS = ["mon", "tue", "wed", "thu", "fri"]
-TABLE = HourTable.model_validate(
+TABLE = TimeOfUse.model_validate(
     {
         "table": [
             {"value": 9.0, "hours": [12, 14], "months": [7, 8]},

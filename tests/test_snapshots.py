@@ -96,7 +96,7 @@ def test_a_disturbed_weather_comes_back_with_its_episode(scratch: Path) -> None:
     same(episode(env, mine, seed=4), straight)
     env.reset()
     env.reset()
-    assert len([path for path in within(env.own_node.folder) if path.suffix == ".epw"]) <= 4
+    assert len([path for path in within(env.local_node.folder) if path.suffix == ".epw"]) <= 4
     env.close()
 
 

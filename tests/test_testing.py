@@ -19,11 +19,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agent_sdk.controllers import (
-    BuildingControl,
-    ComfortBandRules,
+    BaselineController,
     Controller,
     FixedSetpoints,
-    RandomControl,
+    RandomController,
+    RuleBasedController,
     ScheduledSetback,
 )
 from agent_sdk.rewards import BoundReward, LinearReward, Outcome
@@ -33,7 +33,7 @@ from agent_sdk.testing import (
     FakeBuilding,
     FakeEnv,
     FakeLink,
-    Rooms,
+    RCZones,
     Zone,
     check_controller,
     check_environment,
@@ -72,7 +72,7 @@ def column(*values: float) -> Any:
 
 def test_an_hour_of_a_free_room_by_hand() -> None:
     """From 20 degC towards 0 + 0.01 * 1000 = 10 degC: 10 + 10 e^-0.1, and its mean 10 + 10 * 10 (1 - e^-0.1)."""
-    flow = Rooms([ROOM]).step(column(20), 0.0, column(1000), *OFF, 3600.0)
+    flow = RCZones([ROOM]).step(column(20), 0.0, column(1000), *OFF, 3600.0)
     assert flow.end_degc[0] == pytest.approx(19.0483742, abs=1e-7)
     assert flow.mean_degc[0] == pytest.approx(19.5162582, abs=1e-7)
     assert flow.heat_w[0] == 0.0
@@ -80,25 +80,25 @@ def test_an_hour_of_a_free_room_by_hand() -> None:
 
 def test_what_holds_a_room_is_what_it_loses() -> None:
     """At 20 degC it loses 20 / 0.01 = 2000 W outdoors at 0 degC: 1000 W of gains leave 1000 W to the heating."""
-    flow = Rooms([ROOM]).step(column(20), 0.0, column(1000), column(20), column(25), 3600.0)
+    flow = RCZones([ROOM]).step(column(20), 0.0, column(1000), column(20), column(25), 3600.0)
     assert flow.heat_w[0] == pytest.approx(1000.0)
     assert flow.end_degc[0] == pytest.approx(20.0)
-    warm = Rooms([ROOM]).step(column(25), 35.0, column(500), column(20), column(25), 3600.0)
+    warm = RCZones([ROOM]).step(column(25), 35.0, column(500), column(20), column(25), 3600.0)
     assert warm.heat_w[0] == pytest.approx(-(10.0 / 0.01 + 500.0))
 
 
 def test_a_thermostat_gives_no_more_than_it_can() -> None:
     """5000 W for ever would end at -10 + 0.01 * 5000 = 40 degC; an hour brings 10 degC to 40 - 30 e^-0.1."""
-    flow = Rooms([ROOM]).step(column(10), -10.0, column(0), column(22), column(25), 3600.0)
+    flow = RCZones([ROOM]).step(column(10), -10.0, column(0), column(22), column(25), 3600.0)
     assert flow.heat_w[0] == 5000.0
     assert flow.end_degc[0] == pytest.approx(40.0 - 30.0 * math.exp(-0.1))
-    hot = Rooms([ROOM]).step(column(40), 40.0, column(0), column(20), column(24), 3600.0)
+    hot = RCZones([ROOM]).step(column(40), 40.0, column(0), column(20), column(24), 3600.0)
     assert hot.heat_w[0] == -5000.0
 
 
 @given(start=temps, outdoor=temps, gains=watts, parts=st.integers(2, 60))
 def test_many_short_timesteps_are_one_long_one(start: float, outdoor: float, gains: float, parts: int) -> None:
-    rooms, now = Rooms([ROOM]), column(start)
+    rooms, now = RCZones([ROOM]), column(start)
     for _ in range(parts):
         now = rooms.step(now, outdoor, column(gains), *OFF, 7200.0 / parts).end_degc
     calm = outdoor + 0.01 * gains
@@ -109,7 +109,7 @@ def test_many_short_timesteps_are_one_long_one(start: float, outdoor: float, gai
 def test_heat_that_comes_is_stored_or_goes(
     start: float, outdoor: float, gains: float, heating: float, cooling: float
 ) -> None:
-    flow = Rooms([ROOM]).step(column(start), outdoor, column(gains), column(heating), column(cooling), 900.0)
+    flow = RCZones([ROOM]).step(column(start), outdoor, column(gains), column(heating), column(cooling), 900.0)
     stored_w = 3.6e6 * (flow.end_degc[0] - start) / 900.0
     through_wall_w = (outdoor - flow.mean_degc[0]) / 0.01
     assert stored_w == pytest.approx(through_wall_w + gains + flow.heat_w[0], rel=1e-9, abs=1e-5)
@@ -255,23 +255,23 @@ def test_a_zone_that_cannot_be() -> None:
 def test_commands_set_keep_and_release() -> None:
     link = FakeLink(FakeBuilding(1), name="me")
     first = link.reset(seed=0)
-    assert first.applied.tolist() == [16.0, 28.0], "Monday at midnight: the building's own setback"
+    assert first.effective.tolist() == [16.0, 28.0], "Monday at midnight: the building's own setback"
     link.send({"zone_1_heating_setpoint": 21.0})
     sample = link.receive()
-    assert sample.applied.tolist() == [21.0, 28.0]
-    assert sample.ruled_by == {"zone_1_heating_setpoint": "me", "zone_1_cooling_setpoint": ""}
+    assert sample.effective.tolist() == [21.0, 28.0]
+    assert sample.value_source == {"zone_1_heating_setpoint": "me", "zone_1_cooling_setpoint": ""}
     link.send()
-    assert link.receive().applied.tolist() == [21.0, 28.0], "what is not named is kept"
+    assert link.receive().effective.tolist() == [21.0, 28.0], "what is not named is kept"
     link.send({"zone_1_heating_setpoint": None})
     released = link.receive()
-    assert released.applied.tolist() == [16.0, 28.0]
-    assert set(released.ruled_by.values()) == {""}
+    assert released.effective.tolist() == [16.0, 28.0]
+    assert set(released.value_source.values()) == {""}
     link.send(column(20, 24))
-    assert link.receive().applied.tolist() == [20.0, 24.0]
+    assert link.receive().effective.tolist() == [20.0, 24.0]
     anew = link.reset()
-    assert set(anew.ruled_by.values()) == {""}, "a new episode begins with the building's own control"
+    assert set(anew.value_source.values()) == {""}, "a new episode begins with the building's own control"
     link.send()
-    assert link.receive().applied.tolist() == [16.0, 28.0]
+    assert link.receive().effective.tolist() == [16.0, 28.0]
 
 
 def test_what_a_node_refuses_a_fake_refuses() -> None:
@@ -296,7 +296,7 @@ def test_what_a_node_refuses_a_fake_refuses() -> None:
 
 def test_a_controllers_loop_runs_on_it() -> None:
     link = FakeLink(FakeBuilding(2))
-    rules = ComfortBandRules(link.manifest)
+    rules = RuleBasedController(link.manifest)
     steps = []
     for sample in link:
         steps.append(sample.step)
@@ -390,8 +390,8 @@ def test_noise_is_told_and_drawn_by_seed() -> None:
 @pytest.mark.parametrize(
     "make",
     [
-        BuildingControl,
-        ComfortBandRules,
+        BaselineController,
+        RuleBasedController,
         ScheduledSetback,
         lambda manifest: FixedSetpoints(manifest, zone_1_heating_setpoint=20.5),
     ],
@@ -403,9 +403,9 @@ def test_controllers_of_the_house_conform(make: Callable[..., Any]) -> None:
 
 def test_one_that_draws_conforms_but_for_what_it_says_of_itself() -> None:
     with pytest.raises(ConformanceError) as unseeded:
-        check_controller(RandomControl)
+        check_controller(RandomController)
     assert "the same samples get the same answers" in unseeded.value.report.failed
-    report = check_controller(lambda m: RandomControl(m, seed=1), skip=["forgets at an episode's begin"])
+    report = check_controller(lambda m: RandomController(m, seed=1), skip=["forgets at an episode's begin"])
     assert report.skipped == ("forgets at an episode's begin",)
     assert len(report.passed) == len(CONTROLLER_CHECKS) - 1
     assert "skipped  forgets at an episode's begin\n         as asked" in str(report)

@@ -17,7 +17,7 @@ import agent_sdk
 from agent_sdk.envs.building_env import BuildingEnv
 from agent_sdk.envs.vector_env import BuildingVectorEnv
 from agent_sdk.envs.zone_agents import ZonesEnv
-from agent_sdk.rewards import of_function
+from agent_sdk.rewards import from_function
 from agent_sdk.testing import FakeBuilding, FakeLink
 from agent_sdk.testing.fake_vector_env import FakeSlots
 from topics.errors import EpisodeChanged, InvalidAction, UsageError
@@ -48,11 +48,11 @@ def building(zones: int = 2) -> FakeBuilding:
 
 
 def single(gate: Gate) -> Any:
-    return BuildingEnv(link=FakeLink(building()), reward=of_function(gate))
+    return BuildingEnv(link=FakeLink(building()), reward=from_function(gate))
 
 
 def vector(gate: Gate) -> Any:
-    return BuildingVectorEnv(2, link=FakeSlots([building(), building()]), reward=of_function(gate))
+    return BuildingVectorEnv(2, link=FakeSlots([building(), building()]), reward=from_function(gate))
 
 
 def action_of(env: Any) -> Any:
@@ -62,7 +62,7 @@ def action_of(env: Any) -> Any:
 
 
 def zones(gate: Gate) -> Any:
-    return ZonesEnv(link=FakeLink(building()), building_reward=of_function(gate))
+    return ZonesEnv(link=FakeLink(building()), building_reward=from_function(gate))
 
 
 def zones_own(gate: Gate) -> Any:
@@ -98,7 +98,7 @@ def test_actions_of_another_thread_are_not_taken_for_ones_own() -> None:
     gate = Gate()
     gate.opens.set()
     slots = FakeSlots([building(), building()])
-    env = sb3.as_sb3(BuildingVectorEnv(2, link=slots, reward=of_function(gate), autoreset_mode="SameStep"))
+    env = sb3.as_sb3(BuildingVectorEnv(2, link=slots, reward=from_function(gate), autoreset_mode="SameStep"))
     env.reset()
     actions = np.array([env.action_space.sample()] * 2)
     env.step_async(actions)

@@ -29,7 +29,7 @@ from stable_baselines3.common.env_checker import check_env  # noqa: E402
 from stable_baselines3.common.logger import KVWriter, Logger  # noqa: E402
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize  # noqa: E402
 
-from agent_sdk.training import EvaluationCallback, PolicyControl, evaluate_model, load_policy  # noqa: E402
+from agent_sdk.training import EvaluationCallback, PolicyController, evaluate_model, load_policy  # noqa: E402
 
 NET = {"net_arch": [8, 8]}  # given as a copy: SAC and TD3 write into it
 OFF_POLICY = {"learning_starts": 32, "batch_size": 16, "buffer_size": 1000, "train_freq": 8}
@@ -281,9 +281,9 @@ def test_a_model_as_a_controller_acts_as_in_its_environment(tmp_path: Path) -> N
 def test_a_model_of_other_observations_is_refused() -> None:
     model = ppo(gym.wrappers.NormalizeObservation(fake()))
     with pytest.raises(InvalidConfig, match=r"other observations than those of 'fake'.*behind wrappers"):
-        PolicyControl(fake().unwrapped.manifest, model)
+        PolicyController(fake().unwrapped.manifest, model)
     with pytest.raises(InvalidConfig, match="other observations"):
-        PolicyControl(manifest(), ppo(fake()))
+        PolicyController(manifest(), ppo(fake()))
 
 
 def test_files_that_are_no_models(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from agent_sdk.controllers import Agent
-from agent_sdk.training import EvaluationCallback, PolicyControl, evaluate_model, load_policy
+from agent_sdk.training import EvaluationCallback, PolicyController, evaluate_model, load_policy
 
 DAY: dict[str, Any] = {"zones": 2, "begin": "07-03", "steps_per_hour": 1}
 KINDS: dict[str, tuple[Any, dict[str, Any]]] = {
@@ -57,7 +57,7 @@ def test_the_normalization_beside_a_model_is_loaded(kind: str, tmp_path: Path) -
         load_policy(f"{kind}:{path}")
     model.get_vec_normalize_env().save(str(tmp_path / "model.vecnormalize.pkl"))
     assert played(load_policy(f"{kind}:{path}")) == expected.reward
-    assert played(lambda manifest: PolicyControl(manifest, model)) == expected.reward
+    assert played(lambda manifest: PolicyController(manifest, model)) == expected.reward
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -74,7 +74,7 @@ def test_a_model_that_was_loaded_without_its_normalization_is_refused(tmp_path: 
     with fake() as env, pytest.raises(InvalidConfig, match="loaded without its normalization"):
         evaluate_model(alone, env)
     with fake() as env, pytest.raises(InvalidConfig, match="loaded without its normalization"):
-        PolicyControl(env.manifest, alone)
+        PolicyController(env.manifest, alone)
 
 
 def test_the_callback_marks_its_models_and_drops_a_former_normalization(tmp_path: Path) -> None:

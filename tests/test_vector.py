@@ -504,8 +504,8 @@ def small(scratch: Path) -> Iterator[BuildingVectorEnv]:
 def test_an_engine_that_dies_ends_the_step_and_not_the_environment(small: BuildingVectorEnv) -> None:
     small.reset(seed=1)
     first = small.step(small.action_space.sample())
-    assert small.own_node is not None
-    victim = engines_of(small.own_node.pid)[-1]
+    assert small.local_node is not None
+    victim = engines_of(small.local_node.pid)[-1]
     victim.kill()
     with pytest.raises(SimulatorError):
         small.step(small.action_space.sample())
@@ -669,8 +669,8 @@ BOTH = {**SMALL, "affinity": "off", "control": "building"}
 
 def _until_reaped(env: BuildingVectorEnv, count: int) -> None:
     """Its node has had every occasion to see that engines have ended: their processes are over, and it was asked."""
-    assert env.own_node is not None
-    own = env.own_node.pid
+    assert env.local_node is not None
+    own = env.local_node.pid
     until(lambda: len([engine for engine in engines_of(own) if runs(engine)]) <= count, "engines have ended")
     for _ in range(3):
         env.link.weather(["dry_bulb_temperature"])

@@ -145,7 +145,7 @@ def test_episode_gives_the_same_samples_as_over_zenoh_to_the_bit(node, gateway, 
     direct = []
     with agent_sdk.connect(node.endpoint, affinity="off") as bus, bus.controller("office") as link:
         for sample in link:
-            direct.append((sample.wire.values, sample.wire.effective, sample.wire.time))
+            direct.append((sample.message.values, sample.message.effective, sample.message.time))
             sample.send(plan(link.manifest, sample.step))
     through = []
     with Peer(gateway, getattr(zmq, kind)) as peer:

@@ -22,7 +22,7 @@ from zenoh import CongestionControl, QueryTarget
 from zenoh.handlers import Callback, RingChannel
 
 from agent_sdk.bus import fork_guard
-from agent_sdk.bus.controller_link import ControlLink
+from agent_sdk.bus.controller_link import ControllerLink
 from agent_sdk.bus.sample import SampleView
 from bridge.runtime import affinity
 from bridge.runtime.affinity import Affinity
@@ -128,7 +128,7 @@ class Bus:
         self.role = role
         self._close, self._left = ExitStack(), False
         self._affinity = affinity
-        self._links: set[ControlLink] = set()
+        self._links: set[ControllerLink] = set()
         self.session = self._close.enter_context(session)
         fork_guard.open_buses.add(self)
 
@@ -441,7 +441,7 @@ class Bus:
         level: int = 10,
         actuators: list[str] | None = None,
         required: bool = True,
-    ) -> ControlLink:
+    ) -> ControllerLink:
         """Takes control of a node: claims actuators (None: all) at a priority level.
 
         Args:
@@ -457,11 +457,11 @@ class Bus:
         """
         identity = f"{keys.check_name(name, 'the controller')}-{os.getpid()}-{next(_numbers)}"
         claim = Claim(controller=identity, priority=level, actuators=actuators, required=required)
-        link = ControlLink(self, node, claim, self._affinity)
+        link = ControllerLink(self, node, claim, self._affinity)
         self._links.add(link)
         return link
 
-    def forget(self, link: ControlLink) -> None:
+    def forget(self, link: ControllerLink) -> None:
         """A controller has let go of its node: the bus need not close it."""
         self._links.discard(link)
 

@@ -70,7 +70,7 @@ def _is_after(new: Sample, old: Sample) -> bool:
     return new.step > old.step or any(step > was for step, was in zip(new.step, old.step, strict=True))
 
 
-class ControlLink:
+class ControllerLink:
     """One controller's hold on one node. Iterate over it, or call `receive` and `send` in turn.
 
     One thread at a time may wait for samples; another thread may send, or close.
@@ -165,7 +165,7 @@ class ControlLink:
             while self._inbox.try_recv() is not None:
                 pass
 
-    def __enter__(self) -> ControlLink:
+    def __enter__(self) -> ControllerLink:
         return self
 
     def __exit__(
@@ -223,7 +223,7 @@ class ControlLink:
             self._latest = None
             while True:
                 sample = self._next(changes=True)
-                if sample.wire.episode == accepted.episode:
+                if sample.message.episode == accepted.episode:
                     return self._keep(sample)
         finally:
             self._busy = False
@@ -247,7 +247,7 @@ class ControlLink:
             return self.receive()  # the present sample is answered already; the next one is on its way
         return self._keep(self._view(self.bus.latest(self.manifest.node)))
 
-    def stand_at(self, sample: Sample) -> SampleView:
+    def set_current(self, sample: Sample) -> SampleView:
         """Takes a sample for the present one: of a branch, which stands where its parent stood."""
         return self._keep(self._view(sample))
 
@@ -270,8 +270,8 @@ class ControlLink:
                 sample = self._next(changes=False)
                 if previous is None:
                     return self._keep(sample)
-                episode, known = sample.wire.episode, previous.wire.episode
-                if episode == known and _is_after(sample.wire, previous.wire):
+                episode, known = sample.message.episode, previous.message.episode
+                if episode == known and _is_after(sample.message, previous.message):
                     return self._keep(sample)
                 if any(one > other for one, other in zip(episode, known, strict=True)):
                     raise EpisodeChanged(f"node {self.manifest.node!r} was reset by somebody else{self._where()}")
@@ -279,7 +279,7 @@ class ControlLink:
             self._busy = False
 
     def _keep(self, sample: SampleView) -> SampleView:
-        self._latest, flags = sample, sample.wire.flags
+        self._latest, flags = sample, sample.message.flags
         over = flags[0] & _TRUNCATED != 0 and all(flag & _TRUNCATED for flag in flags)
         self._answered = self._over = over
         return sample
@@ -358,7 +358,7 @@ class ControlLink:
             raise self._ended
         if self._over:
             return
-        wire = self._latest.wire
+        wire = self._latest.message
         raw, mask = self._coded(values, mask)
         steps = [None if slot in still else step for slot, step in enumerate(wire.step)] if still else wire.step
         self._answered = True

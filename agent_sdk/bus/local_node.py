@@ -30,7 +30,7 @@ _FINISH_S = 40.0  # EnergyPlus may be finishing files that are kept
 _SOCKET_PATH_MAX = 100  # sun_path has 108 bytes
 
 
-class OwnNode:
+class LocalNode:
     """A node process that ends on `close()`, or when this process ends in any way.
 
     Args:

@@ -16,7 +16,7 @@ from topics.messages import Flag, Manifest, Sample
 _TRUNCATED, _FALLBACK = int(Flag.TRUNCATED), int(Flag.FALLBACK)
 
 
-class Answerer(Protocol):
+class Replier(Protocol):
     """Where an answer goes."""
 
     def send(self, values: Mapping[str, float | None] | NDArray[np.float64] | None = None) -> None:
@@ -26,63 +26,63 @@ class Answerer(Protocol):
 class SampleView:
     """One slot of one sample. `sample["core_zn_air_temperature"]` is a value in the point's unit."""
 
-    __slots__ = ("_index", "_link", "manifest", "slot", "wire")
+    __slots__ = ("_index", "_link", "manifest", "message", "slot")
 
     def __init__(
-        self, wire: Sample, manifest: Manifest, index: Mapping[str, int], link: Answerer | None = None, slot: int = 0
+        self, wire: Sample, manifest: Manifest, index: Mapping[str, int], link: Replier | None = None, slot: int = 0
     ) -> None:
-        self.wire, self.manifest, self.slot, self._index, self._link = wire, manifest, slot, index, link
+        self.message, self.manifest, self.slot, self._index, self._link = wire, manifest, slot, index, link
 
     @property
     def episode(self) -> int:
         """Number of the episode, from 0."""
-        return self.wire.episode[self.slot]
+        return self.message.episode[self.slot]
 
     @property
     def step(self) -> int:
         """Number of the sample in its episode; 0 is the state after warm-up."""
-        return self.wire.step[self.slot]
+        return self.message.step[self.slot]
 
     @property
     def time(self) -> datetime:
         """Local standard time at the end of the timestep, naive."""
-        return datetime.fromisoformat(self.wire.time[self.slot])
+        return datetime.fromisoformat(self.message.time[self.slot])
 
     @property
     def truncated(self) -> bool:
         """Whether this is the episode's last sample: the run period is over."""
-        return bool(self.wire.flags[self.slot] & _TRUNCATED)
+        return bool(self.message.flags[self.slot] & _TRUNCATED)
 
     @property
     def fallback(self) -> bool:
         """Whether the timestep that this sample closes went on without a command of a required controller."""
-        return bool(self.wire.flags[self.slot] & _FALLBACK)
+        return bool(self.message.flags[self.slot] & _FALLBACK)
 
     @property
     def values(self) -> NDArray[np.float64]:
         """Sensors, then meters, shape (points,), in manifest order and units."""
-        return self._points(self.wire.values, "values")
+        return self._points(self.message.values, "values")
 
     @property
-    def truth(self) -> NDArray[np.float64]:
+    def fault_free_values(self) -> NDArray[np.float64]:
         """What EnergyPlus said: `values`, but for the faults that the node injects into them."""
-        raw = self.wire.fault_free_values
+        raw = self.message.fault_free_values
         return self._points(raw, "undisturbed") if raw else self.values
 
     @property
-    def applied(self) -> NDArray[np.float64]:
+    def effective(self) -> NDArray[np.float64]:
         """What each actuator really was, shape (actuators,); NaN where EnergyPlus does not tell."""
-        return self._actuators(self.wire.effective, "applied")
+        return self._actuators(self.message.effective, "applied")
 
     @property
     def baseline(self) -> NDArray[np.float64] | None:
         """Like `values`, of the building left to its own control; None unless the node runs it."""
-        return self._points(self.wire.baseline, "baseline") if self.manifest.baseline else None
+        return self._points(self.message.baseline, "baseline") if self.manifest.baseline else None
 
     @property
-    def baseline_applied(self) -> NDArray[np.float64] | None:
+    def baseline_effective(self) -> NDArray[np.float64] | None:
         """Like `applied`, what the building's own control sets its actuators to in `baseline`."""
-        return self._actuators(self.wire.baseline_effective, "baseline_applied") if self.manifest.baseline else None
+        return self._actuators(self.message.baseline_effective, "baseline_applied") if self.manifest.baseline else None
 
     def _points(self, raw: bytes, what: str) -> NDArray[np.float64]:
         return codec.row(raw, self.slot, self.manifest.slots, len(self._index), what)
@@ -91,11 +91,11 @@ class SampleView:
         return codec.row(raw, self.slot, self.manifest.slots, len(self.manifest.actuators), what)
 
     @property
-    def ruled_by(self) -> dict[str, str]:
+    def value_source(self) -> dict[str, str]:
         """Actuator to who set it; `""` is the building's own control."""
         shape = (self.manifest.slots, len(self.manifest.actuators))
-        who = codec.indices(self.wire.source_index, shape, "ruler")[self.slot]
-        return {a.name: self.wire.sources[i] for a, i in zip(self.manifest.actuators, who.tolist(), strict=True)}
+        who = codec.indices(self.message.source_index, shape, "ruler")[self.slot]
+        return {a.name: self.message.sources[i] for a, i in zip(self.manifest.actuators, who.tolist(), strict=True)}
 
     def __getitem__(self, name: str) -> float:
         """The value of a sensor or meter; `UnknownName` lists near names."""
@@ -115,4 +115,4 @@ class SampleView:
         self._link.send(values)
 
     def __repr__(self) -> str:
-        return f"<sample {self.step} of episode {self.episode} at {self.wire.time[self.slot]}>"
+        return f"<sample {self.step} of episode {self.episode} at {self.message.time[self.slot]}>"

@@ -11,9 +11,9 @@ from weakref import WeakKeyDictionary
 from zenoh import ZError
 
 from agent_sdk.bus.bus import Bus
-from agent_sdk.bus.controller_link import ControlLink
+from agent_sdk.bus.controller_link import ControllerLink
 from agent_sdk.bus.sample import SampleView
-from agent_sdk.envs.episode_state import EpisodeMemory
+from agent_sdk.envs.episode_state import EpisodeState
 from topics.errors import BusError, InvalidConfig, RequestRejected
 from topics.messages import Manifest
 
@@ -36,8 +36,8 @@ class Snapshot:
     instance: str
     name: str
     sample: SampleView
-    remembered: dict[str, Any] = field(repr=False)
-    of_wrappers: WeakKeyDictionary[Any, Any] = field(repr=False)
+    env_state: dict[str, Any] = field(repr=False)
+    wrapper_states: WeakKeyDictionary[Any, Any] = field(repr=False)
     closed: bool = False
 
     def check(self, manifest: Manifest) -> None:
@@ -75,14 +75,14 @@ class Snapshot:
         self.close()
 
 
-def forking(link: object) -> ControlLink:
+def forking(link: object) -> ControllerLink:
     """The hold on a node that can fork; `InvalidConfig` if it is none, as of a fake building."""
-    if not isinstance(link, ControlLink):
+    if not isinstance(link, ControllerLink):
         raise InvalidConfig("this environment has no node: nothing that could be forked")
     return link
 
 
-def take(link: ControlLink, sample: SampleView, memory: EpisodeMemory[Any]) -> Snapshot:
+def take(link: ControllerLink, sample: SampleView, memory: EpisodeState[Any]) -> Snapshot:
     """Keeps where a node stands, at `sample`, and the memory of its environment and of the wrappers around it.
 
     Raises:
@@ -91,7 +91,7 @@ def take(link: ControlLink, sample: SampleView, memory: EpisodeMemory[Any]) -> S
     """
     node, bus = link.manifest.node, link.bus
     name = bus.snapshot(node, link.name).snapshot
-    return Snapshot(bus, node, link.manifest.instance, name, sample, memory.state(), memory.of_wrappers())
+    return Snapshot(bus, node, link.manifest.instance, name, sample, memory.state(), memory.wrapper_states())
 
 
 def asked_for(options: Mapping[str, Any], manifest: Manifest, others: Collection[str] = ()) -> Snapshot | None:

@@ -28,7 +28,7 @@ class Role(StrEnum):
     COOLING = "cooling setpoint"
     HOT_WATER = "hot water temperature"
     COLD_WATER = "chilled water temperature"
-    SWITCH = "availability"
+    AVAILABILITY = "availability"
     STORAGE = "storage"
     OTHER = "other"
 
@@ -37,7 +37,7 @@ SETPOINTS = (Role.HEATING, Role.COOLING)
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class ActionBinding:
     """One action of the task.
 
     Attributes:
@@ -52,22 +52,22 @@ class Part:
     temperatures: tuple[int, ...]
     people: tuple[int, ...]
 
-    def clipped(self, value: float) -> float:
+    def clip(self, value: float) -> float:
         """The value within the action's bounds that is nearest."""
         low, high = bounds(self.action)
         return min(max(value, low), high)
 
     def at(self, value: float) -> Values:
         """All its actuators at that value, or the nearest within the bounds."""
-        return dict.fromkeys(self.action.actuators, self.clipped(value))
+        return dict.fromkeys(self.action.actuators, self.clip(value))
 
 
-def parts_of(manifest: Manifest) -> tuple[Part, ...]:
+def bind_actions(manifest: Manifest) -> tuple[ActionBinding, ...]:
     """The actions of a node's task, in order."""
     actuators = {a.name: a for a in manifest.actuators}
     roles = [role_of(action, actuators[action.actuators[0]]) for action in manifest.task.actions]
     return tuple(
-        Part(action, role, *_rooms(action, [actuators[name] for name in action.actuators], manifest))
+        ActionBinding(action, role, *_rooms(action, [actuators[name] for name in action.actuators], manifest))
         for action, role in zip(manifest.task.actions, roles, strict=True)
     )
 
@@ -88,7 +88,7 @@ def _by_words(text: str, low: float, high: float) -> Role:
     if "charge" in text:
         return Role.STORAGE
     if (low, high) == (0.0, 1.0):
-        return Role.SWITCH if "avail" in text else Role.OTHER
+        return Role.AVAILABILITY if "avail" in text else Role.OTHER
     if "water" in text or "chw" in text or "hhw" in text:
         return Role.COLD_WATER if high <= _TEPID_DEGC else Role.HOT_WATER
     if high >= _ROOM_DEGC[0] and low <= _ROOM_DEGC[1]:

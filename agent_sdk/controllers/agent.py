@@ -9,7 +9,7 @@ import numpy as np
 
 from agent_sdk.bus.sample import SampleView
 from agent_sdk.controllers.action_roles import SETPOINTS, role_of
-from agent_sdk.controllers.base import Acts, Values
+from agent_sdk.controllers.base import ControllerProtocol, Values
 from agent_sdk.controllers.parameters import bounds
 from topics.errors import InvalidAction, did_you_mean
 from topics.messages import Action, DiscreteAction, Manifest
@@ -27,7 +27,7 @@ class Agent:
         controller: a `Controller`, or anything that has `act(sample)`; `begin(sample)` is called where it has one.
     """
 
-    def __init__(self, controller: Acts) -> None:
+    def __init__(self, controller: ControllerProtocol) -> None:
         self.controller = controller
         self._episode: int | None = None
         self._held: Values = {}

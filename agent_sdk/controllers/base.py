@@ -12,7 +12,7 @@ Values = dict[str, float | None]
 """Actuator to value in its unit; None releases it; one that is not named stays as it is."""
 
 
-class Acts(Protocol):
+class ControllerProtocol(Protocol):
     """All that a class of anybody's needs to be a controller; it is made with the node's manifest."""
 
     def act(self, sample: SampleView) -> Values:
@@ -40,7 +40,7 @@ class Controller(ABC):
         """The answer to a sample; it rules the next timestep."""
 
 
-class BuildingControl(Controller):
+class BaselineController(Controller):
     """The building's own control: touches nothing."""
 
     def act(self, sample: SampleView) -> Values:  # noqa: ARG002

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from datetime import datetime
 
 from agent_sdk.bus.sample import SampleView
-from agent_sdk.controllers.action_roles import Part, Role, parts_of
+from agent_sdk.controllers.action_roles import ActionBinding, Role, bind_actions
 from agent_sdk.controllers.base import Controller, Values
 from agent_sdk.controllers.comfort_band import Band, comfort_bands, inside
 from agent_sdk.controllers.parameters import named
@@ -33,13 +33,13 @@ class FixedSetpoints(Controller):
         super().__init__(manifest)
         self._band = comfort_bands(manifest)
         self._named = named(manifest, values)
-        self._parts = parts_of(manifest)
+        self._parts = bind_actions(manifest)
         self._check_pairs()
 
     def _check_pairs(self) -> None:
         if self._named:
             for day in DAYS:
-                refuse_crossed(self._parts, self._on(self._band(day)))
+                check_deadband(self._parts, self._on(self._band(day)))
 
     def act(self, sample: SampleView) -> Values:
         """The values, and those of the day's band for the rest."""
@@ -56,9 +56,9 @@ DAYS = tuple(datetime(2017, month, day) for month in range(1, 13) for day in (1,
 """Days of all seasons."""
 
 
-def refuse_crossed(parts: Sequence[Part], values: Values) -> None:
+def check_deadband(parts: Sequence[ActionBinding], values: Values) -> None:
     """Refuses values by which a zone is heated above its cooling setpoint: `InvalidConfig`."""
-    said: dict[Role, list[tuple[Part, float]]] = {Role.HEATING: [], Role.COOLING: []}
+    said: dict[Role, list[tuple[ActionBinding, float]]] = {Role.HEATING: [], Role.COOLING: []}
     for part in parts:
         found = [value for a in part.action.actuators if (value := values.get(a)) is not None]
         if part.role in said and found:
@@ -72,14 +72,14 @@ def refuse_crossed(parts: Sequence[Part], values: Values) -> None:
                 )
 
 
-def default(part: Part, band: Band) -> Values:
+def default(part: ActionBinding, band: Band) -> Values:
     """What an action is set to while nobody says otherwise; nothing if that is not known."""
     low, high = part.action.low, part.action.high
     if part.role is Role.HEATING:
         return part.at(band[0])
     if part.role is Role.COOLING:
         return part.at(band[1])
-    if part.role is Role.SWITCH:
+    if part.role is Role.AVAILABILITY:
         return part.at(1.0)
     if part.role is Role.STORAGE:
         return part.at(0.0)

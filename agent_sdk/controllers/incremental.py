@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent_sdk.bus.sample import SampleView
-from agent_sdk.controllers.action_roles import SETPOINTS, Part, Role, parts_of
+from agent_sdk.controllers.action_roles import SETPOINTS, ActionBinding, Role, bind_actions
 from agent_sdk.controllers.base import Controller, Values
 from agent_sdk.controllers.comfort_band import Band, comfort_bands, inside
 from agent_sdk.controllers.parameters import ControllerMismatch, number
@@ -46,7 +46,7 @@ class IncrementalRules(Controller):
         self._band = comfort_bands(manifest, low, high)
         self._step_k = number("step", step, least=0.01)
         self._margin_k = None if margin is None else number("margin", margin, least=0.0)
-        self._parts = parts_of(manifest)
+        self._parts = bind_actions(manifest)
         if not any(part.role in SETPOINTS and part.temperatures for part in self._parts):
             raise ControllerMismatch(
                 f"the incremental rules need an action that sets a heating or cooling setpoint and a sensor of 'Zone "
@@ -71,7 +71,7 @@ class IncrementalRules(Controller):
                 values |= self._plant.act(part, measured, band)
         return values
 
-    def _moved(self, part: Part, measured: NDArray[np.float64], band: Band) -> float:
+    def _moved(self, part: ActionBinding, measured: NDArray[np.float64], band: Band) -> float:
         low, high = band
         mean, middle = float(measured[list(part.temperatures)].mean()), (low + high) / 2
         coolest, warmest = inside(band, self._margin_k)
@@ -83,5 +83,5 @@ class IncrementalRules(Controller):
             at = self._at.get(part.action.name, high)
             outwards = mean <= warmest
             at = min(max(at + (self._step_k if outwards else -self._step_k), middle), high)
-        self._at[part.action.name] = at = part.clipped(at)
+        self._at[part.action.name] = at = part.clip(at)
         return at

@@ -14,23 +14,23 @@ from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
 from types import ModuleType
 
-from agent_sdk.controllers.base import Acts, BuildingControl, Controller
+from agent_sdk.controllers.base import BaselineController, Controller, ControllerProtocol
 from agent_sdk.controllers.fixed import FixedSetpoints
 from agent_sdk.controllers.incremental import IncrementalRules
-from agent_sdk.controllers.pid import PidControl
-from agent_sdk.controllers.random_control import RandomControl
-from agent_sdk.controllers.rule_based import ComfortBandRules
+from agent_sdk.controllers.pid import PIDController
+from agent_sdk.controllers.random_control import RandomController
+from agent_sdk.controllers.rule_based import RuleBasedController
 from agent_sdk.controllers.setback import ScheduledSetback
 from topics.errors import InvalidConfig, UnknownName, did_you_mean
 
 CONTROLLERS: dict[str, type[Controller]] = {
-    "building": BuildingControl,
-    "rbc": ComfortBandRules,
-    "random": RandomControl,
+    "building": BaselineController,
+    "rbc": RuleBasedController,
+    "random": RandomController,
     "fixed": FixedSetpoints,
     "setback": ScheduledSetback,
     "incremental": IncrementalRules,
-    "pid": PidControl,
+    "pid": PIDController,
 }
 """Short names, as `zenostat run --controller` takes them."""
 
@@ -40,7 +40,7 @@ _NEEDED = ("agent_sdk", "bridge", "topics")
 _NOT_NEEDED = ("models", "eplus_node", "cli")
 
 
-def load_controller(text: str) -> Callable[..., Acts]:
+def load_controller(text: str) -> Callable[..., ControllerProtocol]:
     """The class of a controller; it is made with the node's manifest and its parameters by name.
 
     Args:
@@ -156,7 +156,7 @@ def _imported(path: Path) -> set[str]:
     return plain | {node.module for node in body if isinstance(node, ast.ImportFrom) and node.module}
 
 
-def _controller(module: ModuleType, name: str, place: str) -> Callable[..., Acts]:
+def _controller(module: ModuleType, name: str, place: str) -> Callable[..., ControllerProtocol]:
     found = getattr(module, name, None)
     if found is None:
         there = [n for n, thing in vars(module).items() if _acts(thing)]
@@ -169,7 +169,7 @@ def _controller(module: ModuleType, name: str, place: str) -> Callable[..., Acts
         raise InvalidConfig(
             f"{name} of {place} is no controller: it has to take the node's manifest, as __init__(self, manifest)"
         )
-    made: Callable[..., Acts] = found
+    made: Callable[..., ControllerProtocol] = found
     return made
 
 

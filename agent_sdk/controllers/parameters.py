@@ -68,7 +68,7 @@ def named(manifest: Manifest, values: Mapping[str, object]) -> dict[str, float]:
     return found
 
 
-def create(made_by: Callable[..., T], manifest: Manifest, parameters: Mapping[str, Any]) -> T:
+def make_controller(made_by: Callable[..., T], manifest: Manifest, parameters: Mapping[str, Any]) -> T:
     """A controller of a node with these parameters.
 
     Raises:

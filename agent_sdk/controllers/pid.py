@@ -13,7 +13,7 @@ from topics.errors import InvalidConfig, did_you_mean
 from topics.messages import Action, Actuator, Manifest, Sensor
 
 
-class PidControl(Controller):
+class PIDController(Controller):
     """Drives one action or actuator from one temperature.
 
     With the error e = setpoint - T, of the other sign where it is not reverse acting, and dt = a timestep in hours:

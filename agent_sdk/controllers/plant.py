@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk.controllers.action_roles import Part, Role
+from agent_sdk.controllers.action_roles import ActionBinding, Role
 from agent_sdk.controllers.base import Values
 from agent_sdk.controllers.comfort_band import Band, inside
 
@@ -30,7 +30,7 @@ class PlantRules:
         """Forgets which switches are on."""
         self._on.clear()
 
-    def act(self, part: Part, values: NDArray[np.float64], band: Band) -> Values:
+    def act(self, part: ActionBinding, values: NDArray[np.float64], band: Band) -> Values:
         """The values of one part; none if it is nothing that these rules know, or its rooms are not measured."""
         if part.role is Role.STORAGE:
             return part.at(0.0)
@@ -38,7 +38,7 @@ class PlantRules:
         if not len(rooms):
             return {}
         low, high = part.action.low, part.action.high
-        if part.role is Role.SWITCH:
+        if part.role is Role.AVAILABILITY:
             return part.at(float(self._switched(part, float(rooms.min()), band)))
         if part.role is Role.HOT_WATER and low is not None and high is not None:
             return part.at(low + (high - low) * _short_of(float(rooms.min()) - band[0]))
@@ -46,7 +46,7 @@ class PlantRules:
             return part.at(high - (high - low) * _short_of(band[1] - float(rooms.max())))
         return {}
 
-    def _switched(self, part: Part, coldest: float, band: Band) -> bool:
+    def _switched(self, part: ActionBinding, coldest: float, band: Band) -> bool:
         middle = (band[0] + band[1]) / 2
         was = self._on.get(part.action.name, coldest < middle)
         on = coldest < inside(band, self._margin_k)[0] or (was and coldest <= middle)

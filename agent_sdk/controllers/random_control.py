@@ -11,7 +11,7 @@ from topics.errors import InvalidConfig
 from topics.messages import Manifest
 
 
-class RandomControl(Controller):
+class RandomController(Controller):
     """Draws each action uniformly from its bounds, or one of the task's choices where it has some.
 
     Heating and cooling setpoints cannot cross as long as their bounds meet, as those found in a model do. All

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent_sdk.bus.sample import SampleView
-from agent_sdk.controllers.action_roles import SETPOINTS, Part, Role, parts_of
+from agent_sdk.controllers.action_roles import SETPOINTS, ActionBinding, Role, bind_actions
 from agent_sdk.controllers.base import Controller, Values
 from agent_sdk.controllers.comfort_band import comfort_bands, default_setback, inside
 from agent_sdk.controllers.parameters import ControllerMismatch, number
@@ -18,7 +18,7 @@ from topics.messages import Manifest
 OPEN_HOURS = range(6, 22)
 
 
-class ComfortBandRules(Controller):
+class RuleBasedController(Controller):
     """Keeps zones within the day's comfort band while they are in use, and sets them back else.
 
     In use, the setpoints are the ends of the band, `margin` inside; else they lie `setback` outside, as far as the
@@ -58,7 +58,7 @@ class ComfortBandRules(Controller):
         self._margin_k = None if margin is None else number("margin", margin, least=0.0)
         self._setback_k = default_setback(manifest) if setback is None else number("setback", setback, least=0.0)
         self._lead = timedelta(hours=number("lead", lead, least=0.0, most=23.0))
-        self._parts = tuple(p for p in parts_of(manifest) if p.role is not Role.OTHER)
+        self._parts = tuple(p for p in bind_actions(manifest) if p.role is not Role.OTHER)
         if not self._parts:
             raise ControllerMismatch(
                 f"the rule-based controller needs an action that sets a heating or cooling setpoint, a water "
@@ -87,7 +87,7 @@ class ComfortBandRules(Controller):
                 values |= self._plant.act(part, measured, band)
         return values
 
-    def _in_use(self, part: Part, measured: NDArray[np.float64], now: datetime) -> bool:
+    def _in_use(self, part: ActionBinding, measured: NDArray[np.float64], now: datetime) -> bool:
         if not part.people:
             return True
         came = self._came.get(part.people)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from datetime import datetime, timedelta
 
 from agent_sdk.bus.sample import SampleView
-from agent_sdk.controllers.action_roles import SETPOINTS, Role, parts_of
+from agent_sdk.controllers.action_roles import SETPOINTS, Role, bind_actions
 from agent_sdk.controllers.base import Controller, Values
 from agent_sdk.controllers.comfort_band import Band, comfort_bands, default_setback, inside
-from agent_sdk.controllers.fixed import DAYS, default, refuse_crossed
+from agent_sdk.controllers.fixed import DAYS, check_deadband, default
 from agent_sdk.controllers.parameters import ControllerMismatch, bounds, number
 from topics.errors import InvalidConfig
 from topics.messages import Manifest
@@ -53,7 +53,7 @@ class ScheduledSetback(Controller):
         cooling_setback: float | None = None,
     ) -> None:
         super().__init__(manifest)
-        self._parts = parts_of(manifest)
+        self._parts = bind_actions(manifest)
         if not any(part.role in SETPOINTS for part in self._parts):
             raise ControllerMismatch(
                 f"setback needs an action that sets a heating or cooling setpoint; {_no(manifest)}"
@@ -79,7 +79,7 @@ class ScheduledSetback(Controller):
         if any(value is not None for value in (*self._open, *self._closed)):
             for day in DAYS:
                 for is_open in (True, False):
-                    refuse_crossed(self._parts, self._on(self._band(day), is_open=is_open))
+                    check_deadband(self._parts, self._on(self._band(day), is_open=is_open))
 
     def _checked(self, what: str, value: float | None) -> float | None:
         if value is None:

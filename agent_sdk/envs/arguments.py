@@ -8,16 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from agent_sdk.bus.local_node import OwnNode
+from agent_sdk.bus.local_node import LocalNode
 from agent_sdk.rewards import AnyReward, read_reward
 from bridge.runtime.affinity import Affinity
 from topics import yaml12
 from topics.errors import InvalidConfig, UnknownArgument, UsageError, did_you_mean
 
-OF_THE_SCENARIO = "scenario"
+FROM_SCENARIO = "scenario"
 """The reward that the node's scenario names."""
 
-OF_A_NODE = (
+NODE_ARGUMENTS = (
     "building", "weather", "scenario", "file", "config", "variant", "sensors", "meters", "actuators", "begin", "end",
     "steps_per_hour", "weather_order", "variability", "sizing", "changes", "time", "reading", "actions", "control",
     "discrete", "terminate", "keep", "keep_last", "baseline", "branches", "faults",
@@ -105,7 +105,7 @@ def check_reward(reward: AnyReward | None, settings: Mapping[str, Any], placemen
     Raises:
         InvalidConfig: a kind or parameters that cannot be.
     """
-    said = _of_file(settings.get("scenario", "")) if reward == OF_THE_SCENARIO else reward
+    said = _of_file(settings.get("scenario", "")) if reward == FROM_SCENARIO else reward
     if said is None:
         return
     try:
@@ -113,7 +113,7 @@ def check_reward(reward: AnyReward | None, settings: Mapping[str, Any], placemen
     except InvalidConfig as fault:
         faults = [str(fault)]
         try:
-            OwnNode({**settings, "check": True}, placement).close()
+            LocalNode({**settings, "check": True}, placement).close()
         except UsageError as others:
             faults.append(str(others))
         raise InvalidConfig("\n".join(faults)) from None

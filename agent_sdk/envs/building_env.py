@@ -15,18 +15,18 @@ from numpy.typing import ArrayLike, NDArray
 from zenoh import ZError
 
 from agent_sdk.bus.bus import Bus
-from agent_sdk.bus.controller_link import ControlLink
-from agent_sdk.bus.local_node import OwnNode
+from agent_sdk.bus.controller_link import ControllerLink
+from agent_sdk.bus.local_node import LocalNode
 from agent_sdk.bus.sample import SampleView
 from agent_sdk.bus.snapshot import Snapshot, asked_for, forking, take
 from agent_sdk.envs import arguments, spaces
 from agent_sdk.envs.actions import Actions
-from agent_sdk.envs.connection import AGENT, BUSY, RENDER_MODES, Hold
-from agent_sdk.envs.episode_state import EpisodeMemory
-from agent_sdk.envs.rendering import History
-from agent_sdk.envs.space_names import Named
-from agent_sdk.envs.termination import Limits
-from agent_sdk.envs.time_features import clock
+from agent_sdk.envs.connection import AGENT, BUSY, RENDER_MODES, NodeConnection
+from agent_sdk.envs.episode_state import EpisodeState
+from agent_sdk.envs.rendering import RollingHistory
+from agent_sdk.envs.space_names import SpaceNames
+from agent_sdk.envs.termination import TerminationLimits
+from agent_sdk.envs.time_features import time_features
 from agent_sdk.envs.vector_sample import Link
 from agent_sdk.rewards import AnyReward
 from bridge.runtime.affinity import Affinity
@@ -42,7 +42,7 @@ def _stop(bus: Bus, node: str) -> None:
         bus.stop(node)
 
 
-class BuildingEnv(Named, gym.Env[Observation, Any]):
+class BuildingEnv(SpaceNames, gym.Env[Observation, Any]):
     """One building, one agent; `gym.make("zenostat/5zone-hot-continuous-v1")` and all others under `zenostat/`.
 
     Without `connect` it starts a node of its own over a private unix socket and ends it on `close()`; with
@@ -124,7 +124,7 @@ class BuildingEnv(Named, gym.Env[Observation, Any]):
         control: str | None = None,
         discrete: int | Sequence[Any] | None = None,
         terminate: Sequence[Mapping[str, Any]] | None = None,
-        reward: AnyReward | None = arguments.OF_THE_SCENARIO,
+        reward: AnyReward | None = arguments.FROM_SCENARIO,
         connect: str | None = None,
         node: str | None = None,
         level: int = 10,
@@ -140,8 +140,8 @@ class BuildingEnv(Named, gym.Env[Observation, Any]):
         link: Link | None = None,
     ) -> None:
         here = locals()
-        given = {name: here[name] for name in arguments.OF_A_NODE if here[name] is not None}
-        self._hold = Hold(
+        given = {name: here[name] for name in arguments.NODE_ARGUMENTS if here[name] is not None}
+        self._hold = NodeConnection(
             given,
             reward=reward,
             connect=connect,
@@ -159,15 +159,15 @@ class BuildingEnv(Named, gym.Env[Observation, Any]):
             self._actions = Actions(manifest)
             self.action_space = self._actions.space
             self.reward = self._hold.reward
-            self._memory: EpisodeMemory[dict[int, float | None]] = EpisodeMemory(
+            self._memory: EpisodeState[dict[int, float | None]] = EpisodeState(
                 self.reward.bind(manifest) if self.reward is not None else None,
-                Limits(manifest) if manifest.task.terminate else None,
+                TerminationLimits(manifest) if manifest.task.terminate else None,
                 {},
             )
             self.wrappers = self._memory.wrappers
-            self._history = History(manifest) if render_mode == "rgb_array" else None
+            self._history = RollingHistory(manifest) if render_mode == "rgb_array" else None
             if render_mode == "rerun":
-                self._hold.watch()
+                self._hold.open_monitor()
             undo.pop_all()
         self.render_mode, self._level = render_mode, level
         self._timestep = timedelta(hours=1 / manifest.steps_per_hour)
@@ -188,7 +188,7 @@ class BuildingEnv(Named, gym.Env[Observation, Any]):
         return link
 
     @property
-    def own_node(self) -> OwnNode | None:
+    def local_node(self) -> LocalNode | None:
         """The node that was started; None if it runs elsewhere."""
         return self._hold.own_node
 
@@ -238,18 +238,18 @@ class BuildingEnv(Named, gym.Env[Observation, Any]):
         snapshot = self._asked(options)
         if snapshot is None:
             sample = self._sample = self._hold.reset(seed=seed)
-            self._memory.forget()
+            self._memory.reset()
             self._memory.context = {}
         else:
             sample = self._sample = self._forking().reset(seed=seed, snapshot=snapshot.name)
-            self._memory.restore(snapshot.remembered)
+            self._memory.restore(snapshot.env_state)
         self.manifest, self._ended = self._hold.manifest, False
         (begun,) = self.link.accepted.episode_starts
         self._outputs = begun.output_dir
         self._begun = {"weather": begun.weather, "weather_noise": begun.noise_parameters, "start": begun.engine_start}
         values, now, info = sample.values, sample.time, self._info(sample)
         info["action"] = np.full(len(self.manifest.actuators), np.nan)
-        info |= self._memory.unrewarded(sample.truth, now)
+        info |= self._memory.unrewarded(sample.fault_free_values, now)
         if self._history is not None:
             self._history.clear()
             self._history.add(now, values)
@@ -296,13 +296,13 @@ class BuildingEnv(Named, gym.Env[Observation, Any]):
             undo.callback(_stop, link.bus, name)
             hold = undo.enter_context(link.bus.controller(name, name="env", level=self._level))
             branch = BuildingEnv(link=hold, reward=copy.deepcopy(self.reward))  # it may be an object with a memory
-            branch._sample = hold.stand_at(sample.wire)
+            branch._sample = hold.set_current(sample.message)
             branch._begun = self._begun
-            branch._memory.restore(self._memory.state() if snapshot is None else snapshot.remembered)
-            branch._hold.also(undo.pop_all())
+            branch._memory.restore(self._memory.state() if snapshot is None else snapshot.env_state)
+            branch._hold.push_exit(undo.pop_all())
         return branch
 
-    def _forking(self) -> ControlLink:
+    def _forking(self) -> ControllerLink:
         self._hold.check_open()
         return forking(self.link)
 
@@ -347,7 +347,7 @@ class BuildingEnv(Named, gym.Env[Observation, Any]):
         sample = self._sample = link.receive()
         values, end, info = sample.values, sample.time, self._info(sample)
         begin = end - self._timestep
-        truth = sample.truth if sample.wire.fault_free_values else values
+        truth = sample.fault_free_values if sample.message.fault_free_values else values
         info["action"] = self._actions.commanded(commanded, mask)
         memory, reward = self._memory, 0.0
         if memory.reward is not None:
@@ -355,7 +355,7 @@ class BuildingEnv(Named, gym.Env[Observation, Any]):
             reward = float(total)
         broken = ""
         if memory.limits is not None:
-            broken = memory.limits.broken(truth)
+            broken = memory.limits.violated(truth)
             info["terminated_by"] = broken
         truncated = sample.truncated
         self._ended = truncated or bool(broken)
@@ -410,18 +410,18 @@ class BuildingEnv(Named, gym.Env[Observation, Any]):
     def _observed(self, values: NDArray[np.float64], begin: datetime, end: datetime) -> Observation:
         if not self._time:
             return values.astype(np.float32)
-        return np.concatenate([clock(self._time, begin, end), values], dtype=np.float32, casting="same_kind")
+        return np.concatenate([time_features(self._time, begin, end), values], dtype=np.float32, casting="same_kind")
 
     def _info(self, sample: SampleView) -> dict[str, Any]:
-        wire = sample.wire
+        wire = sample.message
         if (wire.source_index, wire.sources) != self._rulers:
             me = self.link.name
             self._rulers = (wire.source_index, wire.sources)
-            self._ruled_by = tuple(AGENT if who == me else who for who in sample.ruled_by.values())
+            self._ruled_by = tuple(AGENT if who == me else who for who in sample.value_source.values())
         info = {
             "time": wire.time[0],
             "step": wire.step[0],
-            "applied": sample.applied,
+            "applied": sample.effective,
             "ruled_by": self._ruled_by,
             "late": wire.late,
             "rejected": wire.rejected,
@@ -433,9 +433,9 @@ class BuildingEnv(Named, gym.Env[Observation, Any]):
         if self._outputs:
             info["outputs"] = ""
         if wire.fault_free_values:
-            info["undisturbed"] = sample.truth
+            info["undisturbed"] = sample.fault_free_values
         if wire.baseline:
-            info |= {"baseline": sample.baseline, "baseline_applied": sample.baseline_applied}
+            info |= {"baseline": sample.baseline, "baseline_applied": sample.baseline_effective}
         return info
 
     def close(self) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 
 from agent_sdk.bus.bus import Bus
 from agent_sdk.bus.bus import connect as join
-from agent_sdk.bus.local_node import Monitor, OwnNode, undisturbed
+from agent_sdk.bus.local_node import LocalNode, Monitor, undisturbed
 from agent_sdk.bus.sample import SampleView
 from agent_sdk.envs import arguments
 from agent_sdk.rewards import AnyReward, Reward, read_reward
@@ -28,7 +28,7 @@ _REAPED_S = 1.0
 """How soon after its last message a killed process has ended."""
 
 
-class Hold:
+class NodeConnection:
     """Finds a node elsewhere, or starts one, which tells its manifest before anybody joins its bus.
 
     Args:
@@ -60,7 +60,7 @@ class Hold:
         slots: int = 1,
     ) -> None:
         self._close, self.closed, self._watched = ExitStack(), False, False
-        self.own_node: OwnNode | None = None
+        self.own_node: LocalNode | None = None
         self._link, self._slots = link, slots
         self._keys = None if keys is None else Path(keys)
         self._bus: Bus | None = None
@@ -80,7 +80,7 @@ class Hold:
             else:
                 self._find_node(given, reward, connect, node, level, Affinity(affinity))
             self._check_slots()
-            wanted = self.manifest.task.reward if reward == arguments.OF_THE_SCENARIO else reward
+            wanted = self.manifest.task.reward if reward == arguments.FROM_SCENARIO else reward
             self.reward: Reward | None = None if wanted is None else read_reward(wanted)
             undo.pop_all()
 
@@ -95,7 +95,7 @@ class Hold:
     ) -> None:
         if endpoint is None:
             wanted = arguments.for_node(given, node or NAME, self._slots)
-            if reward != arguments.OF_THE_SCENARIO:
+            if reward != arguments.FROM_SCENARIO:
                 wanted["own_reward"] = True
             arguments.check_reward(reward, wanted, placement)
             self._start(wanted, node or NAME, level, placement)
@@ -110,7 +110,7 @@ class Hold:
         self.manifest = self.link.manifest
 
     def _start(self, wanted: dict[str, Any], node: str, level: int, placement: Affinity) -> None:
-        own = OwnNode(wanted, placement)
+        own = LocalNode(wanted, placement)
         self._close.callback(own.close)
         assert own.manifest is not None
         self.own_node, self.manifest, self._wanted = own, own.manifest, wanted
@@ -127,7 +127,7 @@ class Hold:
         self.manifest = self.link.manifest
         return sample
 
-    def _has_ended(self, own: OwnNode) -> bool:
+    def _has_ended(self, own: LocalNode) -> bool:
         deadline = time.monotonic() + _REAPED_S
         while not own.end and time.monotonic() < deadline:
             time.sleep(0.01)
@@ -147,7 +147,7 @@ class Hold:
         self._link = self._bus = None
         self._start(self._wanted, node, level, placement)
         if self._watched:
-            self.watch()
+            self.open_monitor()
         warnings.warn(
             f"the environment's own node had ended ({how}), and another one was started; its snapshots are gone, and "
             "without a seed its weather is drawn anew",
@@ -183,7 +183,7 @@ class Hold:
             self._bus = self._close.enter_context(join(endpoint, affinity=placement, core=core, keys=self._keys))
         return self._bus
 
-    def watch(self) -> None:
+    def open_monitor(self) -> None:
         """Opens a live view of the bus, which ends with the hold."""
         self._watched = True
         self._close.callback(Monitor(self._way[0], self._keys).close)
@@ -193,7 +193,7 @@ class Hold:
         for warning in self.manifest.warnings:
             warnings.warn(f"{self.manifest.building}: {warning}", stacklevel=stacklevel + 1)
 
-    def also(self, what: AbstractContextManager[object]) -> None:
+    def push_exit(self, what: AbstractContextManager[object]) -> None:
         """Has something else that was entered end with the hold, before all else."""
         self._close.push(what)
 

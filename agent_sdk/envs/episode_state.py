@@ -12,7 +12,7 @@ from weakref import WeakKeyDictionary, WeakSet
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk.envs.termination import Limits
+from agent_sdk.envs.termination import TerminationLimits
 from agent_sdk.rewards import BoundReward
 from agent_sdk.rewards.base import Begin
 
@@ -29,7 +29,7 @@ def _kind(number: Any) -> type[float]:
 
 
 @dataclass(slots=True)
-class EpisodeMemory(Generic[C]):
+class EpisodeState(Generic[C]):
     """Of one building, or of several slots.
 
     Attributes:
@@ -39,12 +39,12 @@ class EpisodeMemory(Generic[C]):
     """
 
     reward: BoundReward | None
-    limits: Limits | None
+    limits: TerminationLimits | None
     context: C
     wrappers: WeakSet[Any] = field(default_factory=WeakSet)
     _unrewarded: dict[str, Any] | None = None
 
-    def forget(self, slots: Sequence[int] | None = None) -> None:
+    def reset(self, slots: Sequence[int] | None = None) -> None:
         """An episode begins (in these slots; None: in all): reward and limits forget the former one."""
         for remembers in (self.reward, self.limits):
             if remembers is not None:
@@ -70,7 +70,7 @@ class EpisodeMemory(Generic[C]):
         reward = self.reward.state() if self.reward is not None else {}
         return copy.deepcopy({"reward": reward, "limits": self.limits, "context": self.context})
 
-    def of_wrappers(self) -> WeakKeyDictionary[Any, Any]:
+    def wrapper_states(self) -> WeakKeyDictionary[Any, Any]:
         """What each wrapper remembers."""
         return WeakKeyDictionary({wrapper: wrapper.remembered() for wrapper in self.wrappers})
 

@@ -18,7 +18,7 @@ _SIZE_IN, _DPI = (9.6, 6.4), 100
 _MOST_LINES = 12
 
 
-class History:
+class RollingHistory:
     """The samples of the last day, and their picture."""
 
     def __init__(self, manifest: Manifest) -> None:

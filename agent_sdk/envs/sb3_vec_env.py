@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 
 from agent_sdk.envs.connection import BUSY
-from agent_sdk.envs.vector_infos import of_slot
+from agent_sdk.envs.vector_infos import unbatch
 from agent_sdk.wrappers.names import inside, layers
 from topics.errors import EpisodeChanged, InvalidConfig, UsageError
 from topics.extras import install_command
@@ -92,7 +92,7 @@ class SlotsVecEnv(VecEnv):  # type: ignore[misc,unused-ignore]  # without types 
         told, ended = self._each(infos), terminated | truncated
         for slot in np.flatnonzero(ended).tolist():
             self.reset_infos[slot] = {key: value for key, value in told[slot].items() if not key.startswith("final_")}
-            told[slot] = of_slot(infos["final_info"], slot)
+            told[slot] = unbatch(infos["final_info"], slot)
             if self.reset_infos[slot].pop(_STATISTICS, None) is not None:
                 # Gymnasium's wrapper for vectors puts them beside the final info, in a form of their own.
                 told[slot][_STATISTICS] = {name: values[slot].item() for name, values in infos[_STATISTICS].items()}
@@ -102,7 +102,7 @@ class SlotsVecEnv(VecEnv):  # type: ignore[misc,unused-ignore]  # without types 
         return observations, np.asarray(rewards, np.float32), ended, told
 
     def _each(self, infos: dict[str, Any]) -> list[dict[str, Any]]:
-        return [of_slot(infos, slot) for slot in range(self.num_envs)]
+        return [unbatch(infos, slot) for slot in range(self.num_envs)]
 
     def close(self) -> None:
         """Closes the vector environment; twice is fine."""

@@ -30,7 +30,7 @@ def by_name(names: Sequence[str], observation: ArrayLike, whose: str) -> dict[st
     return dict(zip(names, values.tolist(), strict=True))
 
 
-class Named:
+class SpaceNames:
     """An environment, or a vector of them, on the points of one node."""
 
     manifest: Manifest

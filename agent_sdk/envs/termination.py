@@ -13,7 +13,7 @@ from topics.messages import Manifest
 Floats = NDArray[np.float64]
 
 
-class Limits:
+class TerminationLimits:
     """Watches an episode's samples, or those of several slots.
 
     Args:
@@ -38,7 +38,7 @@ class Limits:
         for outside_s in self._outside_s:
             outside_s[list(slots)] = 0.0
 
-    def broken(self, values: Floats) -> str:
+    def violated(self, values: Floats) -> str:
         """Which limit ends the episode with this sample's values, shape (points,); empty if none does.
 
         A point counts the timesteps that it has ended outside the range, until it is back.
@@ -49,7 +49,7 @@ class Limits:
                 return self._words(number, *found)
         return ""
 
-    def broken_slots(self, values: Floats) -> dict[int, str]:
+    def violated_slots(self, values: Floats) -> dict[int, str]:
         """The same of several slots, values of shape (slots, points): those that end, and by which limit."""
         ended: dict[int, str] = {}
         for number in range(len(self._limits)):

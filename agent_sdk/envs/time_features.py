@@ -33,7 +33,7 @@ BOUNDS: dict[TimeField, tuple[float, float]] = {
 """Least and largest value of each field."""
 
 
-def clock(fields: Sequence[TimeField], begin: datetime, end: datetime) -> NDArray[np.float64]:
+def time_features(fields: Sequence[TimeField], begin: datetime, end: datetime) -> NDArray[np.float64]:
     """The fields of the timestep from `begin` to `end` (the same for sample 0), shape (fields,).
 
     `hour` and the date are those of its begin, `minutes` and `current_time` (h) of its end.

@@ -12,17 +12,17 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from agent_sdk.bus.local_node import OwnNode
+from agent_sdk.bus.local_node import LocalNode
 from agent_sdk.bus.snapshot import Snapshot, asked_for, forking, take
 from agent_sdk.envs import arguments, spaces
 from agent_sdk.envs.actions import Actions
-from agent_sdk.envs.connection import AGENT, BUSY, RENDER_MODES, Hold
-from agent_sdk.envs.episode_state import EpisodeMemory
-from agent_sdk.envs.rendering import History
-from agent_sdk.envs.space_names import Named
-from agent_sdk.envs.termination import Limits
-from agent_sdk.envs.vector_infos import Infos, joined, masked, only
-from agent_sdk.envs.vector_sample import Frame, SlotsLink, step_of
+from agent_sdk.envs.connection import AGENT, BUSY, RENDER_MODES, NodeConnection
+from agent_sdk.envs.episode_state import EpisodeState
+from agent_sdk.envs.rendering import RollingHistory
+from agent_sdk.envs.space_names import SpaceNames
+from agent_sdk.envs.termination import TerminationLimits
+from agent_sdk.envs.vector_infos import Infos, masked, merge, select
+from agent_sdk.envs.vector_sample import VectorLink, VectorSample, timestep
 from agent_sdk.envs.vector_slot import Seeds, Slot, seeds_of, slots_of
 from agent_sdk.rewards import AnyReward
 from agent_sdk.wrappers import apply_wrappers
@@ -38,7 +38,7 @@ MOST = 256
 """Slots of a node."""
 
 
-class BuildingVectorEnv(Named, VectorEnv[Observations, Any, NDArray[Any]]):
+class BuildingVectorEnv(SpaceNames, VectorEnv[Observations, Any, NDArray[Any]]):
     """One node with an engine for each environment; `gym.make_vec("zenostat/5zone-hot-continuous-v1", num_envs=8)`.
 
     All engines simulate their timestep at the same time, and a step is one frame there and one back. Slot i is what
@@ -67,18 +67,18 @@ class BuildingVectorEnv(Named, VectorEnv[Observations, Any, NDArray[Any]]):
         num_envs: int = 1,
         *,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
-        reward: AnyReward | None = arguments.OF_THE_SCENARIO,
+        reward: AnyReward | None = arguments.FROM_SCENARIO,
         connect: str | None = None,
         node: str | None = None,
         level: int = 10,
         affinity: Affinity | str = Affinity.SEPARATE_CORES,
         render_mode: str | None = None,
         keys: str | Path | None = None,
-        link: SlotsLink | None = None,
+        link: VectorLink | None = None,
         **given: Any,
     ) -> None:
         self.num_envs, self.autoreset_mode = _count(num_envs), _mode(autoreset_mode)
-        self._hold = Hold(
+        self._hold = NodeConnection(
             {name: value for name, value in _known(given).items() if value is not None},
             reward=reward, connect=connect, node=node, level=level, affinity=affinity, render_mode=render_mode,
             keys=keys, link=link, slots=self.num_envs,
@@ -92,22 +92,22 @@ class BuildingVectorEnv(Named, VectorEnv[Observations, Any, NDArray[Any]]):
             self.action_space = batch_space(self.single_action_space, num_envs)
             self.observation_space = batch_space(self.single_observation_space, num_envs)
             self.reward = self._hold.reward
-            self._memory: EpisodeMemory[list[dict[int, float | None]]] = EpisodeMemory(
+            self._memory: EpisodeState[list[dict[int, float | None]]] = EpisodeState(
                 self.reward.bind(manifest) if self.reward is not None else None,
-                Limits(manifest, num_envs) if manifest.task.terminate else None,
+                TerminationLimits(manifest, num_envs) if manifest.task.terminate else None,
                 [{} for _ in range(num_envs)],
             )
             self.wrappers = self._memory.wrappers
-            self._histories = [History(manifest) for _ in range(num_envs)] if render_mode == "rgb_array" else []
+            self._histories = [RollingHistory(manifest) for _ in range(num_envs)] if render_mode == "rgb_array" else []
             if render_mode == "rerun":
-                self._hold.watch()
+                self._hold.open_monitor()
             undo.pop_all()
         self.render_mode = render_mode
         self.metadata = {"render_modes": [*RENDER_MODES], "render_fps": 4, "autoreset_mode": self.autoreset_mode}
         self.envs = tuple(Slot(self, number) for number in range(num_envs))
-        self._timestep = step_of(manifest)
+        self._timestep = timestep(manifest)
         self._mask = None if self._actions.mask is None else self._actions.mask * num_envs
-        self._frame: Frame | None = None
+        self._frame: VectorSample | None = None
         self._busy = False
         self._seen = np.zeros(self.observation_space.shape or (), np.float32)
         self._over, self._every = np.zeros(num_envs, np.bool_), np.ones(num_envs, np.bool_)
@@ -173,11 +173,11 @@ class BuildingVectorEnv(Named, VectorEnv[Observations, Any, NDArray[Any]]):
         first = seeds[0] if seeds and self.num_envs == 1 else seeds
         link = self.link
         to = snapshot.name if snapshot is not None else ""
-        frame = Frame(link.reset(seed=first, slots=None if whole else slots, snapshot=to))
+        frame = VectorSample(link.reset(seed=first, slots=None if whole else slots, snapshot=to))
         self.manifest = link.manifest
-        self._memory.forget(None if whole else slots)
+        self._memory.reset(None if whole else slots)
         times = frame.times
-        begins = [time - self._timestep if step else time for time, step in zip(times, frame.wire.step, strict=True)]
+        begins = [time - self._timestep if step else time for time, step in zip(times, frame.message.step, strict=True)]
         self._seen[slots] = frame.observed(begins, times)[slots]
         for slot in slots:
             self._over[slot], self._memory.context[slot] = False, {}
@@ -185,7 +185,7 @@ class BuildingVectorEnv(Named, VectorEnv[Observations, Any, NDArray[Any]]):
                 self._histories[slot].clear()
                 self._histories[slot].add(times[slot], frame.values[slot])
         if snapshot is not None:
-            self._memory.restore(snapshot.remembered)
+            self._memory.restore(snapshot.env_state)
         self._frame = frame
         begun: Infos = {}
         for slot, how in zip(slots, link.accepted.episode_starts, strict=True):
@@ -194,10 +194,10 @@ class BuildingVectorEnv(Named, VectorEnv[Observations, Any, NDArray[Any]]):
             begun = self._add_info(begun, told, slot)
         these = np.zeros(self.num_envs, np.bool_)
         these[slots] = True
-        self._begun = joined(only(self._begun, ~these), begun)
+        self._begun = merge(select(self._begun, ~these), begun)
         blank = {"action": np.full((self.num_envs, len(self.manifest.actuators)), np.nan)}
-        told = self._of_sample(frame) | blank | self._memory.unrewarded(frame.truth, times)
-        return only(masked(told, self._every) | self._begun, these)
+        told = self._of_sample(frame) | blank | self._memory.unrewarded(frame.fault_free_values, times)
+        return select(masked(told, self._every) | self._begun, these)
 
     def snapshot(self) -> Snapshot:
         """Keeps where all slots stand, to go back there by `reset(options={"snapshot": snap})` any number of times.
@@ -245,7 +245,7 @@ class BuildingVectorEnv(Named, VectorEnv[Observations, Any, NDArray[Any]]):
             return self._seen.copy(), np.zeros(self.num_envs), none, none.copy(), begun
         link = self.link
         link.send(commanded if self.num_envs > 1 else commanded[0], mask, still=again)
-        frame = self._frame = Frame(link.receive())
+        frame = self._frame = VectorSample(link.receive())
         rewards, terminated, truncated, infos = self._outcome(frame, commanded, mask, again)
         ended = terminated | truncated
         if self.autoreset_mode is AutoresetMode.SAME_STEP:
@@ -253,7 +253,7 @@ class BuildingVectorEnv(Named, VectorEnv[Observations, Any, NDArray[Any]]):
                 infos = self._end(ended, infos)
         else:
             self._over = ended
-            infos = joined(infos, begun) if begun else infos
+            infos = merge(infos, begun) if begun else infos
         return self._seen.copy(), rewards, terminated, truncated, infos
 
     def _ready(self) -> list[int]:
@@ -269,7 +269,7 @@ class BuildingVectorEnv(Named, VectorEnv[Observations, Any, NDArray[Any]]):
         return again
 
     def _outcome(
-        self, frame: Frame, commanded: NDArray[np.float64], mask: bytes | None, again: list[int]
+        self, frame: VectorSample, commanded: NDArray[np.float64], mask: bytes | None, again: list[int]
     ) -> tuple[NDArray[np.float64], Flags, Flags, Infos]:
         """Rewards, terminated, truncated and infos of the slots that have gone on; observations go to `_seen`."""
         count, ends = self.num_envs, frame.times
@@ -282,17 +282,17 @@ class BuildingVectorEnv(Named, VectorEnv[Observations, Any, NDArray[Any]]):
         rewards = np.zeros(count)
         memory = self._memory
         if memory.reward is not None:
-            rewards[:], told["reward_terms"], told["reward_measures"] = memory.reward(frame.truth, begins)
-        broken = memory.limits.broken_slots(frame.truth) if memory.limits is not None else {}
+            rewards[:], told["reward_terms"], told["reward_measures"] = memory.reward(frame.fault_free_values, begins)
+        broken = memory.limits.violated_slots(frame.fault_free_values) if memory.limits is not None else {}
         observed, live = frame.observed(begins, ends), self._every.copy()
         terminated, truncated = np.zeros(count, np.bool_), frame.truncated
         self._tell_ends(told, broken, truncated)
-        infos = masked(told, live) | only(self._begun, self._every)
+        infos = masked(told, live) | select(self._begun, self._every)
         if again:
-            self._memory.forget(again)  # they are at sample 0 in this frame, and have gone nowhere
+            self._memory.reset(again)  # they are at sample 0 in this frame, and have gone nowhere
             live[again], observed[again] = False, self._seen[again]
             rewards[again] = 0.0
-            infos = only(infos, live.copy())
+            infos = select(infos, live.copy())
         self._seen = observed
         for slot, history in enumerate(self._histories):
             if live[slot]:
@@ -307,30 +307,30 @@ class BuildingVectorEnv(Named, VectorEnv[Observations, Any, NDArray[Any]]):
         slots = np.flatnonzero(ended).tolist()
         for slot in slots:
             last[slot] = self._seen[slot].copy()
-        final, infos = only(infos, ended), only(infos, ~ended)
-        infos = joined(infos, self._begin(slots))
+        final, infos = select(infos, ended), select(infos, ~ended)
+        infos = merge(infos, self._begin(slots))
         return infos | {"final_obs": last, "_final_obs": ended, "final_info": final, "_final_info": ended.copy()}
 
     # Infos
 
-    def _of_sample(self, frame: Frame) -> Infos:
+    def _of_sample(self, frame: VectorSample) -> Infos:
         """What a frame says of all slots."""
-        wire = frame.wire
+        wire = frame.message
         if (wire.source_index, wire.sources) != self._rulers:
             me = self.link.name
             self._rulers = (wire.source_index, wire.sources)
-            self._ruled_by = frame.ruled_by([AGENT if who == me else who for who in wire.sources])
+            self._ruled_by = frame.value_source([AGENT if who == me else who for who in wire.sources])
         told = {
             "time": np.array(wire.time, object),
             "step": np.array(wire.step),
-            "applied": frame.applied,
+            "applied": frame.effective,
             "ruled_by": self._ruled_by.copy(),
             "late": wire.late,
             "rejected": wire.rejected,
             **frame.baseline,
         }
         if wire.fault_free_values:
-            told["undisturbed"] = frame.truth
+            told["undisturbed"] = frame.fault_free_values
         if self._memory.limits is not None:
             told["terminated_by"] = np.full(self.num_envs, "", object)
         if any(self._outputs):
@@ -372,12 +372,12 @@ class BuildingVectorEnv(Named, VectorEnv[Observations, Any, NDArray[Any]]):
     # What can be asked
 
     @property
-    def link(self) -> SlotsLink:
+    def link(self) -> VectorLink:
         """The hold on the node."""
         return cast("SlotsLink", self._hold.link)
 
     @property
-    def own_node(self) -> OwnNode | None:
+    def local_node(self) -> LocalNode | None:
         """The node that was started; None if it runs elsewhere."""
         return self._hold.own_node
 
@@ -427,7 +427,9 @@ def make(num_envs: int = 1, **given: Any) -> VectorEnv[Any, Any, Any]:
 
 
 def _known(given: Mapping[str, Any]) -> Mapping[str, Any]:
-    arguments.check_arguments(given, [*arguments.OF_A_NODE, *list(BuildingVectorEnv.__init__.__kwdefaults__ or {})])
+    arguments.check_arguments(
+        given, [*arguments.NODE_ARGUMENTS, *list(BuildingVectorEnv.__init__.__kwdefaults__ or {})]
+    )
     return given
 
 

@@ -29,36 +29,36 @@ def masked(found: Mapping[str, Any], slots: Slots) -> Infos:
     return told
 
 
-def only(infos: Infos, slots: Slots) -> Infos:
+def select(infos: Infos, slots: Slots) -> Infos:
     """The infos of these slots alone; what none of them has is left out."""
     told: Infos = {}
     for key, value, has in _pairs(infos):
         kept = has & slots
         if kept.any():
-            told[key] = only(value, slots) if isinstance(value, dict) else _put(_blank(value), value, kept)
+            told[key] = select(value, slots) if isinstance(value, dict) else _put(_blank(value), value, kept)
             told[f"_{key}"] = kept
     return told
 
 
-def joined(one: Infos, other: Infos) -> Infos:
+def merge(one: Infos, other: Infos) -> Infos:
     """Both together; where a slot has a key in both, `other` goes before."""
     told = dict(one)
     for key, value, has in _pairs(other):
         if key in one:
             before = one[key]
-            told[key] = joined(before, value) if isinstance(value, dict) else _put(before.copy(), value, has)
+            told[key] = merge(before, value) if isinstance(value, dict) else _put(before.copy(), value, has)
             told[f"_{key}"] = one[f"_{key}"] | has
         else:
             told[key], told[f"_{key}"] = value, has
     return told
 
 
-def of_slot(infos: Infos, slot: int) -> dict[str, Any]:
+def unbatch(infos: Infos, slot: int) -> dict[str, Any]:
     """One slot's own info, as a single environment gives it."""
     told: dict[str, Any] = {}
     for key, value, has in _pairs(infos):
         if has[slot]:
-            told[key] = of_slot(value, slot) if isinstance(value, dict) else _plain(value[slot])
+            told[key] = unbatch(value, slot) if isinstance(value, dict) else _plain(value[slot])
     return told
 
 

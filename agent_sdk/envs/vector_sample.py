@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent_sdk.bus.sample import SampleView
-from agent_sdk.envs.time_features import clock
+from agent_sdk.envs.time_features import time_features
 from topics import codec
 from topics.messages import Ack, Flag, Manifest, WeatherSeries
 
@@ -41,7 +41,7 @@ class Link(Protocol):
         """Lets go; twice is fine."""
 
 
-class SlotsLink(Protocol):
+class VectorLink(Protocol):
     """What a vector environment steps: frames in, commands for all slots out."""
 
     manifest: Manifest
@@ -66,7 +66,7 @@ class SlotsLink(Protocol):
         """Lets go; twice is fine."""
 
 
-class Frame:
+class VectorSample:
     """All slots of one sample.
 
     Attributes:
@@ -77,21 +77,21 @@ class Frame:
         truncated: of which slots the run period is over, shape (slots,).
     """
 
-    __slots__ = ("_manifest", "sample", "truncated", "truth", "values", "wire")
+    __slots__ = ("_manifest", "fault_free_values", "message", "sample", "truncated", "values")
 
     def __init__(self, sample: SampleView) -> None:
-        self.sample, wire, manifest = sample, sample.wire, sample.manifest
-        self.wire, self._manifest = wire, manifest
+        self.sample, wire, manifest = sample, sample.message, sample.manifest
+        self.message, self._manifest = wire, manifest
         shape = manifest.slots, len(manifest.sensors) + len(manifest.meters)
-        self.values = self.truth = codec.floats(wire.values, shape, "values")
+        self.values = self.fault_free_values = codec.floats(wire.values, shape, "values")
         if wire.fault_free_values:
-            self.truth = codec.floats(wire.fault_free_values, shape, "undisturbed")
+            self.fault_free_values = codec.floats(wire.fault_free_values, shape, "undisturbed")
         self.truncated = np.array([flag & _TRUNCATED for flag in wire.flags], np.bool_)
 
     @property
-    def applied(self) -> Floats:
+    def effective(self) -> Floats:
         """What each actuator really was, shape (slots, actuators); NaN where EnergyPlus does not tell."""
-        return self._of_actuators(self.wire.effective, "applied")
+        return self._of_actuators(self.message.effective, "applied")
 
     @property
     def baseline(self) -> dict[str, Floats]:
@@ -99,7 +99,7 @@ class Frame:
 
         Shapes (slots, points) and (slots, actuators).
         """
-        wire = self.wire
+        wire = self.message
         if not wire.baseline:
             return {}
         points = codec.floats(wire.baseline, self.values.shape, "baseline")
@@ -112,17 +112,17 @@ class Frame:
     @property
     def times(self) -> list[datetime]:
         """Local standard time at the end of each slot's timestep, naive."""
-        told = self.wire.time
+        told = self.message.time
         if told.count(told[0]) == len(told):
             return [datetime.fromisoformat(told[0])] * len(told)
         known = {text: datetime.fromisoformat(text) for text in set(told)}
         return [known[text] for text in told]
 
-    def ruled_by(self, names: Sequence[str]) -> NDArray[np.object_]:
+    def value_source(self, names: Sequence[str]) -> NDArray[np.object_]:
         """Who set each actuator of each slot: a tuple for each slot, of these names in the order of `rulers`."""
         shape = (self._manifest.slots, len(self._manifest.actuators))
         told = np.empty(shape[0], object)
-        for slot, row in enumerate(codec.indices(self.wire.source_index, shape, "ruler").tolist()):
+        for slot, row in enumerate(codec.indices(self.message.source_index, shape, "ruler").tolist()):
             told[slot] = tuple(names[i] for i in row)
         return told
 
@@ -133,13 +133,13 @@ class Frame:
         observed = np.empty((slots, len(fields) + points), np.float32)
         observed[:, len(fields) :] = values
         if fields and begins.count(begins[0]) == slots == ends.count(ends[0]):
-            observed[:, : len(fields)] = clock(fields, begins[0], ends[0])
+            observed[:, : len(fields)] = time_features(fields, begins[0], ends[0])
         elif fields:
-            known = {span: clock(fields, *span) for span in set(zip(begins, ends, strict=True))}
+            known = {span: time_features(fields, *span) for span in set(zip(begins, ends, strict=True))}
             observed[:, : len(fields)] = [known[span] for span in zip(begins, ends, strict=True)]
         return observed
 
 
-def step_of(manifest: Manifest) -> timedelta:
+def timestep(manifest: Manifest) -> timedelta:
     """Length of a timestep."""
     return timedelta(hours=1 / manifest.steps_per_hour)

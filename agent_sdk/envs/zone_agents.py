@@ -17,7 +17,7 @@ from agent_sdk.envs.building_env import BuildingEnv, Observation
 from agent_sdk.envs.connection import AGENT, BUSY
 from agent_sdk.envs.space_names import by_name
 from agent_sdk.rewards import AnyReward, BoundReward, read_reward
-from agent_sdk.rewards.linear import Weighted
+from agent_sdk.rewards.linear import WeightedReward
 from agent_sdk.rewards.selectors import temperatures
 from topics.errors import EpisodeChanged, InvalidAction, InvalidConfig, UsageError, did_you_mean
 from topics.extras import install_command
@@ -82,7 +82,7 @@ class ZonesEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo has no types
         control: str | None = None,
         shared: Sequence[str] = (),
         reward: str | ZoneRewards = "shared",
-        building_reward: AnyReward | None = arguments.OF_THE_SCENARIO,
+        building_reward: AnyReward | None = arguments.FROM_SCENARIO,
         **given: Any,
     ) -> None:
         if not callable(reward) and reward not in ("shared", "own"):
@@ -248,7 +248,7 @@ class ZonesEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo has no types
             terms = dict.fromkeys(self.agents, info.get("reward_terms", {}))
             return dict.fromkeys(self.agents, whole), {name: dict(own) for name, own in terms.items()}
         sample = self.env.sample
-        values, begin = sample.truth, sample.time - self._timestep
+        values, begin = sample.fault_free_values, sample.time - self._timestep
         if self._shares is not None:
             terms = self._shares(values, begin, whole)
         else:
@@ -381,9 +381,9 @@ class _Shares:
     """Divides the building's reward: to each agent the comfort of its zone, and an equal share of all else."""
 
     def __init__(self, agents: Mapping[str, _Agent], manifest: Manifest, given: AnyReward | None) -> None:
-        wanted = manifest.task.reward if given == arguments.OF_THE_SCENARIO else given
+        wanted = manifest.task.reward if given == arguments.FROM_SCENARIO else given
         reward = None if wanted is None else read_reward(wanted)
-        if not isinstance(reward, Weighted):
+        if not isinstance(reward, WeightedReward):
             raise InvalidConfig(
                 f"reward='own' divides rewards that are a sum over zones (linear, exponential, hourly, occupied), and "
                 f"{'there is no reward' if reward is None else f'{type(reward).__name__} is not'}; give "
@@ -411,7 +411,7 @@ class _Shares:
         return {name: {"share": share, "comfort": comfort} for name, comfort in comforts.items()}
 
 
-def _bound(reward: Weighted, manifest: Manifest) -> BoundReward | None:
+def _bound(reward: WeightedReward, manifest: Manifest) -> BoundReward | None:
     try:
         return reward.bind(manifest)
     except InvalidConfig:  # the whole reward was bound: it leaves this zone out (nobody is ever there)

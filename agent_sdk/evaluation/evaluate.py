@@ -14,15 +14,15 @@ from typing import Any
 
 import gymnasium as gym
 
-from agent_sdk.controllers import Acts, Agent, BuildingControl, create, load_controller
+from agent_sdk.controllers import Agent, BaselineController, ControllerProtocol, load_controller, make_controller
 from agent_sdk.controllers.parameters import ControllerMismatch
 from agent_sdk.envs.arguments import of_scenario
 from agent_sdk.envs.building_env import BuildingEnv
-from agent_sdk.evaluation.metrics import Result, Tally
+from agent_sdk.evaluation.metrics import EpisodeMetrics, MetricsAccumulator
 from topics.errors import InvalidAction, InvalidConfig, UsageError, did_you_mean
 from topics.messages import Manifest
 
-Maker = Callable[..., Acts]
+Maker = Callable[..., ControllerProtocol]
 """Makes a controller from a node's manifest and parameters by name: a class, or what `load_policy` gives."""
 
 Progress = Callable[[str, int, int, int], None]
@@ -35,7 +35,7 @@ def run_episode(
     *,
     seed: int | None,
     progress: Callable[[int], None] | None = None,
-) -> tuple[Result, str]:
+) -> tuple[EpisodeMetrics, str]:
     """One episode, and the weather that it had.
 
     Args:
@@ -46,7 +46,12 @@ def run_episode(
     """
     observation, info = env.reset(seed=seed)
     building: Any = env.unwrapped
-    tally, weather, terminated, ended = Tally(building.manifest, building.reward), info.get("weather", ""), False, False
+    tally, weather, terminated, ended = (
+        MetricsAccumulator(building.manifest, building.reward),
+        info.get("weather", ""),
+        False,
+        False,
+    )
     tally.add(building.sample)
     while not ended:
         observation, _, terminated, truncated, info = env.step(act(observation))
@@ -61,18 +66,18 @@ def run_episode(
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class EpisodeRecord:
     """One episode of one controller."""
 
     controller: str
     episode: int
     seed: int
     weather: str
-    result: Result
+    result: EpisodeMetrics
 
 
 @dataclass(frozen=True, slots=True)
-class Spread:
+class MetricSummary:
     """A metric over the episodes of a controller.
 
     Attributes:
@@ -99,7 +104,7 @@ class Evaluation:
         unfit: by controller that was left out, since it does not fit the scenario, why.
     """
 
-    rows: tuple[Row, ...]
+    rows: tuple[EpisodeRecord, ...]
     sources: dict[str, str]
     unfit: dict[str, str] = field(default_factory=dict)
 
@@ -113,7 +118,7 @@ class Evaluation:
             for row, one in zip(self.rows, metrics, strict=True)
         ]
 
-    def summary(self) -> dict[str, dict[str, Spread]]:
+    def summary(self) -> dict[str, dict[str, MetricSummary]]:
         """By controller and metric; metrics that some episode does not know are left out."""
         values: dict[str, dict[str, list[float | None]]] = {}
         for row in self.rows:
@@ -125,14 +130,14 @@ class Evaluation:
         }
 
 
-def _spread(values: Sequence[Any]) -> Spread:
+def _spread(values: Sequence[Any]) -> MetricSummary:
     count, mean = len(values), statistics.fmean(values)
     if count == 1:
-        return Spread(1, mean, None, None)
+        return MetricSummary(1, mean, None, None)
     deviation = statistics.stdev(values)
     quantile = _student(count - 1)
     half = None if quantile is None else quantile * deviation / count**0.5
-    return Spread(count, mean, deviation, None if half is None else (mean - half, mean + half))
+    return MetricSummary(count, mean, deviation, None if half is None else (mean - half, mean + half))
 
 
 def _student(freedom: int) -> float | None:
@@ -178,9 +183,9 @@ def evaluate(
     settings = {**of_scenario(scenario), **given}
     makers = _makers(controllers)
     shares = _shares(makers, parameters or {}, seed)
-    rows: dict[str, list[Row]] = {}
+    rows: dict[str, list[EpisodeRecord]] = {}
     sources: dict[str, str] = {}
-    ready: dict[str, Acts] = {}
+    ready: dict[str, ControllerProtocol] = {}
     unfit: dict[str, UsageError] = {}
     for name in sorted(makers, key=lambda one: _is_the_buildings(makers[one])):
         own = _is_the_buildings(makers[name])
@@ -193,7 +198,7 @@ def evaluate(
                     rows[name] = _episodes(name, ready[name], env, range(seed, seed + episodes), progress)
                 except InvalidAction as error:
                     unfit[name] = error
-            sources = Tally(env.manifest, env.reward).sources | sources
+            sources = MetricsAccumulator(env.manifest, env.reward).sources | sources
     if not rows:
         raise next(iter(unfit.values()))
     told = {name: str(unfit[name]) for name in makers if name in unfit}
@@ -205,20 +210,20 @@ def _fitting(
     manifest: Manifest,
     shares: Mapping[str, dict[str, Any]],
     unfit: dict[str, UsageError],
-) -> dict[str, Acts]:
+) -> dict[str, ControllerProtocol]:
     """The controllers that the node has all for; the others are put into `unfit`."""
     ready = {}
     for name, maker in makers.items():
         try:
-            ready[name] = create(maker, manifest, shares[name])
+            ready[name] = make_controller(maker, manifest, shares[name])
         except ControllerMismatch as error:
             unfit[name] = error
     return ready
 
 
 def _episodes(
-    name: str, controller: Acts, env: BuildingEnv, seeds: Sequence[int], progress: Progress | None
-) -> list[Row]:
+    name: str, controller: ControllerProtocol, env: BuildingEnv, seeds: Sequence[int], progress: Progress | None
+) -> list[EpisodeRecord]:
     agent, steps = Agent(controller), env.manifest.steps
     rows = []
     for number, seed in enumerate(seeds):
@@ -229,12 +234,12 @@ def _episodes(
             seed=seed,
             progress=None if told is None else lambda step, told=told: told(step, steps),  # type: ignore[misc]
         )
-        rows.append(Row(name, number, seed, weather, result))
+        rows.append(EpisodeRecord(name, number, seed, weather, result))
     return rows
 
 
 def _is_the_buildings(maker: Maker) -> bool:
-    return isinstance(maker, type) and issubclass(maker, BuildingControl)
+    return isinstance(maker, type) and issubclass(maker, BaselineController)
 
 
 def _without_actuators(settings: Mapping[str, Any]) -> dict[str, Any]:

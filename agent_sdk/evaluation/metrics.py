@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from agent_sdk.bus.sample import SampleView
 from agent_sdk.rewards import REWARDS, MultiZoneReward, OccupiedReward, Reward, read_reward
-from agent_sdk.rewards.comfort_band import Banded
+from agent_sdk.rewards.comfort_band import ComfortBand
 from agent_sdk.rewards.occupied import PEOPLE
-from agent_sdk.rewards.selectors import HVAC_POWER, beside, temperatures
+from agent_sdk.rewards.selectors import HVAC_POWER, same_zone, temperatures
 from topics.errors import InvalidConfig
 from topics.messages import Aggregation, Manifest
 
@@ -32,7 +32,7 @@ _HVAC = "hvac_electricity"
 
 
 @dataclass(frozen=True, slots=True)
-class Result:
+class EpisodeMetrics:
     """An episode's totals; None is what the scenario does not tell.
 
     Attributes:
@@ -90,7 +90,7 @@ class Result:
         }
 
 
-class Tally:
+class MetricsAccumulator:
     """Adds up an episode's samples, from sample 0 on.
 
     Energy is that of the meters `<fuel>:Facility` and `Electricity:HVAC`; electricity without a meter is that of the
@@ -132,15 +132,15 @@ class Tally:
     def begin(self, sample: SampleView) -> None:
         """Start again from `sample`, whatever its step: the timestep that ended there does not count."""
         self._clear()
-        self._refused_before = self._refused = (sample.wire.late, sample.wire.rejected)
+        self._refused_before = self._refused = (sample.message.late, sample.message.rejected)
 
     def add(self, sample: SampleView, terms: Mapping[str, float] | None = None) -> None:
         """Adds the timestep that ended at `sample`, and the terms of its reward; at sample 0 it begins anew."""
         if sample.step == 0:
             self.begin(sample)
             return
-        refused = (sample.wire.late, sample.wire.rejected)
-        values = sample.truth
+        refused = (sample.message.late, sample.message.rejected)
+        values = sample.fault_free_values
         kwh = values[self._places] * self._to_kwh
         self._kwh += kwh
         if self._electric is not None:
@@ -156,14 +156,14 @@ class Tally:
         self._steps += 1
         self._refused = refused
 
-    def result(self, *, terminated: bool = False) -> Result:
+    def result(self, *, terminated: bool = False) -> EpisodeMetrics:
         """The totals so far; without a timestep there is no energy, power or comfort."""
         kwh = dict(zip(self._names, self._kwh.tolist(), strict=True)) if self._steps else {}
         hvac_kwh = kwh.pop(_HVAC, None)
         electric = self._electric if self._steps else None
         comfort = self._comfort if self._steps else None
         mean_kwh = None if electric is None else float(self._kwh[electric]) / self._steps
-        return Result(
+        return EpisodeMetrics(
             steps=self._steps,
             reward=None if self._terms is None else sum(self._terms.values()),
             terms=dict(self._terms or {}),
@@ -240,7 +240,7 @@ def _comfort(manifest: Manifest, reward: Reward | None) -> _Comfort | None:
     theirs = read_reward(said) if said is not None and said.get("kind") in REWARDS else None
     for candidate in (reward, theirs):
         try:
-            if isinstance(candidate, Banded):
+            if isinstance(candidate, ComfortBand):
                 return _banded(candidate, manifest)
             if isinstance(candidate, MultiZoneReward):
                 return _by_setpoints(candidate, manifest)
@@ -249,17 +249,17 @@ def _comfort(manifest: Manifest, reward: Reward | None) -> _Comfort | None:
     return None
 
 
-def _banded(reward: Banded, manifest: Manifest) -> _Comfort:
+def _banded(reward: ComfortBand, manifest: Manifest) -> _Comfort:
     band, zones = reward.season(manifest).band, temperatures(reward.kind, reward.temperatures, manifest).tolist()
     if isinstance(reward, OccupiedReward):
         zones, people = map(list, zip(*reward.pairs(zones, manifest), strict=True))
     else:
-        people = beside(zones, PEOPLE, manifest)
+        people = same_zone(zones, PEOPLE, manifest)
     return _Comfort(reward.kind, zones, people, lambda _, begin: band(begin))
 
 
 def _by_setpoints(reward: MultiZoneReward, manifest: Manifest) -> _Comfort:
     air, heat, cool = map(list, zip(*reward._points(manifest), strict=True))  # noqa: SLF001  # their pairs
     around = reward.threshold
-    people = beside(air, PEOPLE, manifest)
+    people = same_zone(air, PEOPLE, manifest)
     return _Comfort(reward.kind, air, people, lambda values, _: (values[heat] - around, values[cool] + around))

@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk.bus.controller_link import ControlLink
+from agent_sdk.bus.controller_link import ControllerLink
 from agent_sdk.bus.sample import SampleView
-from agent_sdk.envs.arguments import OF_A_NODE, of_scenario
+from agent_sdk.envs.arguments import NODE_ARGUMENTS, of_scenario
 from agent_sdk.envs.building_env import BuildingEnv
-from agent_sdk.evaluation.probe_effects import Effect, Held, Ranges, Side, effect_of
+from agent_sdk.evaluation.probe_effects import Effect, HoldExperiment, Ranges, Side, effect_of
 from topics.errors import BusError, ErrorCollector, InvalidConfig, SimulatorError, UnknownName, did_you_mean
 from topics.messages import Actuator, CreateBranch, Manifest
 from topics.units import with_unit
@@ -39,7 +39,7 @@ _EVERY = 96
 
 
 @dataclass(frozen=True, slots=True)
-class Probed:
+class ProbeReport:
     """What came of it.
 
     Attributes:
@@ -76,7 +76,7 @@ def probe(
     seed: int = 0,
     progress: Progress | None = None,
     **given: Any,
-) -> Probed:
+) -> ProbeReport:
     """Holds each actuator low and high for some hours, from several steps, and compares with leaving all alone.
 
     The building runs under its own control. At each of the steps, branches go on from the same sample: one that is
@@ -103,20 +103,22 @@ def probe(
         SimulatorError, BusError: the episode itself failed. A branch that EnergyPlus gives up in is a note.
     """
     settings = {**of_scenario(scenario), **given, "reward": None}  # it decides nothing here
-    if unknown := sorted(set(settings) - {*OF_A_NODE, "affinity", "reward"}):
-        raise InvalidConfig(f"{', '.join(unknown)}: no settings of a scenario; {did_you_mean(unknown[0], OF_A_NODE)}")
+    if unknown := sorted(set(settings) - {*NODE_ARGUMENTS, "affinity", "reward"}):
+        raise InvalidConfig(
+            f"{', '.join(unknown)}: no settings of a scenario; {did_you_mean(unknown[0], NODE_ARGUMENTS)}"
+        )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # the manifest has them; they stand with their actuator
         env = BuildingEnv(**settings)
     with closing(env):
-        asked = Asked(env.manifest, hours, days, at, points, low or {}, high or {})
+        asked = ProbeRequest(env.manifest, hours, days, at, points, low or {}, high or {})
         link = env.link
-        assert isinstance(link, ControlLink)
+        assert isinstance(link, ControllerLink)
         with _Branches(link, asked.length) as branches:
             return _Episode(asked, branches, progress).run(link, seed)
 
 
-class Asked:
+class ProbeRequest:
     """What was asked for, checked against the node.
 
     Attributes:
@@ -222,7 +224,7 @@ def _steps(manifest: Manifest, length: int, days: int, at: Sequence[float]) -> l
 class _Branches:
     """Makes branches in a few threads, each of which waits for its engine; use it with `with`."""
 
-    def __init__(self, parent: ControlLink, length: int) -> None:
+    def __init__(self, parent: ControllerLink, length: int) -> None:
         self._parent, self._length = parent, length
         self._stop = threading.Event()
         self._pool = ThreadPoolExecutor(min(os.cpu_count() or 1, _MOST_THREADS), thread_name_prefix="probe")
@@ -250,19 +252,19 @@ class _Branches:
                 while done < self._length and not self._stop.is_set():
                     link.send(None if done else hold)
                     came = link.receive()
-                    points[done], applied[done] = came.values, came.applied
+                    points[done], applied[done] = came.values, came.effective
                     done += 1
             except SimulatorError as error:
                 failure = str(error)
         return _Run(points[:done], applied[:done], failure)
 
     @contextmanager
-    def _branch(self, sample: SampleView) -> Iterator[ControlLink]:
+    def _branch(self, sample: SampleView) -> Iterator[ControllerLink]:
         bus, parent = self._parent.bus, self._parent
         name = bus.branch(parent.manifest.node, CreateBranch(controller=parent.name))
         try:
             with bus.controller(name, name="probe") as link:
-                link.stand_at(sample.wire)
+                link.set_current(sample.message)
                 yield link
         finally:
             with suppress(BusError):  # it has ended with its node
@@ -272,15 +274,15 @@ class _Branches:
 class _Episode:
     """One episode under the building's own control, and the branches along it."""
 
-    def __init__(self, asked: Asked, branches: _Branches, progress: Progress | None) -> None:
+    def __init__(self, asked: ProbeRequest, branches: _Branches, progress: Progress | None) -> None:
         self._asked, self._branches, self._progress = asked, branches, progress
         self._actuators = asked.manifest.actuators
         self._ranges = Ranges(len(asked.manifest.names))
-        self._held: dict[str, list[Held]] = {actuator.name: [] for actuator in self._actuators}
+        self._held: dict[str, list[HoldExperiment]] = {actuator.name: [] for actuator in self._actuators}
         self._done = 0
         self._total = asked.steps[-1] + len(asked.steps) * (1 + 2 * len(self._actuators)) * asked.length
 
-    def run(self, link: ControlLink, seed: int) -> Probed:
+    def run(self, link: ControllerLink, seed: int) -> ProbeReport:
         """From sample 0 to the last of the steps."""
         sample, times = link.reset(seed=seed), []
         for step in self._asked.steps:
@@ -289,9 +291,9 @@ class _Episode:
             self._hold_each(sample)
         asked, spans = self._asked, self._ranges.spans
         effects = [effect_of(asked.manifest, a, self._held[a.name], asked.compared, spans) for a in self._actuators]
-        return Probed(asked.manifest, tuple(times), asked.hours, tuple(effects))
+        return ProbeReport(asked.manifest, tuple(times), asked.hours, tuple(effects))
 
-    def _go_on(self, link: ControlLink, sample: SampleView, step: int) -> SampleView:
+    def _go_on(self, link: ControllerLink, sample: SampleView, step: int) -> SampleView:
         self._ranges.add(sample.values)
         while sample.step < step:
             link.send()
@@ -301,7 +303,7 @@ class _Episode:
         return sample
 
     def _hold_each(self, sample: SampleView) -> None:
-        was = sample.applied.tolist()
+        was = sample.effective.tolist()
         sides = [
             (place, side, value)
             for place, actuator in enumerate(self._actuators)
@@ -315,7 +317,9 @@ class _Episode:
             raise SimulatorError(f"a branch from {sample.time} that was left alone failed: {alone.failure}")
         for (place, side, value), run in zip(sides, runs, strict=True):
             self._take(run)
-            held = Held(side, value, sample.time, run.points, alone.points, run.applied[:, place], run.failure)
+            held = HoldExperiment(
+                side, value, sample.time, run.points, alone.points, run.applied[:, place], run.failure
+            )
             self._held[self._actuators[place].name].append(held)
 
     def _take(self, run: _Run) -> _Run:

@@ -23,7 +23,7 @@ _ASKED_FOR = ("setpoint", "schedule value")
 
 
 @dataclass(frozen=True, slots=True)
-class Held:
+class HoldExperiment:
     """One branch in which an actuator was held, and the one beside it that was left alone.
 
     Attributes:
@@ -40,13 +40,13 @@ class Held:
     value: float
     time: datetime
     points: NDArray[np.float64]
-    alone: NDArray[np.float64]
+    reference: NDArray[np.float64]
     applied: NDArray[np.float64]
     failure: str = ""
 
 
 @dataclass(frozen=True, slots=True)
-class Felt:
+class PointResponse:
     """A point that feels an actuator.
 
     Attributes:
@@ -91,11 +91,11 @@ class Effect:
     unit: str
     low: float
     high: float
-    felt: tuple[Felt, ...]
+    felt: tuple[PointResponse, ...]
     first_min: float | None
     identical: bool
-    echoes: tuple[str, ...]
-    obeyed: bool | None
+    pass_through: tuple[str, ...]
+    tracked: bool | None
     notes: tuple[str, ...]
 
 
@@ -119,7 +119,11 @@ class Ranges:
 
 
 def effect_of(
-    manifest: Manifest, actuator: Actuator, held: Sequence[Held], compared: Sequence[int], spans: NDArray[np.float64]
+    manifest: Manifest,
+    actuator: Actuator,
+    held: Sequence[HoldExperiment],
+    compared: Sequence[int],
+    spans: NDArray[np.float64],
 ) -> Effect:
     """Compares all branches of one actuator.
 
@@ -148,23 +152,23 @@ def effect_of(
         felt=tuple(sorted(felt, key=lambda one: (-one.share, one.point))),
         first_min=(min(firsts) + 1) * minutes if firsts else None,
         identical=not any(_unlike(one)[:, counted].any() for one in held),
-        echoes=tuple(manifest.names[i] for i in echoes),
-        obeyed=_obeyed(held),
+        pass_through=tuple(manifest.names[i] for i in echoes),
+        tracked=_obeyed(held),
         notes=tuple(_notes(manifest, actuator, held)),
     )
 
 
-def _pair(one: Held) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    return one.points, one.alone[: len(one.points)]
+def _pair(one: HoldExperiment) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    return one.points, one.reference[: len(one.points)]
 
 
-def _unlike(one: Held) -> NDArray[np.bool_]:
+def _unlike(one: HoldExperiment) -> NDArray[np.bool_]:
     points, alone = _pair(one)
     unlike: NDArray[np.bool_] = (points != alone) & ~(np.isnan(points) & np.isnan(alone))
     return unlike
 
 
-def _differences(one: Held) -> NDArray[np.float64]:
+def _differences(one: HoldExperiment) -> NDArray[np.float64]:
     """Shape (timesteps, points); 0 where it is of rounding's size."""
     points, alone = _pair(one)
     size = np.maximum(np.abs(points), np.abs(alone))
@@ -172,23 +176,27 @@ def _differences(one: Held) -> NDArray[np.float64]:
     return np.where(_unlike(one) & (apart > _ROUNDING * size), apart, 0.0)
 
 
-def _first(one: Held, counted: Sequence[int]) -> int | None:
+def _first(one: HoldExperiment, counted: Sequence[int]) -> int | None:
     timesteps = np.flatnonzero(_differences(one)[:, counted].any(axis=1))
     return int(timesteps[0]) if len(timesteps) else None
 
 
-def _largest(point: str, unit: str, index: int, held: Iterable[Held], span: float, minutes: float) -> Felt | None:
-    found: Felt | None = None
+def _largest(
+    point: str, unit: str, index: int, held: Iterable[HoldExperiment], span: float, minutes: float
+) -> PointResponse | None:
+    found: PointResponse | None = None
     for one in held:
         apart = _differences(one)[:, index]
         at = int(apart.argmax()) if len(apart) else 0
         if len(apart) and apart[at] > (found.difference if found else 0.0):
             far = float(apart[at])
-            found = Felt(point, unit, far, far / float(span), one.side, one.value, one.time, (at + 1) * minutes)
+            found = PointResponse(
+                point, unit, far, far / float(span), one.side, one.value, one.time, (at + 1) * minutes
+            )
     return found
 
 
-def _repeats(sensor: Sensor, index: int, actuator: Actuator, held: Iterable[Held]) -> bool:
+def _repeats(sensor: Sensor, index: int, actuator: Actuator, held: Iterable[HoldExperiment]) -> bool:
     """Whether a sensor tells of the command and not of the building."""
     if sensor.variable == actuator.feedback and sensor.key.casefold() == actuator.key.casefold():
         return True
@@ -198,14 +206,14 @@ def _repeats(sensor: Sensor, index: int, actuator: Actuator, held: Iterable[Held
     return bool(told) and all(np.allclose(values, value, rtol=_REPEATED, atol=_REPEATED) for values, value in told)
 
 
-def _obeyed(held: Iterable[Held]) -> bool | None:
+def _obeyed(held: Iterable[HoldExperiment]) -> bool | None:
     told = [(one.applied, one.value) for one in held if len(one.applied)]
     if not told or any(np.isnan(applied).any() for applied, _ in told):
         return None
     return all(np.allclose(applied, value, rtol=_REPEATED, atol=_REPEATED) for applied, value in told)
 
 
-def _notes(manifest: Manifest, actuator: Actuator, held: Sequence[Held]) -> Iterable[str]:
+def _notes(manifest: Manifest, actuator: Actuator, held: Sequence[HoldExperiment]) -> Iterable[str]:
     """What is known of the model, and what became of the branches."""
     yield from (text for text in manifest.warnings if repr(actuator.name) in text)
     if _obeyed(held) is False:

@@ -9,14 +9,14 @@ from pydantic import ValidationError
 
 from agent_sdk.rewards.base import BoundReward, Outcome, Reward
 from agent_sdk.rewards.carbon import CarbonReward
-from agent_sdk.rewards.config import Kind
-from agent_sdk.rewards.custom import RewardFunction, made, of_function
+from agent_sdk.rewards.config import RewardConfig
+from agent_sdk.rewards.custom import RewardFunction, from_function, made
 from agent_sdk.rewards.energy_cost import EnergyCostReward, TariffReward
 from agent_sdk.rewards.exponential import ExponentialReward
 from agent_sdk.rewards.hourly import HourlyReward
 from agent_sdk.rewards.linear import LinearReward
 from agent_sdk.rewards.multi_zone import MultiZoneReward
-from agent_sdk.rewards.normalized import NormalisedReward
+from agent_sdk.rewards.normalized import NormalizedReward
 from agent_sdk.rewards.occupied import OccupiedReward
 from agent_sdk.rewards.peak import PeakReward
 from agent_sdk.rewards.thermal_sensation import ThermalSensationReward
@@ -24,16 +24,33 @@ from topics.codec import describe_validation_errors
 from topics.errors import InvalidConfig, did_you_mean
 
 __all__ = [
-    "REWARDS", "AnyReward", "BoundReward", "CarbonReward", "EnergyCostReward", "ExponentialReward", "HourlyReward",
-    "Kind", "LinearReward", "MultiZoneReward", "NormalisedReward", "OccupiedReward", "Outcome", "PeakReward", "Reward",
-    "RewardFunction", "TariffReward", "ThermalSensationReward", "of_function", "read_reward",
+    "REWARDS",
+    "AnyReward",
+    "BoundReward",
+    "CarbonReward",
+    "EnergyCostReward",
+    "ExponentialReward",
+    "HourlyReward",
+    "LinearReward",
+    "MultiZoneReward",
+    "NormalizedReward",
+    "OccupiedReward",
+    "Outcome",
+    "PeakReward",
+    "Reward",
+    "RewardConfig",
+    "RewardFunction",
+    "TariffReward",
+    "ThermalSensationReward",
+    "from_function",
+    "read_reward",
 ]  # fmt: skip
 
-REWARDS: dict[str, type[Kind]] = {
+REWARDS: dict[str, type[RewardConfig]] = {
     "linear": LinearReward,
     "exponential": ExponentialReward,
     "hourly": HourlyReward,
-    "normalised": NormalisedReward,
+    "normalised": NormalizedReward,
     "multi_zone": MultiZoneReward,
     "energy_cost": EnergyCostReward,
     "tariff": TariffReward,
@@ -63,7 +80,7 @@ def read_reward(given: AnyReward) -> Reward:
     if hasattr(given, "bind"):
         return cast("Reward", made(given) if isinstance(given, type) else given)
     if callable(given):
-        return of_function(given)
+        return from_function(given)
     raise InvalidConfig(
         f"reward: a kind ({', '.join(REWARDS)}), a kind with its parameters, an object that can be bound or a function "
         f"of (values, begin) expected, got {given!r}"

@@ -24,7 +24,7 @@ class Outcome(NamedTuple):
 
     reward: Any
     terms: Terms
-    measures: Terms
+    metrics: Terms
 
 
 class BoundReward(ABC):

@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from agent_sdk.rewards.base import Begin, BoundReward, Outcome
-from agent_sdk.rewards.energy import Metered, MeteredBound
+from agent_sdk.rewards.energy import EnergyReward, MeteredBound
 from agent_sdk.time_series import Intensity, grams_per_kwh
 from topics.messages import Manifest
 
 
-class CarbonReward(Metered):
+class CarbonReward(EnergyReward):
     """What the energy emits, and degrees outside the comfort band.
 
         r = -w * lambda_carbon * E * c / 1000 - (1 - w) * lambda_temperature * sum_z max(low - T_z, T_z - high, 0)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, model_validator
 
 from agent_sdk.rewards.base import Begin, BoundReward
-from agent_sdk.rewards.config import Kind, Names
+from agent_sdk.rewards.config import Names, RewardConfig
 from agent_sdk.rewards.selectors import temperatures
 from topics.messages import Manifest
 
@@ -69,7 +69,7 @@ class Seasons(Generic[Pair]):
         return tuple(rows[:, i : i + 1] for i in range(len(self.winter)))
 
 
-class Dated(Kind):
+class Seasonal(RewardConfig):
     """Knows summer from winter.
 
     Attributes:
@@ -86,7 +86,7 @@ class Dated(Kind):
         return Seasons(winter, summer, self.summer_begin or begin, self.summer_end or end)
 
 
-class Banded(Dated):
+class ComfortBand(Seasonal):
     """Has a comfort band for winter and one for summer.
 
     Attributes:
@@ -99,7 +99,7 @@ class Banded(Dated):
     temperatures: Names | None = None
 
     @model_validator(mode="after")
-    def _bands_are_upright(self) -> Banded:
+    def _bands_are_upright(self) -> ComfortBand:
         for name, (low, high) in (("winter", self.winter), ("summer", self.summer)):
             if not low < high:
                 raise ValueError(f"the {name} band's lower end {low} is not below its upper end {high}")
@@ -125,7 +125,7 @@ class BandedBound(BoundReward):
         InvalidConfig: there are no such temperatures.
     """
 
-    def __init__(self, of: Banded, manifest: Manifest) -> None:
+    def __init__(self, of: ComfortBand, manifest: Manifest) -> None:
         self._season = of.season(manifest)
         self._zones = temperatures(of.kind, of.temperatures, manifest)
 

@@ -19,7 +19,7 @@ Names = Annotated[tuple[str, ...], BeforeValidator(_one_or_more, json_schema_inp
 """Names of sensors or meters; a single one may stand alone."""
 
 
-class Kind(BaseModel, ABC):
+class RewardConfig(BaseModel, ABC):
     """A reward that a scenario can name: frozen, checked, written out as `read_reward` reads it."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)

@@ -18,7 +18,7 @@ RewardFunction = Callable[[Mapping[str, Any], Any], Mapping[str, Any] | float]
 terms by name."""
 
 
-def of_function(function: RewardFunction | type) -> Reward:
+def from_function(function: RewardFunction | type) -> Reward:
     """A function as a reward.
 
     Args:

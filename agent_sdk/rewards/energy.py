@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from agent_sdk.rewards.comfort_band import Banded, BandedBound
+from agent_sdk.rewards.comfort_band import BandedBound, ComfortBand
 from agent_sdk.rewards.config import Names
 from agent_sdk.rewards.selectors import HVAC_POWER, indices, of_variables
 from topics.errors import InvalidConfig, did_you_mean
@@ -91,7 +91,7 @@ def _index(kind: str, name: str, manifest: Manifest) -> int:
     return place
 
 
-class Metered(Banded):
+class EnergyReward(ComfortBand):
     """Weighs something that goes by energy against comfort.
 
     Attributes:
@@ -108,6 +108,6 @@ class Metered(Banded):
 class MeteredBound(BandedBound):
     """Measures the energy as well."""
 
-    def __init__(self, of: Metered, manifest: Manifest) -> None:
+    def __init__(self, of: EnergyReward, manifest: Manifest) -> None:
         super().__init__(of, manifest)
         self._energy = Energy(of.kind, of.energy, manifest)

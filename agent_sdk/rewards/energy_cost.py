@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
 from agent_sdk.rewards.base import Begin, BoundReward, Outcome
-from agent_sdk.rewards.energy import Metered, MeteredBound
-from agent_sdk.time_series import AnySignal, HourTable, Number, Period, Price, Unit, per_kwh
+from agent_sdk.rewards.energy import EnergyReward, MeteredBound
+from agent_sdk.time_series import Number, Period, Price, TimeOfUse, TimeSeries, Unit, per_kwh
 from topics.messages import Manifest
 
 
-class EnergyCostReward(Metered):
+class EnergyCostReward(EnergyReward):
     """Power, degrees outside the comfort band, and what the energy costs.
 
         r = -w * lambda_energy * P - w_T * lambda_temperature * D - (1 - w - w_T) * lambda_cost * E * price
@@ -68,7 +68,7 @@ class _ThreeTerms(MeteredBound):
         return Outcome(energy + comfort + money, {"energy": energy, "comfort": comfort, "cost": money}, measures)
 
 
-class TariffReward(Metered):
+class TariffReward(EnergyReward):
     """The energy bill under a tariff by the time of use, and degrees outside the comfort band.
 
         r = -w * lambda_cost * E * price - (1 - w) * lambda_temperature * sum_z max(low - T_z, T_z - high, 0)
@@ -105,7 +105,7 @@ class TariffReward(Metered):
 class _TwoTerms(MeteredBound):
     def __init__(self, of: TariffReward, manifest: Manifest) -> None:
         super().__init__(of, manifest)
-        self._price = _PerKwh(HourTable(table=of.periods, otherwise=of.otherwise, unit=of.unit))
+        self._price = _PerKwh(TimeOfUse(table=of.periods, otherwise=of.otherwise, unit=of.unit))
         self._of_cost = -of.weight * of.lambda_cost
         self._of_comfort = -(1.0 - of.weight) * of.lambda_temperature
 
@@ -120,7 +120,7 @@ class _TwoTerms(MeteredBound):
 class _PerKwh:
     """A price in money per kWh."""
 
-    def __init__(self, price: AnySignal) -> None:
+    def __init__(self, price: TimeSeries) -> None:
         price.load()
         self._signal, self._factor = price, per_kwh(price.unit)
 

@@ -8,15 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent_sdk.rewards.base import Begin, BoundReward, Outcome
-from agent_sdk.rewards.linear import Weighted, WeightedBound
-from agent_sdk.rewards.selectors import total
+from agent_sdk.rewards.linear import WeightedBound, WeightedReward
+from agent_sdk.rewards.selectors import sum_at
 from topics.messages import Manifest
 
 MOST_K = 100.0
 """What lies further outside counts as this far: e^100 is a number yet."""
 
 
-class ExponentialReward(Weighted):
+class ExponentialReward(WeightedReward):
     """As `LinearReward`, with the exponential of the degrees outside.
 
     Source: Sinergym's `ExpReward`.
@@ -39,7 +39,7 @@ class _Bound(WeightedBound):
     def __call__(self, values: NDArray[np.float64], begin: Begin) -> Outcome:
         outside = self._outside(values, begin)
         price = np.where(outside > 0.0, np.exp(np.minimum(outside, MOST_K)), 0.0).sum(axis=-1)
-        power_w = total(values, self._powers)
+        power_w = sum_at(values, self._powers)
         energy, comfort = self._energy * power_w, self._comfort * price
         terms = {"energy": energy, "comfort": comfort}
         return Outcome(energy + comfort, terms, {"power_w": power_w, "degrees_outside": outside.sum(axis=-1)})

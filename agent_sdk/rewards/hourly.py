@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from agent_sdk.rewards.base import Begin, BoundReward, Outcome
-from agent_sdk.rewards.linear import Weighted, WeightedBound
-from agent_sdk.rewards.selectors import total
+from agent_sdk.rewards.linear import WeightedBound, WeightedReward
+from agent_sdk.rewards.selectors import sum_at
 from agent_sdk.time_series import Hours, within
 from topics.messages import Manifest
 
 
-class HourlyReward(Weighted):
+class HourlyReward(WeightedReward):
     """As `LinearReward`, with a weight for some hours of the day and another for the rest.
 
     Source: Sinergym's `HourlyLinearReward`, whose weight outside the hours is always 1.
@@ -49,7 +49,7 @@ class _Bound(WeightedBound):
 
     def __call__(self, values: NDArray[np.float64], begin: Begin) -> Outcome:
         weight = self._weight(begin)
-        outside, power_w = self._degrees(values, begin), total(values, self._powers)
+        outside, power_w = self._degrees(values, begin), sum_at(values, self._powers)
         energy = -weight * self._of.lambda_energy * power_w
         comfort = -(1.0 - weight) * self._of.lambda_temperature * outside
         terms = {"energy": energy, "comfort": comfort}

@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from agent_sdk.rewards.base import Begin, BoundReward, Outcome
-from agent_sdk.rewards.comfort_band import Banded, BandedBound
+from agent_sdk.rewards.comfort_band import BandedBound, ComfortBand
 from agent_sdk.rewards.config import Names
-from agent_sdk.rewards.selectors import powers, total
+from agent_sdk.rewards.selectors import powers, sum_at
 from topics.messages import Manifest
 
 
-class Weighted(Banded):
+class WeightedReward(ComfortBand):
     """Weighs power against comfort.
 
     Attributes:
@@ -34,14 +34,14 @@ class Weighted(Banded):
 class WeightedBound(BandedBound):
     """Knows the factors of both terms."""
 
-    def __init__(self, of: Weighted, manifest: Manifest) -> None:
+    def __init__(self, of: WeightedReward, manifest: Manifest) -> None:
         self._powers = powers(of.kind, of.power, manifest)
         super().__init__(of, manifest)
         self._energy = -of.weight * of.lambda_energy
         self._comfort = -(1.0 - of.weight) * of.lambda_temperature
 
 
-class LinearReward(Weighted):
+class LinearReward(WeightedReward):
     """Weighted sum of power and of degrees outside the comfort band.
 
     Source: the `LinearReward` of Campoy-Nieves et al., "Sinergym: a virtual testbed for building energy
@@ -66,7 +66,7 @@ class LinearReward(Weighted):
 class _Bound(WeightedBound):
     def __call__(self, values: NDArray[np.float64], begin: Begin) -> Outcome:
         outside = self._degrees(values, begin)
-        power_w = total(values, self._powers)
+        power_w = sum_at(values, self._powers)
         energy, comfort = self._energy * power_w, self._comfort * outside
         terms = {"energy": energy, "comfort": comfort}
         return Outcome(energy + comfort, terms, {"power_w": power_w, "degrees_outside": outside})

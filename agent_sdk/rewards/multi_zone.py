@@ -9,8 +9,17 @@ from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
 from agent_sdk.rewards.base import Begin, BoundReward, Outcome
-from agent_sdk.rewards.config import Kind, Names
-from agent_sdk.rewards.selectors import ZONE_TEMPERATURES, Indices, beside, indices, named, of_variables, powers, total
+from agent_sdk.rewards.config import Names, RewardConfig
+from agent_sdk.rewards.selectors import (
+    ZONE_TEMPERATURES,
+    Indices,
+    indices,
+    named,
+    of_variables,
+    powers,
+    same_zone,
+    sum_at,
+)
 from topics.errors import InvalidConfig
 from topics.messages import Manifest
 
@@ -18,7 +27,7 @@ HEATING = "Zone Thermostat Heating Setpoint Temperature"
 COOLING = "Zone Thermostat Cooling Setpoint Temperature"
 
 
-class MultiZoneReward(Kind):
+class MultiZoneReward(RewardConfig):
     """Power, and degrees outside each zone's own band: its measured setpoints, and a threshold around them.
 
     Source: Sinergym's `MultiZoneReward`, with one setpoint a zone.
@@ -68,7 +77,7 @@ class MultiZoneReward(Kind):
                 rows.append((found[0], found[1], found[-1]))
             return rows
         air = of_variables(manifest, *ZONE_TEMPERATURES)
-        both = zip(air, beside(air, HEATING, manifest), beside(air, COOLING, manifest), strict=True)
+        both = zip(air, same_zone(air, HEATING, manifest), same_zone(air, COOLING, manifest), strict=True)
         rows = [(zone, heat, cool) for zone, heat, cool in both if heat is not None and cool is not None]
         if not rows:
             raise InvalidConfig(
@@ -91,7 +100,7 @@ class _Bound(BoundReward):
         cold = values.take(self._heat, axis=-1) - self._threshold_k - air
         warm = air - values.take(self._cool, axis=-1) - self._threshold_k
         outside = np.maximum(np.maximum(cold, warm), 0.0).sum(axis=-1)
-        power_w = total(values, self._powers)
+        power_w = sum_at(values, self._powers)
         energy, comfort = self._energy * power_w, self._comfort * outside
         terms = {"energy": energy, "comfort": comfort}
         return Outcome(energy + comfort, terms, {"power_w": power_w, "degrees_outside": outside})

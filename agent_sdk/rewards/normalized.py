@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from agent_sdk.rewards.base import Begin, BoundReward, Outcome
-from agent_sdk.rewards.comfort_band import Banded, BandedBound
+from agent_sdk.rewards.comfort_band import BandedBound, ComfortBand
 from agent_sdk.rewards.config import Names
-from agent_sdk.rewards.selectors import powers, total
-from agent_sdk.rewards.slot_state import Memory
+from agent_sdk.rewards.selectors import powers, sum_at
+from agent_sdk.rewards.slot_state import SlotState
 from topics.messages import Manifest
 
 
-class NormalisedReward(Banded):
+class NormalizedReward(ComfortBand):
     """Power and degrees outside the band, each as a share of the greatest that was seen.
 
         r = -w * P / P_max - (1 - w) * D / D_max,    D = sum_z max(low - T_z, T_z - high, 0)
@@ -48,7 +48,7 @@ class NormalisedReward(Banded):
     power: Names | None = None
 
     @model_validator(mode="after")
-    def _has_maxima(self) -> NormalisedReward:
+    def _has_maxima(self) -> NormalizedReward:
         if not self.moving and (self.max_power_w is None or self.max_degrees is None):
             raise ValueError("maxima that do not move have to be given: max_power_w and max_degrees")
         return self
@@ -59,14 +59,14 @@ class NormalisedReward(Banded):
 
 
 class _Bound(BandedBound):
-    def __init__(self, of: NormalisedReward, manifest: Manifest) -> None:
+    def __init__(self, of: NormalizedReward, manifest: Manifest) -> None:
         super().__init__(of, manifest)
         self._of = of
         self._powers = powers(of.kind, of.power, manifest)
-        self._memory = Memory(of.kind, max_power_w=of.max_power_w or 0.0, max_degrees=of.max_degrees or 0.0)
+        self._memory = SlotState(of.kind, max_power_w=of.max_power_w or 0.0, max_degrees=of.max_degrees or 0.0)
 
     def __call__(self, values: NDArray[np.float64], begin: Begin) -> Outcome:
-        outside, power_w = self._degrees(values, begin), total(values, self._powers)
+        outside, power_w = self._degrees(values, begin), sum_at(values, self._powers)
         maxima = self._memory.of(values.shape[:-1])
         if self._of.moving:
             most_w = np.maximum(maxima["max_power_w"], power_w)

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from agent_sdk.rewards.base import Begin, BoundReward, Outcome
-from agent_sdk.rewards.linear import Weighted, WeightedBound
-from agent_sdk.rewards.selectors import beside, indices, named, total
+from agent_sdk.rewards.linear import WeightedBound, WeightedReward
+from agent_sdk.rewards.selectors import indices, named, same_zone, sum_at
 from topics.errors import InvalidConfig
 from topics.messages import Manifest
 
@@ -18,7 +18,7 @@ PEOPLE = "Zone People Occupant Count"
 _UNITS = ("1", "count", "fraction")
 
 
-class OccupiedReward(Weighted):
+class OccupiedReward(WeightedReward):
     """As `LinearReward`, with the degrees of each zone weighed by its people.
 
         r = -w * lambda_energy * P - (1 - w) * lambda_temperature * sum_z n_z * max(low - T_z, T_z - high, 0)
@@ -64,7 +64,7 @@ class _Bound(WeightedBound):
         people = values.take(self._people, axis=-1)
         weight = np.where(people > 0.0, people if self._by_number else 1.0, self._empty)
         outside = (weight * self._outside(values, begin)).sum(axis=-1)
-        power_w = total(values, self._powers)
+        power_w = sum_at(values, self._powers)
         energy, comfort = self._energy * power_w, self._comfort * outside
         measures = {"power_w": power_w, "degrees_outside": outside, "people": people.sum(axis=-1)}
         return Outcome(energy + comfort, {"energy": energy, "comfort": comfort}, measures)
@@ -79,7 +79,7 @@ def _pairs(of: OccupiedReward, zones: list[int], manifest: Manifest) -> list[tup
         }
         found = [said.get(zone) for zone in zones]
     else:
-        found = beside(zones, PEOPLE, manifest)
+        found = same_zone(zones, PEOPLE, manifest)
     without = [manifest.sensors[zone] for zone, people in zip(zones, found, strict=True) if people is None]
     if len(without) == len(zones) or (without and of.temperatures is not None):
         lacking = without[0]

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from agent_sdk.rewards.base import Begin, BoundReward, Outcome
-from agent_sdk.rewards.energy import Metered, MeteredBound
-from agent_sdk.rewards.slot_state import Memory
+from agent_sdk.rewards.energy import EnergyReward, MeteredBound
+from agent_sdk.rewards.slot_state import SlotState
 from topics.messages import Manifest
 
 
-class PeakReward(Metered):
+class PeakReward(EnergyReward):
     """Power, degrees outside the comfort band, and what is added to the month's peak.
 
         r = -w * lambda_energy * P - (1 - w) * lambda_temperature * D - lambda_peak * max(K - K_max, 0)
@@ -51,7 +51,7 @@ class _Bound(MeteredBound):
         self._least_kw, self._of_peak = of.threshold_kw, -of.lambda_peak
         self._of_power = -of.weight * of.lambda_energy
         self._of_comfort = -(1.0 - of.weight) * of.lambda_temperature
-        self._memory = Memory(of.kind, month=-1.0, peak_kw=of.threshold_kw)
+        self._memory = SlotState(of.kind, month=-1.0, peak_kw=of.threshold_kw)
 
     def __call__(self, values: NDArray[np.float64], begin: Begin) -> Outcome:
         outside, kwh = self._degrees(values, begin), self._energy.kwh(values)

@@ -23,7 +23,7 @@ def indices(found: Sequence[int]) -> Indices:
     return np.array(found, np.intp)
 
 
-def total(values: NDArray[np.float64], at: Indices) -> Any:
+def sum_at(values: NDArray[np.float64], at: Indices) -> Any:
     """The sum of some points, with the leading shape of `values`."""
     if len(at) == 1:
         return values.take(at[0], axis=-1)
@@ -81,7 +81,7 @@ def temperatures(kind: str, names: Sequence[str] | None, manifest: Manifest) -> 
     return indices(found)
 
 
-def beside(zones: Sequence[int], variable: str, manifest: Manifest) -> list[int | None]:
+def same_zone(zones: Sequence[int], variable: str, manifest: Manifest) -> list[int | None]:
     """For each of these sensors the one of another output variable with the same key; None where there is none."""
     there = {
         s.key.casefold(): i

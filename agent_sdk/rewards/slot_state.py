@@ -13,7 +13,7 @@ from topics.errors import InvalidConfig
 Numbers = dict[str, NDArray[np.float64]]
 
 
-class Memory:
+class SlotState:
     """Numbers by name, one of each for each slot.
 
     Args:

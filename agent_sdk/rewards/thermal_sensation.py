@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from agent_sdk.rewards.base import Begin, BoundReward, Outcome
-from agent_sdk.rewards.comfort_band import Dated
+from agent_sdk.rewards.comfort_band import Seasonal
 from agent_sdk.rewards.config import Names
-from agent_sdk.rewards.selectors import Indices, beside, indices, named, of_variables, powers, temperatures, total
+from agent_sdk.rewards.selectors import Indices, indices, named, of_variables, powers, same_zone, sum_at, temperatures
 from topics.errors import InvalidConfig
 from topics.extras import install_command
 from topics.messages import Manifest
@@ -25,7 +25,7 @@ Votes = Callable[[NDArray[np.float64], Begin], NDArray[np.float64]]
 """The values of a timestep to the predicted mean vote or the dissatisfied in percent, by zone."""
 
 
-class ThermalSensationReward(Dated):
+class ThermalSensationReward(Seasonal):
     """Power, and how far the predicted mean vote (PMV) or the dissatisfied (PPD) leave what is comfortable.
 
         by pmv: r = -w * lambda_energy * P - (1 - w) * lambda_sensation * sum_z max(|PMV_z| - limit, 0)
@@ -123,7 +123,7 @@ class ThermalSensationReward(Dated):
                 raise InvalidConfig(f"the {self.kind} reward names {len(names)} {field} for {len(zones)} temperatures")
             return indices([named(self.kind, name, manifest, [unit]) for name in names])
         found = []
-        for zone, other in zip(zones, beside(zones, variable, manifest), strict=True):
+        for zone, other in zip(zones, same_zone(zones, variable, manifest), strict=True):
             if other is None:
                 air = manifest.sensors[zone]
                 raise InvalidConfig(
@@ -147,7 +147,7 @@ class _Bound(BoundReward):
     def __call__(self, values: NDArray[np.float64], begin: Begin) -> Outcome:
         votes = self._votes(values, begin)
         beyond = np.maximum(np.abs(votes) - self._limit, 0.0).sum(axis=-1)
-        power_w = total(values, self._powers)
+        power_w = sum_at(values, self._powers)
         energy, comfort = self._energy * power_w, self._comfort * beyond
         measures = {
             "power_w": power_w,

@@ -7,7 +7,7 @@ from agent_sdk.testing.climate import Climate
 from agent_sdk.testing.fake_building import FakeBuilding
 from agent_sdk.testing.fake_env import FakeEnv
 from agent_sdk.testing.fake_link import FakeLink
-from agent_sdk.testing.rc_zones import Flow, Rooms, Zone
+from agent_sdk.testing.rc_zones import RCZones, Zone, ZoneStep
 from agent_sdk.testing.report import ConformanceError, Report, Result
 
 __all__ = [
@@ -16,11 +16,11 @@ __all__ = [
     "FakeBuilding",
     "FakeEnv",
     "FakeLink",
-    "Flow",
+    "RCZones",
     "Report",
     "Result",
-    "Rooms",
     "Zone",
+    "ZoneStep",
     "check_controller",
     "check_environment",
     "check_reward",

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from agent_sdk.bus.sample import SampleView
-from agent_sdk.controllers.base import Acts
+from agent_sdk.controllers.base import ControllerProtocol
 from agent_sdk.testing import synthetic_samples
 from agent_sdk.testing.fake_building import FakeBuilding
 from agent_sdk.testing.fake_link import FakeLink
@@ -19,7 +19,7 @@ from agent_sdk.testing.report import Check, Report, name_of, raised, run
 from topics.errors import ZenostatError
 from topics.messages import Manifest
 
-Maker = Callable[[Manifest], Acts]
+Maker = Callable[[Manifest], ControllerProtocol]
 """A controller's class, or a function that makes one."""
 
 _SAMPLES = 200
@@ -74,19 +74,19 @@ class _Stage:
         return ((step, a) for step, a in enumerate(self.answers) if isinstance(a, Mapping))
 
 
-def play(controller: Acts, samples: list[SampleView]) -> list[Any]:
+def play(controller: ControllerProtocol, samples: list[SampleView]) -> list[Any]:
     """The controller's answers to all samples of an episode but the last; an exception in place of an answer."""
     begin(controller, samples[0])
     return [_answer(controller, sample) for sample in samples[:-1]]
 
 
-def begin(controller: Acts, sample: SampleView) -> None:
+def begin(controller: ControllerProtocol, sample: SampleView) -> None:
     """Tells a controller that an episode begins, if it wants to know."""
     if hasattr(controller, "begin"):
         controller.begin(sample)
 
 
-def _answer(controller: Acts, sample: SampleView) -> Any:
+def _answer(controller: ControllerProtocol, sample: SampleView) -> Any:
     try:
         answer = controller.act(sample)
     except Exception as error:
@@ -170,12 +170,12 @@ def _uncrossed(stage: _Stage) -> Iterator[str]:
 
 def _harmless(stage: _Stage) -> Iterator[str]:
     samples = stage.samples(0)
-    wires = [sample.wire.model_dump() for sample in samples]
+    wires = [sample.message.model_dump() for sample in samples]
     play(stage.make(stage.manifest), samples)
     if stage.manifest.model_dump() != stage.before:
         yield "it changed the manifest"
     for sample, wire in zip(samples, wires, strict=True):
-        if sample.wire.model_dump() != wire:
+        if sample.message.model_dump() != wire:
             yield f"it changed sample {sample.step}"
             return
 

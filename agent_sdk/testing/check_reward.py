@@ -50,7 +50,7 @@ class _Stage:
     def __init__(self, reward: Reward, manifest: Manifest) -> None:
         self.reward, self.manifest, self.before = reward, manifest, manifest.model_dump()
         self.values = np.stack([synthetic_samples.values(manifest, _STEPS, seed) for seed in range(_SLOTS)], axis=1)
-        times = [synthetic_samples.begins(manifest, _STEPS, slot * _SHIFT_H) for slot in range(_SLOTS)]
+        times = [synthetic_samples.episode_starts(manifest, _STEPS, slot * _SHIFT_H) for slot in range(_SLOTS)]
         self.begins = [list(step) for step in zip(*times, strict=True)]
 
     def bind(self) -> BoundReward:
@@ -87,7 +87,7 @@ def _outcomes(stage: _Stage) -> Iterator[str]:
     if not isinstance(outcome, Outcome):
         yield f"it gave a {type(outcome).__name__}; an Outcome(reward, terms, measures) expected"
         return
-    for what, value in (("reward", outcome.reward), *outcome.terms.items(), *outcome.measures.items()):
+    for what, value in (("reward", outcome.reward), *outcome.terms.items(), *outcome.metrics.items()):
         if np.shape(value) != ():
             yield f"{what} has shape {np.shape(value)} for one building; a float expected"
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from agent_sdk.testing.climate import Climate, weather_series
 from agent_sdk.testing.fake_manifest import Run, manifest_of
-from agent_sdk.testing.rc_zones import Flow, Rooms, Zone
+from agent_sdk.testing.rc_zones import RCZones, Zone, ZoneStep
 from topics.errors import InvalidConfig, ModelError
 from topics.messages import WeatherSeries
 
@@ -85,7 +85,7 @@ class FakeBuilding:
             self.zones, self.run, dimming, control, actions, discrete, tuple(time), reward, terminate
         )
         self.climate, self._cop, self._dimming = climate, cop, dimming
-        self._rooms = Rooms(self.zones)
+        self._rooms = RCZones(self.zones)
         self._people = np.array([z.people for z in self.zones])
         self._equipment_w = np.array([z.equipment_w for z in self.zones])
         self._aperture_m2 = np.array([z.aperture_m2 for z in self.zones])
@@ -115,7 +115,7 @@ class FakeBuilding:
         self._outdoor, self._sun = self.climate.series(self.run.begin, rows, self.run.step_s, random)
         self._episode, self._step = self._episode + 1, 0
         start = np.full(len(self.zones), _START_DEGC)
-        self.flow, self.gains_w = Flow(start, start, np.zeros_like(start)), np.zeros_like(start)
+        self.flow, self.gains_w = ZoneStep(start, start, np.zeros_like(start)), np.zeros_like(start)
         return self._values(0.0, self.run.begin)
 
     def advance(self, commanded: Floats) -> tuple[Floats, Floats]:

@@ -34,7 +34,7 @@ class FakeEnv(BuildingEnv):
         self,
         zones: Any = 3,
         *,
-        reward: Reward | Mapping[str, Any] | str | None = arguments.OF_THE_SCENARIO,
+        reward: Reward | Mapping[str, Any] | str | None = arguments.FROM_SCENARIO,
         render_mode: str | None = None,
         **building: Any,
     ) -> None:

@@ -103,7 +103,7 @@ class FakeSlots:
         """Nothing is held."""
 
     def _frame(self) -> SampleView:
-        wires = [view.wire for view in self._latest]
+        wires = [view.message for view in self._latest]
         wire = Sample(
             episode=[one.episode[0] for one in wires],
             step=[one.step[0] for one in wires],
@@ -137,7 +137,7 @@ class FakeVectorEnv(BuildingVectorEnv):
         num_envs: int = 1,
         zones: Any = 3,
         *,
-        reward: AnyReward | None = arguments.OF_THE_SCENARIO,
+        reward: AnyReward | None = arguments.FROM_SCENARIO,
         render_mode: str | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         **building: Any,

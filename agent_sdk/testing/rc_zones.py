@@ -46,7 +46,7 @@ class Zone:
                 raise InvalidConfig(f"zone {self.name!r}: {field} = {getattr(self, field)}; at least 0 expected")
 
 
-class Flow(NamedTuple):
+class ZoneStep(NamedTuple):
     """What happened in a timestep, each of shape (zones,).
 
     Attributes:
@@ -60,7 +60,7 @@ class Flow(NamedTuple):
     heat_w: Floats
 
 
-class Rooms:
+class RCZones:
     """The thermal side of some zones: `C dT/dt = (T_out - T) / R + gains + heat` for each of them.
 
     Outdoor temperature, gains and heat are the same all through a timestep, so the exponential solution is exact.
@@ -75,7 +75,7 @@ class Rooms:
 
     def step(
         self, start_degc: Floats, outdoor_degc: float, gains_w: Floats, heating: Floats, cooling: Floats, step_s: float
-    ) -> Flow:
+    ) -> ZoneStep:
         """One timestep of `step_s` seconds under an ideal thermostat.
 
         The thermostat adds the constant heat that brings the room to its heating setpoint (takes it to its cooling
@@ -90,4 +90,4 @@ class Rooms:
         heat -= np.clip((free - cooling) / k_per_w, 0.0, self._cooling_w)
         goal = calm + self.resistance_k_per_w * heat
         distance = start_degc - goal
-        return Flow(goal + distance * decay, goal + distance * (1.0 - decay) * self._tau_s / step_s, heat)
+        return ZoneStep(goal + distance * decay, goal + distance * (1.0 - decay) * self._tau_s / step_s, heat)

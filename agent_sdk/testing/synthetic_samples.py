@@ -37,7 +37,7 @@ def _column(point: Sensor | Meter, count: int, random: np.random.Generator) -> N
     return column
 
 
-def begins(manifest: Manifest, count: int, shift_h: float = 0.0) -> list[datetime]:
+def episode_starts(manifest: Manifest, count: int, shift_h: float = 0.0) -> list[datetime]:
     """When `count` timesteps of an episode begin that is moved by `shift_h` hours."""
     first = datetime.fromisoformat(manifest.begin) + timedelta(hours=shift_h)
     return [first + timedelta(hours=k / manifest.steps_per_hour) for k in range(count)]
@@ -49,7 +49,7 @@ def samples(manifest: Manifest, count: int, seed: int) -> list[SampleView]:
     applied = np.full((manifest.slots, len(manifest.actuators)), np.nan)
     index = {name: i for i, name in enumerate(manifest.names)}
     made = []
-    for step, (row, time) in enumerate(zip(rows, begins(manifest, count), strict=True)):
+    for step, (row, time) in enumerate(zip(rows, episode_starts(manifest, count), strict=True)):
         flag = Flag.FIRST if step == 0 else Flag.TRUNCATED if step == count - 1 else Flag.NONE
         wire = Sample(
             episode=[seed] * manifest.slots,

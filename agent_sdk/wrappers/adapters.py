@@ -18,8 +18,8 @@ from gymnasium.wrappers.utils import create_zero_array
 from numpy.typing import ArrayLike, NDArray
 
 from agent_sdk.bus.snapshot import Snapshot
-from agent_sdk.envs.space_names import Named, by_name
-from agent_sdk.wrappers.base import Core, Infos, Start, Step, Values, View
+from agent_sdk.envs.space_names import SpaceNames, by_name
+from agent_sdk.wrappers.base import EnvView, Infos, ResetBatch, StepBatch, Values, WrapperLogic
 from agent_sdk.wrappers.names import action_names_of, inside, names_of
 from topics.errors import InvalidConfig
 
@@ -32,9 +32,9 @@ else:
 class _Around(RecordConstructorArgs):
     """What both have: the core, names, state."""
 
-    core: ClassVar[type[Core]]
+    core: ClassVar[type[WrapperLogic]]
     env: Any
-    _core: Core
+    _core: WrapperLogic
     _seen: Values
 
     def __init_subclass__(cls, **more: Any) -> None:
@@ -49,16 +49,16 @@ class _Around(RecordConstructorArgs):
         bound = inspect.signature(type(self)).bind(env, *given, **named)
         said = {name: value for name, value in bound.arguments.items() if name != "env"}
         RecordConstructorArgs.__init__(self, _disable_deepcopy=True, **said)
-        self._core = self.core(View(env, type(self).__name__), **said)
+        self._core = self.core(EnvView(env, type(self).__name__), **said)
         if self._core.reward_space is not None:
             self.reward_space = self._core.reward_space
             self.reward_dim = self._core.reward_space.shape[0]
         if self._core.observation_names is not None:
             for base in (env.unwrapped, *(one.unwrapped for one in inside(env.unwrapped))):
-                if isinstance(base, Named):
+                if isinstance(base, SpaceNames):
                     base.add_layer(self)
         wrappers = getattr(env.unwrapped, "wrappers", None)
-        if self._core.goes_back and isinstance(wrappers, WeakSet):
+        if self._core.snapshot_aware and isinstance(wrappers, WeakSet):
             wrappers.add(self)
 
     @property
@@ -90,8 +90,8 @@ class _Around(RecordConstructorArgs):
     def _go_back(self, options: Mapping[str, Any] | None) -> None:
         """At a snapshot that was taken with this wrapper around it remembers and gives what it did there."""
         snapshot = (options or {}).get("snapshot")
-        if isinstance(snapshot, Snapshot) and self in snapshot.of_wrappers:
-            state, seen = snapshot.of_wrappers[self]
+        if isinstance(snapshot, Snapshot) and self in snapshot.wrapper_states:
+            state, seen = snapshot.wrapper_states[self]
             self._core.set_state(state)
             self._seen = seen.copy()
 
@@ -132,7 +132,7 @@ class Single(gym.Wrapper[Any, Any, Any, Any], _Around):
         observation, info = self.env.reset(seed=seed, options=options)
         row = np.asarray(observation)[None]
         seeds = None if seed is None else [seed]
-        self._seen = self._core.start(Start([0], row, Infos(info), seeds))
+        self._seen = self._core.start(ResetBatch([0], row, Infos(info), seeds))
         self._go_back(options)
         return self._seen[0].copy(), self._told(info)
 
@@ -143,7 +143,7 @@ class Single(gym.Wrapper[Any, Any, Any, Any], _Around):
         observation, reward, terminated, truncated, info = self.env.step(action if inner is given else inner[0])
         ends = np.array([terminated or truncated])
         row, rewards = np.asarray(observation)[None], np.array([reward])
-        seen, rewards = self._core.step(Step([0], row, rewards, ends, Infos(info), given))
+        seen, rewards = self._core.step(StepBatch([0], row, rewards, ends, Infos(info), given))
         self._seen = seen
         told = reward if self._core.reward_space is None else rewards[0]
         return seen[0].copy(), told, terminated, truncated, self._told(info)
@@ -196,7 +196,7 @@ class Vector(_VectorWrapper, _Around):
         self, slots: list[int], observations: Values, infos: dict[str, Any], seeds: Sequence[int | None] | None
     ) -> tuple[Values, dict[str, Any]]:
         if slots:
-            start = Start(slots, np.asarray(observations)[slots], Infos(infos, slots), seeds)
+            start = ResetBatch(slots, np.asarray(observations)[slots], Infos(infos, slots), seeds)
             self._put(slots, self._core.start(start))
             infos = self._told(slots, infos)
         return self._seen.copy(), infos
@@ -247,7 +247,7 @@ class Vector(_VectorWrapper, _Around):
             at_end = slots is last
             rows = np.array([infos["final_obs"][i] for i in slots]) if at_end else observations[slots]
             said = infos["final_info"] if at_end else infos
-            step = Step(slots, rows, rewards[slots], ends[slots], Infos(said, slots), given[slots])
+            step = StepBatch(slots, rows, rewards[slots], ends[slots], Infos(said, slots), given[slots])
             seen, told[slots] = self._core.step(step)
             if at_end:
                 for slot, row in zip(slots, seen, strict=True):

@@ -53,7 +53,7 @@ def _pick(found: Mapping[str, Any], key: str, slot: int) -> Any:
     return value[slot]
 
 
-class Start(NamedTuple):
+class ResetBatch(NamedTuple):
     """An episode begins in `slots`: sample 0, or that of a snapshot; one row a slot. `seeds` None: none were given."""
 
     slots: list[int]
@@ -62,7 +62,7 @@ class Start(NamedTuple):
     seeds: Sequence[int | None] | None
 
 
-class Step(NamedTuple):
+class StepBatch(NamedTuple):
     """A timestep of `slots`, one row a slot. `actions` are those that this wrapper was given."""
 
     slots: list[int]
@@ -73,7 +73,7 @@ class Step(NamedTuple):
     actions: Values
 
 
-class View:
+class EnvView:
     """What a wrapper sees of the environment that it wraps, single or vector."""
 
     def __init__(self, env: Any, who: str) -> None:
@@ -138,7 +138,7 @@ class View:
             raise InvalidConfig(f"{self.who} needs an environment with {method}(); {env} has none") from None
 
 
-class Core:
+class WrapperLogic:
     """Base of what the wrappers do. A subclass changes what it needs to; the rest passes.
 
     Attributes:
@@ -148,9 +148,9 @@ class Core:
         goes_back: whether it remembers again, at a snapshot, what it remembered there.
     """
 
-    goes_back: ClassVar[bool] = True
+    snapshot_aware: ClassVar[bool] = True
 
-    def __init__(self, view: View) -> None:
+    def __init__(self, view: EnvView) -> None:
         self.view = view
         self.observation_space: Space[Any] | None = None
         self.action_space: Space[Any] | None = None
@@ -159,7 +159,7 @@ class Core:
         self.action_names: tuple[str, ...] | None = None
         self.added: dict[str, dict[str, Values]] = {}
 
-    def start(self, start: Start) -> Values:
+    def start(self, start: ResetBatch) -> Values:
         """The observations of sample 0, shape (rows, values)."""
         return start.observations
 
@@ -167,7 +167,7 @@ class Core:
         """The actions for the wrapped environment."""
         return actions
 
-    def step(self, step: Step) -> tuple[Values, Values]:
+    def step(self, step: StepBatch) -> tuple[Values, Values]:
         """Observations and rewards of a timestep."""
         return step.observations, step.rewards
 
@@ -198,18 +198,18 @@ class Core:
         self.observation_names = (*held, *added)
 
 
-class Observing(Core):
+class ObservationLogic(WrapperLogic):
     """A wrapper that does the same to each observation."""
 
-    def start(self, start: Start) -> Values:
+    def start(self, start: ResetBatch) -> Values:
         """See `Core`."""
         return self.observe(start, begins=True)
 
-    def step(self, step: Step) -> tuple[Values, Values]:
+    def step(self, step: StepBatch) -> tuple[Values, Values]:
         """See `Core`."""
         return self.observe(step, begins=False), step.rewards
 
-    def observe(self, seen: Start | Step, *, begins: bool) -> Values:
+    def observe(self, seen: ResetBatch | StepBatch, *, begins: bool) -> Values:
         """The observations, shape (rows, values), at sample 0 or at a later one."""
         raise NotImplementedError
 

@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from agent_sdk.wrappers.base import Core, Start, Step, Values, View
-from agent_sdk.wrappers.rng import Randoms
+from agent_sdk.wrappers.base import EnvView, ResetBatch, StepBatch, Values, WrapperLogic
+from agent_sdk.wrappers.rng import SlotRandomStreams
 from agent_sdk.wrappers.time_table import Table
 
 Context = Mapping[str, float | None]
 Schedule = Callable[[datetime, np.random.Generator], Context]
 
 
-class ChangingContext(Core):
+class ChangingContext(WrapperLogic):
     """Sets actuators that are in no action, each timestep, by the time at which the timestep begins.
 
     Args:
@@ -29,15 +29,15 @@ class ChangingContext(Core):
             that an action sets, or a value out of bounds.
     """
 
-    def __init__(self, view: View, schedule: Mapping[str, Context] | Schedule) -> None:
+    def __init__(self, view: EnvView, schedule: Mapping[str, Context] | Schedule) -> None:
         super().__init__(view)
         self._table = None if callable(schedule) else Table(schedule, view.who)
         self._schedule = schedule if callable(schedule) else None
-        self._randoms = Randoms(view.env, view.who, view.slots)
+        self._randoms = SlotRandomStreams(view.env, view.who, view.slots)
         self._now: dict[int, datetime] = {}
         self._set: list[dict[str, float | None]] = [{} for _ in range(view.slots)]
 
-    def start(self, start: Start) -> Values:
+    def start(self, start: ResetBatch) -> Values:
         """See `Core`."""
         self._randoms.seed(start.slots, start.seeds)
         for row, slot in enumerate(start.slots):
@@ -67,7 +67,7 @@ class ChangingContext(Core):
         assert self._schedule is not None
         return self._schedule(self._now[slot], self._randoms[slot])
 
-    def step(self, step: Step) -> tuple[Values, Values]:
+    def step(self, step: StepBatch) -> tuple[Values, Values]:
         """See `Core`."""
         for row, slot in enumerate(step.slots):
             self._now[slot] = step.infos.time(row)

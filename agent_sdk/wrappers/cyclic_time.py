@@ -8,7 +8,7 @@ from datetime import date, datetime, timedelta
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk.wrappers.base import Observing, Start, Step, Values, View, append
+from agent_sdk.wrappers.base import EnvView, ObservationLogic, ResetBatch, StepBatch, Values, append
 from agent_sdk.wrappers.names import places
 from topics.messages import TimeField
 
@@ -39,7 +39,7 @@ def cyclic(parts: NDArray[np.float64]) -> NDArray[np.float64]:
     return pairs.reshape(*parts.shape[:-1], -1)
 
 
-class CyclicTime(Observing):
+class CyclicTime(ObservationLogic):
     """Appends sine and cosine of the hour, the day of the week and the day of the year, each from -1 to 1.
 
     They are of the begin of the timestep that a sample closes, as the clock's fields are (of the episode's begin
@@ -53,7 +53,7 @@ class CyclicTime(Observing):
         InvalidConfig: no such field.
     """
 
-    def __init__(self, view: View, fields: Sequence[str] = FIELDS, *, replace: bool = True) -> None:
+    def __init__(self, view: EnvView, fields: Sequence[str] = FIELDS, *, replace: bool = True) -> None:
         super().__init__(view)
         places(fields, FIELDS, view.who, "field")
         manifest = view.manifest
@@ -65,7 +65,7 @@ class CyclicTime(Observing):
         ones = np.ones(len(added), np.float32)
         self.extend(added, -ones, ones, self._kept)
 
-    def observe(self, seen: Start | Step, *, begins: bool) -> Values:
+    def observe(self, seen: ResetBatch | StepBatch, *, begins: bool) -> Values:
         """See `Observing`."""
         infos = seen.infos
         times = [

@@ -7,13 +7,13 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from gymnasium.spaces import Discrete
 
-from agent_sdk.wrappers.base import Values, View
-from agent_sdk.wrappers.incremental import Moving, refused
+from agent_sdk.wrappers.base import EnvView, Values
+from agent_sdk.wrappers.incremental import IncrementalLogic, refused
 from agent_sdk.wrappers.names import places
 from topics.errors import InvalidConfig
 
 
-class DiscreteIncrementalAction(Moving):
+class DiscreteIncrementalAction(IncrementalLogic):
     """`Discrete`: 0 changes nothing, all other numbers move one action by a step.
 
     The numbers from 1 on move the first action of `steps` up by each of its steps, then down by each; then come those
@@ -29,7 +29,9 @@ class DiscreteIncrementalAction(Moving):
             twice, or a wrapper within that takes actions out of their units. `InvalidAction` at a step: no such number.
     """
 
-    def __init__(self, view: View, steps: Mapping[str, float | Sequence[float]], initial: Mapping[str, float]) -> None:
+    def __init__(
+        self, view: EnvView, steps: Mapping[str, float | Sequence[float]], initial: Mapping[str, float]
+    ) -> None:
         super().__init__(view, initial)
         if missing := [name for name in self.names if name not in initial]:
             raise InvalidConfig(f"{view.who}: initial needs a value of {', '.join(missing)} too")

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from gymnasium.spaces import Box
 
-from agent_sdk.wrappers.base import Core, Start, Step, Values, View
+from agent_sdk.wrappers.base import EnvView, ResetBatch, StepBatch, Values, WrapperLogic
 from agent_sdk.wrappers.extras import load
 from agent_sdk.wrappers.names import refuse_inside
 from agent_sdk.wrappers.table_writers import Cell, CsvWriter, ParquetWriter, Writer
@@ -19,7 +19,7 @@ from topics.errors import InvalidConfig
 FORMATS = ("csv", "parquet")
 
 
-class EpisodeLog(Core):
+class EpisodeLog(WrapperLogic):
     """Writes a table for each episode: `episode-000001.csv`; of a vector, `slot-00-episode-000001.csv`.
 
     A row is a timestep: `time` (of its end), each observation by name as this wrapper gives it (`observation.`),
@@ -36,7 +36,7 @@ class EpisodeLog(Core):
         InvalidConfig: no such format, the extra is missing, or a `RewardVector` within.
     """
 
-    def __init__(self, view: View, folder: str | Path, format: Literal["csv", "parquet"] = "csv") -> None:  # noqa: A002
+    def __init__(self, view: EnvView, folder: str | Path, format: Literal["csv", "parquet"] = "csv") -> None:  # noqa: A002
         super().__init__(view)
         if format not in FORMATS:
             raise InvalidConfig(f"{view.who}: no format {format!r}; csv or parquet")
@@ -50,13 +50,13 @@ class EpisodeLog(Core):
         self._columns = [f"observation.{name}" for name in view.names] + [f"action.{n}" for n in _parts(view)]
         self._applied = [f"applied.{actuator.name}" for actuator in view.manifest.actuators]
 
-    def start(self, start: Start) -> Values:
+    def start(self, start: ResetBatch) -> Values:
         """See `Core`."""
         for slot in start.slots:
             self._finish(slot, "-left")
         return start.observations
 
-    def step(self, step: Step) -> tuple[Values, Values]:
+    def step(self, step: StepBatch) -> tuple[Values, Values]:
         """See `Core`."""
         for row, slot in enumerate(step.slots):
             terms = step.infos.get(row, "reward_terms") or {}
@@ -69,7 +69,7 @@ class EpisodeLog(Core):
         return step.observations, step.rewards
 
     def _cells(
-        self, row: int, slot: int, step: Step, terms: Mapping[str, float], measures: Mapping[str, float]
+        self, row: int, slot: int, step: StepBatch, terms: Mapping[str, float], measures: Mapping[str, float]
     ) -> list[Cell]:
         applied = np.asarray(step.infos.get(row, "applied"), np.float64).tolist()
         named_terms, named_measures = self._rewards[slot]
@@ -115,7 +115,7 @@ def _number(told: Any) -> float | None:
     return None if told is None else float(told)
 
 
-def _parts(view: View) -> list[str]:
+def _parts(view: EnvView) -> list[str]:
     """A name for each number of an action."""
     space: Any = view.action_space
     names = list(view.action_names)

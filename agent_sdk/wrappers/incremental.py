@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
-from agent_sdk.wrappers.base import Core, Start, Values, View
+from agent_sdk.wrappers.base import EnvView, ResetBatch, Values, WrapperLogic
 from agent_sdk.wrappers.names import places, refuse_inside
 from topics.errors import InvalidAction, InvalidConfig
 
@@ -23,7 +23,7 @@ _NOT_IN_UNITS = (
 )
 
 
-def moved(values: Floats, increments: Floats, low: Floats, high: Floats) -> Floats:
+def incremented(values: Floats, increments: Floats, low: Floats, high: Floats) -> Floats:
     """Values after increments, within bounds, shapes (…, n)."""
     return np.clip(values + increments, low, high)
 
@@ -35,10 +35,10 @@ def rounded(increments: Floats, steps: Floats, most: Floats) -> Floats:
     return np.where(steps > 0, np.clip(np.round(increments / whole), -largest, largest) * whole, increments)
 
 
-class Moving(Core):
+class IncrementalLogic(WrapperLogic):
     """Base: named actions have values that begin at `initial` in each episode."""
 
-    def __init__(self, view: View, initial: Mapping[str, float]) -> None:
+    def __init__(self, view: EnvView, initial: Mapping[str, float]) -> None:
         super().__init__(view)
         refuse_inside(view.env, _NOT_IN_UNITS, view.who + " moves values in their units; put it before {}")
         names = view.action_names
@@ -62,14 +62,14 @@ class Moving(Core):
         if faults:
             raise InvalidConfig("\n".join(faults))
 
-    def start(self, start: Start) -> Values:
+    def start(self, start: ResetBatch) -> Values:
         """The values begin anew."""
         self._values[start.slots] = self._initial
         return start.observations
 
     def move(self, slots: list[int], increments: Floats) -> NDArray[np.float32]:
         """The values after the increments, shape (rows, named actions)."""
-        self._values[slots] = moved(self._values[slots], increments, self.low, self.high)
+        self._values[slots] = incremented(self._values[slots], increments, self.low, self.high)
         # float32 last: rounding may step over a bound that has no float32 of its own.
         told = self._values[slots].astype(np.float32)
         return np.clip(told, self.inner.low[self.at], self.inner.high[self.at])

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from gymnasium.spaces import Box
 
-from agent_sdk.wrappers.base import Values, View
-from agent_sdk.wrappers.incremental import Moving, refused, rounded
+from agent_sdk.wrappers.base import EnvView, Values
+from agent_sdk.wrappers.incremental import IncrementalLogic, refused, rounded
 from agent_sdk.wrappers.names import places
 from topics.errors import InvalidConfig
 
 
-class IncrementalAction(Moving):
+class IncrementalAction(IncrementalLogic):
     """Named actions are increments on the value before, in the action's unit; the others stay as they are.
 
     The value starts from `initial` in each episode and stays within the action's bounds.
@@ -30,7 +30,7 @@ class IncrementalAction(Moving):
     """
 
     def __init__(
-        self, view: View, increments: Mapping[str, float | Sequence[float]], initial: Mapping[str, float]
+        self, view: EnvView, increments: Mapping[str, float | Sequence[float]], initial: Mapping[str, float]
     ) -> None:
         if set(increments) != set(initial):
             raise InvalidConfig(f"{view.who}: increments and initial should name the same actions")

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from agent_sdk.wrappers.base import Core, Start, Step, Values, View
+from agent_sdk.wrappers.base import EnvView, ResetBatch, StepBatch, Values, WrapperLogic
 from agent_sdk.wrappers.extras import load
 from agent_sdk.wrappers.names import refuse_inside
 from topics.errors import InvalidConfig
@@ -30,7 +30,7 @@ class _Mean:
         return {f"{group}/{name}": self.sums[name] / self.counts[name] for name in self.sums}
 
 
-class MeansLog(Core):
+class MeansLog(WrapperLogic):
     """Base of loggers: means of each episode and of every n steps.
 
     They are of the reward, its terms and measures and the observations. A logger of one's own overrides `write`, which
@@ -38,7 +38,7 @@ class MeansLog(Core):
     `class MyLog(Single): core = MyCore` (`agent_sdk.wrappers.single`, or `Vector` of `agent_sdk.wrappers.vector`).
     """
 
-    def __init__(self, view: View, every: int) -> None:
+    def __init__(self, view: EnvView, every: int) -> None:
         super().__init__(view)
         if every < 1:
             raise InvalidConfig(f"{view.who}: every should be a number of steps, not {every!r}")
@@ -56,13 +56,13 @@ class MeansLog(Core):
         """
         raise NotImplementedError
 
-    def start(self, start: Start) -> Values:
+    def start(self, start: ResetBatch) -> Values:
         """See `Core`."""
         for slot in start.slots:
             self._episodes[slot] = _Mean()
         return start.observations
 
-    def step(self, step: Step) -> tuple[Values, Values]:
+    def step(self, step: StepBatch) -> tuple[Values, Values]:
         """See `Core`."""
         for row, slot in enumerate(step.slots):
             values = self.values(row, step)
@@ -77,7 +77,7 @@ class MeansLog(Core):
                 self._end(slot)
         return step.observations, step.rewards
 
-    def values(self, row: int, step: Step) -> dict[str, float]:
+    def values(self, row: int, step: StepBatch) -> dict[str, float]:
         """Numbers of one timestep of the slot `step.slots[row]`, by name; their means are logged."""
         values = {"reward": float(step.rewards[row])}
         for group, key in (("reward", "reward_terms"), ("measure", "reward_measures")):
@@ -116,7 +116,7 @@ class TensorBoardLog(MeansLog):
         InvalidConfig: the extra is missing, or a `RewardVector` within.
     """
 
-    def __init__(self, view: View, folder: str | Path, every: int = 1000) -> None:
+    def __init__(self, view: EnvView, folder: str | Path, every: int = 1000) -> None:
         super().__init__(view, every)
         self._writer: Any = load("tensorboardX", "tensorboard", view.who).SummaryWriter(str(folder))
 
@@ -153,7 +153,7 @@ class WeightsAndBiasesLog(MeansLog):
 
     def __init__(
         self,
-        view: View,
+        view: EnvView,
         project: str,
         name: str | None = None,
         every: int = 1000,

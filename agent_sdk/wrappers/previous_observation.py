@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from agent_sdk.wrappers.base import Observing, Start, Step, Values, View, append
+from agent_sdk.wrappers.base import EnvView, ObservationLogic, ResetBatch, StepBatch, Values, append
 from agent_sdk.wrappers.names import places
 
 
-class PreviousObservation(Observing):
+class PreviousObservation(ObservationLogic):
     """Appends the values of named observations one step ago, as `previous_` and the name.
 
     At sample 0 there is none before it; the present values stand there.
@@ -23,14 +23,14 @@ class PreviousObservation(Observing):
         InvalidConfig: a name that the observation does not have.
     """
 
-    def __init__(self, view: View, names: Sequence[str]) -> None:
+    def __init__(self, view: EnvView, names: Sequence[str]) -> None:
         super().__init__(view)
         box = view.box
         self._at = places(names, view.names, view.who)
         self.extend([f"previous_{name}" for name in names], box.low[self._at], box.high[self._at])
         self._before = np.zeros((view.slots, len(self._at)), np.float32)
 
-    def observe(self, seen: Start | Step, *, begins: bool) -> Values:
+    def observe(self, seen: ResetBatch | StepBatch, *, begins: bool) -> Values:
         """See `Observing`."""
         now = seen.observations[:, self._at]
         before = now if begins else self._before[seen.slots]

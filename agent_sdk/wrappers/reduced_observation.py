@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 from gymnasium.spaces import Box
 
-from agent_sdk.wrappers.base import Observing, Start, Step, Values, View
+from agent_sdk.wrappers.base import EnvView, ObservationLogic, ResetBatch, StepBatch, Values
 from agent_sdk.wrappers.names import places
 from topics.errors import InvalidConfig
 
 
-class ReducedObservation(Observing):
+class ReducedObservation(ObservationLogic):
     """Keeps named observations, in the order asked; the others stand in `info["dropped"]` by name.
 
     Args:
@@ -22,7 +22,7 @@ class ReducedObservation(Observing):
         InvalidConfig: a name that the observation does not have, or none at all.
     """
 
-    def __init__(self, view: View, keep: Sequence[str]) -> None:
+    def __init__(self, view: EnvView, keep: Sequence[str]) -> None:
         super().__init__(view)
         if not keep:
             raise InvalidConfig(f"{view.who}: keep at least one of {', '.join(view.names)}")
@@ -33,7 +33,7 @@ class ReducedObservation(Observing):
         low, high = box.low[self._kept].astype(np.float32), box.high[self._kept].astype(np.float32)
         self.observation_space = Box(low, high, dtype=np.float32)
 
-    def observe(self, seen: Start | Step, *, begins: bool) -> Values:  # noqa: ARG002  # the same at sample 0
+    def observe(self, seen: ResetBatch | StepBatch, *, begins: bool) -> Values:  # noqa: ARG002  # the same at sample 0
         """See `Observing`."""
         self.added = {"dropped": {name: seen.observations[:, at] for name, at in self._dropped.items()}}
         return seen.observations[:, self._kept].astype(np.float32)

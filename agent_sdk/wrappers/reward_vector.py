@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 from gymnasium.spaces import Box
 
-from agent_sdk.wrappers.base import Core, Step, Values, View
+from agent_sdk.wrappers.base import EnvView, StepBatch, Values, WrapperLogic
 from agent_sdk.wrappers.names import places, refuse_inside
 from topics.errors import InvalidConfig
 
 
-class RewardVector(Core):
+class RewardVector(WrapperLogic):
     """The named terms of the reward as a vector, float64, in the order asked, in place of their sum.
 
     `reward_space` and `reward_dim` are as MO-Gymnasium has them. A vector environment gives shape (slots, terms),
@@ -25,7 +25,7 @@ class RewardVector(Core):
         InvalidConfig: no terms, one twice, or (at a step) a term that the reward does not have.
     """
 
-    def __init__(self, view: View, terms: Sequence[str]) -> None:
+    def __init__(self, view: EnvView, terms: Sequence[str]) -> None:
         super().__init__(view)
         refuse_inside(view.env, ["RewardVector"], "{} stands in the chain already; once is enough")
         if not terms or isinstance(terms, str):
@@ -34,7 +34,7 @@ class RewardVector(Core):
         self._terms = list(terms)
         self.reward_space = Box(-np.inf, np.inf, (len(self._terms),), np.float64)
 
-    def step(self, step: Step) -> tuple[Values, Values]:
+    def step(self, step: StepBatch) -> tuple[Values, Values]:
         """See `Core`."""
         rows = [self._row(step.infos.get(row, "reward_terms")) for row in range(len(step.slots))]
         return step.observations, np.array(rows, np.float64)

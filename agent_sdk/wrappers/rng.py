@@ -11,7 +11,7 @@ import numpy as np
 from agent_sdk.wrappers.names import layers
 
 
-class Randoms:
+class SlotRandomStreams:
     """Generators that begin anew with a seed and go on without one.
 
     Two wrappers of a chain draw differently from the same seed.

@@ -6,12 +6,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from agent_sdk.wrappers.base import Observing, Start, Step, Values, View, append
+from agent_sdk.wrappers.base import EnvView, ObservationLogic, ResetBatch, StepBatch, Values, append
 from agent_sdk.wrappers.names import need_units, places
 from topics.errors import InvalidConfig
 
 
-class SetpointDifference(Observing):
+class SetpointDifference(ObservationLogic):
     """Appends a temperature minus its setpoint, in K, for pairs of named observations.
 
     Args:
@@ -22,7 +22,7 @@ class SetpointDifference(Observing):
             values out of their units.
     """
 
-    def __init__(self, view: View, pairs: Mapping[str, Sequence[str]]) -> None:
+    def __init__(self, view: EnvView, pairs: Mapping[str, Sequence[str]]) -> None:
         super().__init__(view)
         need_units(view.env, view.who)
         for name, pair in pairs.items():
@@ -34,7 +34,7 @@ class SetpointDifference(Observing):
         low = box.low[self._of] - box.high[self._from]
         self.extend(list(pairs), low, box.high[self._of] - box.low[self._from])
 
-    def observe(self, seen: Start | Step, *, begins: bool) -> Values:  # noqa: ARG002  # the same at sample 0
+    def observe(self, seen: ResetBatch | StepBatch, *, begins: bool) -> Values:  # noqa: ARG002  # the same at sample 0
         """See `Observing`."""
         values = seen.observations.astype(np.float32, copy=False)
         return append(values, values[..., self._of] - values[..., self._from])

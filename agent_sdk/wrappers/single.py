@@ -38,7 +38,7 @@ class WeatherForecast(Single):
 class Signals(Single):
     """A `time_series_observation.Signals`, which documents it."""
 
-    core = time_series_observation.Signals
+    core = time_series_observation.TimeSeriesObservation
 
 
 class SetpointDifference(Single):

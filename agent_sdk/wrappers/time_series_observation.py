@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from agent_sdk.time_series import Signal as SignalData
-from agent_sdk.wrappers.base import Observing, Start, Step, Values, View, append
+from agent_sdk.wrappers.base import EnvView, ObservationLogic, ResetBatch, StepBatch, Values, append
 from topics.codec import describe_validation_errors
 from topics.errors import InvalidConfig
 
@@ -56,7 +56,7 @@ def read_signal(given: Any, who: str) -> Signal:
     return found
 
 
-class Signals(Observing):
+class TimeSeriesObservation(ObservationLogic):
     """Appends signals of the outside, as a price of electricity or its carbon, now and some hours ahead.
 
     "Now" is the timestep that the next action rules: it begins at the sample's time. `price` ahead by an hour is
@@ -72,7 +72,7 @@ class Signals(Observing):
         InvalidConfig: not a signal, or hours that are negative.
     """
 
-    def __init__(self, view: View, signals: Mapping[str, Any], hours: Sequence[float] = (0,)) -> None:
+    def __init__(self, view: EnvView, signals: Mapping[str, Any], hours: Sequence[float] = (0,)) -> None:
         super().__init__(view)
         if not hours or min(hours) < 0 or not np.isfinite(hours).all():
             raise InvalidConfig(f"{view.who}: hours should be numbers from 0 on, not {list(hours)}")
@@ -82,7 +82,7 @@ class Signals(Observing):
         infinite = np.full(len(added), np.inf, np.float32)
         self.extend(added, -infinite, infinite)
 
-    def observe(self, seen: Start | Step, *, begins: bool) -> Values:  # noqa: ARG002  # the same at sample 0
+    def observe(self, seen: ResetBatch | StepBatch, *, begins: bool) -> Values:  # noqa: ARG002  # the same at sample 0
         """See `Observing`."""
         times = [seen.infos.time(row) for row in range(len(seen.slots))]
         rows = [[signal.at(time + by) for signal in self._signals for by in self._ahead] for time in times]

@@ -38,7 +38,7 @@ class WeatherForecast(Vector):
 class Signals(Vector):
     """A `time_series_observation.Signals`, which documents it."""
 
-    core = time_series_observation.Signals
+    core = time_series_observation.TimeSeriesObservation
 
 
 class SetpointDifference(Vector):

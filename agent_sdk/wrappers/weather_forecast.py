@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk.wrappers.base import Observing, Start, Step, Values, View, append
+from agent_sdk.wrappers.base import EnvView, ObservationLogic, ResetBatch, StepBatch, Values, append
 from agent_sdk.wrappers.names import places
-from agent_sdk.wrappers.rng import Randoms
+from agent_sdk.wrappers.rng import SlotRandomStreams
 from topics.errors import InvalidConfig
 from topics.messages import WeatherSeries
 
@@ -113,7 +113,7 @@ class _Column(NamedTuple):
         return found % 360.0 if self.turns else found
 
 
-class WeatherForecast(Observing):
+class WeatherForecast(ObservationLogic):
     """Appends the next hours' weather: named columns of the weather file that this episode reads, noise included.
 
     The values are those at the instants `spacing_h`, 2 `spacing_h`, … after the sample, linear between the rows of
@@ -141,7 +141,7 @@ class WeatherForecast(Observing):
 
     def __init__(
         self,
-        view: View,
+        view: EnvView,
         columns: Sequence[str],
         n: int = 5,
         spacing_h: float = 1.0,
@@ -157,17 +157,17 @@ class WeatherForecast(Observing):
         self._errors = {name: ErrorSpec.read(given, f"{view.who}: {name}") for name, given in (errors or {}).items()}
         self._drawn: list[dict[str, ErrorModel]] = [{} for _ in range(view.slots)]
         self._bounds = np.array([self._limits(column) for column in columns])
-        self._randoms = Randoms(view.env, view.who, view.slots)
+        self._randoms = SlotRandomStreams(view.env, view.who, view.slots)
         self._weather: list[list[_Column]] = [[] for _ in range(view.slots)]
         self._begins: dict[int, datetime] = {}
         self._timestep = timedelta(hours=1 / view.manifest.steps_per_hour)
         low, high = np.repeat(self._bounds, n, axis=0).T
         self.extend([f"{column}_in_{hour:g}h" for column in columns for hour in self._horizons_h], low, high)
 
-    def observe(self, seen: Start | Step, *, begins: bool) -> Values:
+    def observe(self, seen: ResetBatch | StepBatch, *, begins: bool) -> Values:
         """See `Observing`."""
         if begins:
-            assert isinstance(seen, Start)
+            assert isinstance(seen, ResetBatch)
             self._fetch(seen)
         told = [self._forecast(slot, seen.infos.time(row)) for row, slot in enumerate(seen.slots)]
         return append(seen.observations, np.array(told))
@@ -177,7 +177,7 @@ class WeatherForecast(Observing):
         error = self._errors.get(column, ErrorSpec(0.0))
         return max(low, float(error.low)), min(high, float(error.high))
 
-    def _fetch(self, start: Start) -> None:
+    def _fetch(self, start: ResetBatch) -> None:
         self._randoms.seed(start.slots, start.seeds)
         series = self.view.each(start.slots, "weather", self._columns)
         for row, slot in enumerate(start.slots):

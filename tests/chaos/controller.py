@@ -19,7 +19,7 @@ import numpy as np
 
 import agent_sdk
 from agent_sdk.bus.bus import Bus
-from agent_sdk.bus.controller_link import ControlLink
+from agent_sdk.bus.controller_link import ControllerLink
 from agent_sdk.bus.sample import SampleView
 from bridge.runtime.affinity import Affinity
 from chaos.journal import Journal
@@ -66,7 +66,7 @@ class Controller:
             except SimulatorError:
                 continue
 
-    def _link(self) -> ControlLink:
+    def _link(self) -> ControllerLink:
         settings = self._settings
         names, level = settings["actuators"], settings["level"]
         while True:
@@ -75,17 +75,17 @@ class Controller:
             except RequestRejected:  # the one before is still there, for all that the node knows
                 threading.Event().wait(0.05)
 
-    def _follow(self, link: ControlLink) -> None:
+    def _follow(self, link: ControllerLink) -> None:
         sample = self._present(link)
         while True:
             if not sample.truncated:
                 self._answer(link, sample)
             sample = self._next(link)
 
-    def _present(self, link: ControlLink) -> SampleView:
-        return link.stand_at(self._bus.latest(self._settings["node"]))
+    def _present(self, link: ControllerLink) -> SampleView:
+        return link.set_current(self._bus.latest(self._settings["node"]))
 
-    def _next(self, link: ControlLink) -> SampleView:
+    def _next(self, link: ControllerLink) -> SampleView:
         while True:
             try:
                 return link.receive()
@@ -94,14 +94,14 @@ class Controller:
             except RequestRejected:
                 continue  # what was refused came in this one's name, or too late; the next sample tells
 
-    def _answer(self, link: ControlLink, sample: SampleView) -> None:
+    def _answer(self, link: ControllerLink, sample: SampleView) -> None:
         global _repeat
         whole, names = self._settings["actuators"] is None, self._settings["actuators"]
         mask, values = np.zeros(len(link.manifest.actuators), np.uint8), np.zeros(len(link.manifest.actuators))
         for index, actuator in enumerate(link.manifest.actuators):
             if whole or actuator.name in names:
-                mask[index], values[index] = decide(sample.wire.values, actuator, whole=whole)
-        times = 2 if draw(sample.wire.values, "twice") % 50 == 0 else 1
+                mask[index], values[index] = decide(sample.message.values, actuator, whole=whole)
+        times = 2 if draw(sample.message.values, "twice") % 50 == 0 else 1
         if _repeat:
             times, _repeat = REPEATS, False
         done = [(i, float(values[i]) if mask[i] == _SET else None) for i in np.flatnonzero(mask).tolist()]

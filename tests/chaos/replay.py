@@ -8,7 +8,7 @@ import numpy as np
 from nodes import NodeProgram
 
 import agent_sdk
-from agent_sdk.bus.controller_link import ControlLink
+from agent_sdk.bus.controller_link import ControllerLink
 from bridge.runtime.affinity import Affinity
 from chaos.account import Episode
 from chaos.run import BUILDING
@@ -32,10 +32,10 @@ def differences(folder: Path, episodes: list[Episode]) -> list[str]:
     return [text for text in found if text]
 
 
-def _compared(link: ControlLink, episode: Episode) -> str:
+def _compared(link: ControllerLink, episode: Episode) -> str:
     again, shape = link.reset(), (len(link.manifest.actuators),)
     for sample, ruling in zip(episode.samples, [*episode.rulings, None], strict=False):
-        if _seen(sample) != _seen(again.wire):
+        if _seen(sample) != _seen(again.message):
             return f"episode {episode.number}, sample {sample.step[0]} is not that of the quiet run"
         if ruling is None:
             break
