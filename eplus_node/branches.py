@@ -107,7 +107,7 @@ class Branch:
 
     def stop(self) -> None:
         """Tells it to end; any thread may."""
-        self.runner.interrupt()
+        self.runner.cancel_step()
         self.runner.inlets.post(self.runner.stop_serving)
 
     def join(self) -> None:
@@ -293,7 +293,7 @@ class BranchManager:
 
     def _child(self, link: EngineClient, folder: Path) -> EngineClient:
         own = made(folder / str(next(self._numbers)))
-        child = link.fork(replace(link.run, folder=own, keep=False, cpus=self._cpus, poll=False, branch=True))
+        child = link.fork(replace(link.run, folder=own, keep_output=False, cpus=self._cpus, poll=False, branch=True))
         try:
             child.receive()
         except BaseException:
@@ -333,7 +333,7 @@ class BranchManager:
     def hurry(self) -> None:
         """Has no branch wait for an engine that is computing; any thread may."""
         for branch in [*self.branches.values()]:
-            branch.runner.interrupt()
+            branch.runner.cancel_step()
 
     def close(self) -> None:
         """Ends all; twice is fine."""

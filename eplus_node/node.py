@@ -270,14 +270,14 @@ class Node:
         self.runner.inlets.post_first(self.runner.stop_serving)
 
     def _stop_asked(self) -> None:
-        self.runner.interrupt()
+        self.runner.cancel_step()
         self._ending.ask()
 
     def _hurry(self, signals: int) -> None:
         """Waits for no engine any more, unless it finishes files that are kept; any thread may."""
         self._registry.close()
         if self._runs is not None:
-            self._runs.interrupt()
+            self._runs.cancel_step()
             self.forks.hurry()
         if signals > 1 or self.config.keep is None or self._runs is None:
             self._registry.interrupt()

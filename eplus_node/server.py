@@ -59,7 +59,7 @@ _FALLBACK = int(Flag.FALLBACK)
 # For each timestep: Python 3.11 looks at an enum's member by raising and catching an error.
 _LOCKSTEP, _WAITING, _ENDED = Mode.LOCKSTEP, State.WAITING, State.ENDED
 
-Observer = Callable[["Runner"], None]
+Observer = Callable[["NodeServer"], None]
 
 
 class Stopped(BaseException):
@@ -107,7 +107,7 @@ class NodeServer:
         self._sampled_s = 0.0
         self.stopping = False
         self.interrupt = engines.interrupt
-        self.on_stop = self.interrupt
+        self.on_stop = self.cancel_step
         self._leaving = False
         self.failure = self.failure_error = ""
         self._latest = b""
@@ -391,7 +391,7 @@ class NodeServer:
             values=np.ascontiguousarray(values, "<f8").tobytes(),
         )
 
-    def interrupt(self) -> None:
+    def cancel_step(self) -> None:
         """Does not wait for an engine that is computing; any thread may."""
         self.stopping = True
         if self.exchange.state in (State.RUNNING, State.STARTING):

@@ -374,7 +374,7 @@ class BuildingVectorEnv(SpaceNames, VectorEnv[Observations, Any, NDArray[Any]]):
     @property
     def link(self) -> VectorLink:
         """The hold on the node."""
-        return cast("SlotsLink", self._hold.link)
+        return cast("VectorLink", self._hold.link)
 
     @property
     def local_node(self) -> LocalNode | None:
