@@ -4,7 +4,7 @@ A year of hours holds for any simulated year. Its first row is 1 January, 0:00 t
 time is: it has no summer time, and row k is simply hour k of the year. It is looked up by month, day and hour. A
 series of 8760 hours has no 29 February; where the simulated year has one, it is that of the 28th. One of 8784 hours
 has one; where the simulated year has none, its rows are passed over. Weekdays are therefore those of the simulated
-year in an `HourTable`, and those of the series' own year in the others.
+year in an `TimeOfUse`, and those of the series' own year in the others.
 """
 
 from __future__ import annotations
@@ -197,7 +197,7 @@ class HourlyFile(TimeSeries):
         return self
 
     def load(self) -> None:
-        """See `AnySignal`."""
+        """See `TimeSeries`."""
         assert self._numbers
 
     def _at(self, moment: datetime) -> float:

@@ -59,7 +59,7 @@ class EvaluationCallback(BaseCallback):
 
     Neither the training's environments nor any random state are touched: with it and without it the same seed gives
     the same weights. What the training's wrappers and its `VecNormalize` have learnt is copied for each evaluation.
-    The means over the episodes of all metrics of `Result` go to the model's logger, as `eval/reward`.
+    The means over the episodes of all metrics of `EpisodeMetrics` go to the model's logger, as `eval/reward`.
 
     Args:
         make_env: makes the environment when it is first needed. It is closed when the training ends; `with` closes

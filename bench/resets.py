@@ -35,14 +35,14 @@ def _reset_ms(env: Any, expected: EngineStart) -> float:
     begin = time.perf_counter()
     _, info = env.reset()
     spent_ms = 1e3 * (time.perf_counter() - begin)
-    if info["start"] != expected:
+    if info["engine_start"] != expected:
         raise RuntimeError(f"the reset was {info['start']}, {expected} expected")
     return spent_ms
 
 
 def _end_waiting(env: Any) -> None:
     """Ends the engine that waits to be forked, which is the oldest: the next reset has to start one."""
-    engines = psutil.Process(env.unwrapped.own_node.pid).children()
+    engines = psutil.Process(env.unwrapped.local_node.pid).children()
     waiting = min(engines, key=lambda engine: engine.create_time())
     waiting.kill()
     while waiting.is_running() and waiting.status() != psutil.STATUS_ZOMBIE:

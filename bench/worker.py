@@ -168,7 +168,7 @@ def environment(found: dict[str, Any], pace: Pace, *, monitors: int = 0, **more:
     with ExitStack() as stack:
         env: Any = gym.make(identity, **found, **more)
         stack.callback(env.close)
-        stack.enter_context(listening(env.unwrapped.own_node.endpoint, monitors))
+        stack.enter_context(listening(env.unwrapped.local_node.endpoint, monitors))
         env.reset(seed=0)
         action = scenes.setpoints(env.unwrapped.manifest.actuators)[: env.action_space.shape[0]].astype(np.float32)
         status = env.unwrapped.link.bus.status(env.unwrapped.manifest.node)

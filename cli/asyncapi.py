@@ -1,4 +1,4 @@
-"""`zenostat contract`: what travels on the bus, for programs in other languages."""
+"""`zenostat asyncapi`: what travels on the bus, for programs in other languages."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def contract(
 ) -> None:
     """Prints the contract of the bus as an AsyncAPI 3.0 document (YAML).
 
-    Example: `zenostat contract --output asyncapi.yaml`
+    Example: `zenostat asyncapi --output asyncapi.yaml`
     """
     from topics.asyncapi import document
     from topics.yaml12 import dump

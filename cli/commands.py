@@ -37,7 +37,7 @@ _GROUPS: dict[str, tuple[Callable[..., None] | typer.Typer, ...]] = {
     "Simulate and control": (demo.demo, node.node, run.run, evaluate.evaluate, probe.probe),
     "Watch a bus": (status.status, monitor.monitor, watch.watch, read.read),
     "Act on a running node": (
-        write.write, write.release, lifecycle.reset, pace.pause, pace.resume, pace.step, pace.pace, pace.faults,
+        write.write, write.relinquish, lifecycle.reset, pace.pause, pace.resume, pace.step, pace.pace, pace.faults,
         lifecycle.stop,
     ),
     "Choose what is simulated": (scenarios, buildings.buildings, weathers.weathers, points.points, data_packs.app),

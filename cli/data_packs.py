@@ -1,4 +1,4 @@
-"""`zenostat packs`: buildings, weather and scenarios that can be added."""
+"""`zenostat data-packs`: buildings, weather and scenarios that can be added."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from models import data_packs as store
 
 app = typer.Typer(add_completion=False, rich_markup_mode="markdown")
 
-_EXAMPLE = "Example: `zenostat packs add sinergym`"
+_EXAMPLE = "Example: `zenostat data-packs add sinergym`"
 
 
 @app.callback(invoke_without_command=True, epilog=_EXAMPLE)
 def packs(context: typer.Context) -> None:
     """Lists, adds and removes data packs: buildings, weather and scenarios of others. No code of theirs is run.
 
-    Example: `zenostat packs add sinergym`
+    Example: `zenostat data-packs add sinergym`
     """
     if context.invoked_subcommand is None:
         list_packs()
@@ -29,7 +29,7 @@ def packs(context: typer.Context) -> None:
 def list_packs() -> None:
     """Lists the data packs, where they are and what is in them.
 
-    Example: `zenostat packs list`
+    Example: `zenostat data-packs list`
     """
     rows = []
     for pack in store.PACKS.values():
@@ -42,7 +42,7 @@ def list_packs() -> None:
 def add(name: Annotated[str, typer.Argument(help="The pack's name.", metavar="NAME")]) -> None:
     """Fetches a data pack with pip, checks its hash and unzips it. Once is enough.
 
-    Example: `zenostat packs add sinergym`
+    Example: `zenostat data-packs add sinergym`
     """
     pack = store.find_pack(name)
     if store.is_installed(name):
@@ -57,7 +57,7 @@ def add(name: Annotated[str, typer.Argument(help="The pack's name.", metavar="NA
 def remove(name: Annotated[str, typer.Argument(help="The pack's name.", metavar="NAME")]) -> None:
     """Removes a data pack.
 
-    Example: `zenostat packs remove sinergym`
+    Example: `zenostat data-packs remove sinergym`
     """
     out.print(f"{name} removed" if store.remove(name) else f"{name} was not added")
 

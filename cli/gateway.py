@@ -1,4 +1,4 @@
-"""`zenostat zmq`: controllers that speak only ZeroMQ join a bus."""
+"""`zenostat gateway zeromq`: controllers that speak only ZeroMQ join a bus."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def zmq(
 ) -> None:
     """Joins programs that speak only ZeroMQ to a bus, until Ctrl-C; with keys, as a controller.
 
-    Example: `zenostat zmq --node office`
+    Example: `zenostat gateway zeromq --node office`
     """
     if importlib.util.find_spec("zmq") is None:
         raise InvalidConfig(f"pyzmq is not installed: {install_command('zeromq')}")

@@ -78,7 +78,7 @@ def node(
         float,
         typer.Option(metavar="SECONDS", help="An engine that neither answers nor computes for so long is killed."),
     ] = 10.0,
-    keep: Annotated[Path | None, typer.Option(help="Keep EnergyPlus's own output files in this folder.")] = None,
+    output_dir: Annotated[Path | None, typer.Option(help="Keep EnergyPlus's own output files in this folder.")] = None,
     keep_last: Annotated[
         int | None, typer.Option(help="Of how many finished episodes; all if left out.", min=1)
     ] = None,
@@ -119,7 +119,7 @@ def node(
             "baseline": baseline,
             "branches": branches,
             "unresponsive_s": unresponsive,
-            "keep": keep,
+            "output_dir": output_dir,
             "keep_last": keep_last,
             "affinity": affinity,
         }
@@ -148,7 +148,7 @@ def _start(stack: ExitStack, config: NodeConfig, watch: Observer, *, chosen: boo
         say: prints a line.
 
     Raises:
-        EndpointTaken: another program listens there: the user named the endpoint, or that program is not on a bus.
+        AddressInUse: another program listens there: the user named the endpoint, or that program is not on a bus.
     """
     from eplus_node.node import Node
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 class Row:
     """One point at one sample; `value` is None where EnergyPlus does not tell.
 
-    `ruled_by` is who set an actuator, empty for the building's own control; None for what is no actuator.
+    `value_source` is who set an actuator, empty for the building's own control; None for what is no actuator.
     """
 
     kind: str
@@ -33,7 +33,7 @@ class Row:
     unit: str
     low: float | None
     high: float | None
-    ruled_by: str | None = None
+    value_source: str | None = None
 
 
 def read(
@@ -94,10 +94,10 @@ def rows(sample: SampleView, names: Sequence[str]) -> list[Row]:
         Row(kind, point.name, number(value), point.unit, point.low, point.high)
         for (kind, point), value in zip(points, sample.values.tolist(), strict=True)
     ]
-    rulers, applied = sample.value_source, sample.effective.tolist()
+    sources, effective = sample.value_source, sample.effective.tolist()
     found += [
-        Row("actuator", a.name, number(value), a.unit, a.low, a.high, rulers[a.name])
-        for a, value in zip(manifest.actuators, applied, strict=True)
+        Row("actuator", a.name, number(value), a.unit, a.low, a.high, sources[a.name])
+        for a, value in zip(manifest.actuators, effective, strict=True)
     ]
     return [row for row in found if not wanted or row.name in wanted]
 
@@ -114,5 +114,5 @@ def shown(value: float | None) -> str:
 
 def _cells(row: Row) -> tuple[str, ...]:
     low, high = ("" if bound is None else f"{bound:g}" for bound in (row.low, row.high))
-    ruler = "" if row.ruled_by is None else row.ruled_by or "the building"
-    return row.kind, row.name, shown(row.value), row.unit, low, high, ruler
+    source_index = "" if row.value_source is None else row.value_source or "the building"
+    return row.kind, row.name, shown(row.value), row.unit, low, high, source_index

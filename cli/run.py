@@ -45,7 +45,9 @@ def run(
     connect: Connect = None,
     keys: Keys = None,
     certificate: CertificateName = None,
-    level: Annotated[int, typer.Option(min=1, max=16, metavar="1-16", help="Priority level; 1 is the highest.")] = 10,
+    priority: Annotated[
+        int, typer.Option(min=1, max=16, metavar="1-16", help="Priority level; 1 is the highest.")
+    ] = 10,
     episodes: Annotated[int, typer.Option(min=1, metavar="N", help="How many episodes to control.")] = 1,
     reset: Annotated[bool, typer.Option("--reset", help="Begin a new episode instead of joining.")] = False,
 ) -> None:
@@ -62,7 +64,7 @@ def run(
     with connect_bus(connect or default_endpoint(keys), keys=keys, certificate=certificate) as bus:
         agent = Agent(make_controller(made_by, bus.manifest(node), given))
         results: dict[str, tuple[EpisodeMetrics, float]] = {}
-        with bus.controller(node, name=name, level=level) as link, progress() as bars:
+        with bus.controller(node, name=name, priority=priority) as link, progress() as bars:
             for number in range(episodes):
                 if reset or number:
                     link.reset(seed=seed)

@@ -37,7 +37,7 @@ def milliseconds(spread: LatencySummary) -> tuple[str, str, str]:
 
 
 def _counts(statistics: Statistics) -> str:
-    names = ("late", "rejected", "duplicate", "flooded", "missed", "overruns")
+    names = ("late", "rejected", "duplicate", "rate_limited", "missed", "overruns")
     behind = f" ({statistics.max_lag_s:.3g} s behind at worst)" if statistics.overruns else ""
     taken = f", {statistics.accepted_late} accepted late" if statistics.accepted_late else ""
     return ", ".join(f"{getattr(statistics, name)} {name}" for name in names) + behind + taken

@@ -98,8 +98,8 @@ def _print_controllers(nodes: list[Status]) -> None:
         if nodes:
             out.print("no controllers")
         return
-    columns = ("controller", "node", "level", "actuators", "required", "is")
-    show("", columns, who, right=("level", "actuators"), wrap=("controller", "node", "is"))
+    columns = ("controller", "node", "priority", "actuators", "required", "is")
+    show("", columns, who, right=("priority", "actuators"), wrap=("controller", "node", "is"))
     counted = ("accepted", "late", "rejected", "duplicate", "missed", "median\n(ms)", "p99\n(ms)", "max\n(ms)")
     show("", ("controller", *counted), did, right=counted, wrap=("controller",))
 
@@ -113,4 +113,4 @@ def _presence(controller: ControllerStatus) -> str:
         return "gone, waived"
     if not controller.connected:
         return "gone"
-    return "silent" if controller.unresponsive else "present"
+    return "unresponsive" if controller.unresponsive else "connected"

@@ -84,8 +84,8 @@ def _say(sample: SampleView, names: Sequence[str]) -> None:
     found = rows_of(sample, names)
     line = {
         **where(sample),
-        "points": {row.name: row.value for row in found if row.ruled_by is None},
-        "actuators": {row.name: row.value for row in found if row.ruled_by is not None},
+        "points": {row.name: row.value for row in found if row.value_source is None},
+        "actuators": {row.name: row.value for row in found if row.value_source is not None},
     }
     sys.stdout.write(json.dumps(line) + "\n")
     sys.stdout.flush()
@@ -108,8 +108,8 @@ class _Extremes:
         """As it is now; the thread that draws asks ten times a second."""
         rows = []
         for row, low, high in self._lines:
-            ruler = "" if row.ruled_by is None else row.ruled_by or "the building"
-            rows.append((row.name, row.kind, row.unit, shown(row.value), shown(low), shown(high), ruler))
+            source_index = "" if row.value_source is None else row.value_source or "the building"
+            rows.append((row.name, row.kind, row.unit, shown(row.value), shown(low), shown(high), source_index))
         numbers = ("value", "min", "max")
         columns = ("name", "kind", "unit", *numbers, "ruled by")
         return fitted(columns, rows, out.width, title=self._title, right=numbers, wrap=("name", "ruled by"))

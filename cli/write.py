@@ -1,4 +1,4 @@
-"""`zenostat write` and `zenostat release`: one actuator of a running node, by hand."""
+"""`zenostat write` and `zenostat relinquish`: one actuator of a running node, by hand."""
 
 from __future__ import annotations
 
@@ -42,13 +42,13 @@ def write(
     """
     from agent_sdk import connect as connect_bus
 
-    for_s = None if for_ is None else seconds(for_)
+    duration_s = None if for_ is None else seconds(for_)
     with connect_bus(connect or default_endpoint(keys), keys=keys, certificate=certificate) as bus:
-        event = bus.write(node, point, value, priority=priority, for_s=for_s, source=source or person())
+        event = bus.write(node, point, value, priority=priority, duration_s=duration_s, source=source or person())
     out.print(f"{node}: {event.text}" + (f" for {for_}" if for_ else ""), markup=False, soft_wrap=True)
 
 
-def release(
+def relinquish(
     node: Node,
     point: Point,
     priority: Priority = 8,
@@ -59,7 +59,7 @@ def release(
 ) -> None:
     """Releases an actuator that was set by hand: the next lower level rules, or the building's own control.
 
-    Example: `zenostat release office core_zn_cooling_setpoint --priority 8`
+    Example: `zenostat relinquish office core_zn_cooling_setpoint --priority 8`
     """
     from agent_sdk import connect as connect_bus
 

@@ -142,7 +142,7 @@ class BranchManager:
             positions: the weather of each slot; held in the folder that it is given, too.
 
         Raises:
-            Refused: no episode runs, or there are as many forks as are allowed.
+            RequestRejected: no episode runs, or there are as many forks as are allowed.
             ForkFailed: the system cannot fork.
         """
         name, folder = self._place("s")
@@ -168,7 +168,7 @@ class BranchManager:
         return taken
 
     def find(self, name: str) -> Snapshot:
-        """A snapshot by its name; `Refused` lists those that are there."""
+        """A snapshot by its name; `RequestRejected` lists those that are there."""
         if name not in self.snapshots:
             raise RequestRejected(
                 f"no snapshot {name!r} on node {self._runner.manifest.node!r}; {did_you_mean(name, self.snapshots)}"
@@ -176,7 +176,7 @@ class BranchManager:
         return self.snapshots[name]
 
     def drop(self, name: str) -> None:
-        """Gives a snapshot's memory back; `Refused` if there is none of that name."""
+        """Gives a snapshot's memory back; `RequestRejected` if there is none of that name."""
         self.find(name)
         self.snapshots.pop(name).drop()
 
@@ -188,7 +188,7 @@ class BranchManager:
             supplies: of each slot.
 
         Raises:
-            Refused: no such slot or snapshot, no episode runs, or there are as many forks as are allowed.
+            RequestRejected: no such slot or snapshot, no episode runs, or there are as many forks as are allowed.
             ForkFailed: the system cannot fork.
         """
         parent = self._runner
@@ -330,7 +330,7 @@ class BranchManager:
         for branch in [*self.branches.values()]:
             branch.runner.inlets.notify()
 
-    def hurry(self) -> None:
+    def cancel_steps(self) -> None:
         """Has no branch wait for an engine that is computing; any thread may."""
         for branch in [*self.branches.values()]:
             branch.runner.cancel_step()

@@ -42,7 +42,7 @@ class NodeConfig(BaseModel):
         config: a Sinergym configuration instead, and which `variant` of it (`hot-continuous`; None: its first).
         what: fields of a scenario, which go before those of `scenario`.
         own_reward: the agent has a reward of its own; that of a Sinergym configuration is not read.
-        keep: a folder for EnergyPlus's own files, an episode each; those of the last `keep_last` finished episodes
+        output_dir: a folder for EnergyPlus's own files, an episode each; those of the last `keep_last` finished episodes
             and of the running one (None: of all, or as many as the Sinergym configuration says).
         check: only check everything, and start nothing.
         listen: endpoints; none for a node that only connects, to a router or another node.
@@ -74,7 +74,7 @@ class NodeConfig(BaseModel):
     baseline: bool = False
     branches: Annotated[int, Field(ge=0, le=4096)] = 64
     unresponsive_s: Annotated[float, Field(gt=0, le=1e9)] = UNRESPONSIVE_S
-    keep: Path | None = None
+    output_dir: Path | None = None
     keep_last: Annotated[int, Field(ge=1)] | None = None
     folder: Path | None = None
     affinity: Affinity = Affinity.SEPARATE_CORES
@@ -126,7 +126,7 @@ def read_config(settings: Mapping[str, Any]) -> NodeConfig:
 
 def kept_episodes(config: NodeConfig) -> int | None:
     """How many finished episodes' files are kept; None is all of them."""
-    if config.keep_last is not None or config.config is None or config.keep is None:
+    if config.keep_last is not None or config.config is None or config.output_dir is None:
         return config.keep_last
     from models.sinergym.scenarios import kept_episodes as of_sinergym
 
@@ -176,7 +176,7 @@ def plan(config: NodeConfig) -> Plan:
     Raises:
         UnknownName: a scenario, building, weather or point that is not there.
         InvalidConfig: settings that cannot be.
-        ModelRefused: a model that EnergyPlus cannot read.
+        ModelError: a model that EnergyPlus cannot read.
     """
     check_name(config.name, "the node's name")
     faults = ErrorCollector()
@@ -187,8 +187,8 @@ def plan(config: NodeConfig) -> Plan:
     model = faults.collect(lambda: building.with_edits(plain, scenario.edits)) or plain if plain is not None else None
     sources = tuple(faults.collect(lambda name=name: _source(name, scenario)) for name in scenario.weather if name)  # type: ignore[misc]
     faults.collect(lambda: noise.checked(scenario.weather_noise))
-    if config.keep is not None and config.keep.exists() and not config.keep.is_dir():
-        faults.found.append(InvalidConfig(f"keep={config.keep} is a file; name a folder"))
+    if config.output_dir is not None and config.output_dir.exists() and not config.output_dir.is_dir():
+        faults.found.append(InvalidConfig(f"keep={config.output_dir} is a file; name a folder"))
     period = chosen = task = None
     if _dates_are_right(scenario, faults) and model is not None:
         period = faults.collect(lambda: model.period(scenario.begin, scenario.end, scenario.steps_per_hour))

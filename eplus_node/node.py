@@ -70,8 +70,8 @@ class Node:
         self._observer = observer
         self._registry = EngineRegistry(config.unresponsive_s)
         self._scratch: Scratch | None = None
-        limit_s = LIMIT_S if config.keep is None else _KEEP_S
-        self._ending = Ending(self._hurry, self._give_up if program else None, limit_s)
+        limit_s = LIMIT_S if config.output_dir is None else _KEEP_S
+        self._ending = Ending(self._stop_waiting, self._give_up if program else None, limit_s)
         self._runs: NodeServer | None = None
         self._close = ExitStack()
 
@@ -200,7 +200,7 @@ class Node:
         )
         self.runner.interrupt, self.runner.on_stop = self._registry.interrupt, self._stop_asked
         self._close.callback(self.runner.close)
-        if self.config.keep is None:
+        if self.config.output_dir is None:
             self._close.callback(self._registry.interrupt)  # all at once, which is quicker than one by one
         if self.plan.faults is not None:
             self.runner.inject(self.plan.faults)
@@ -273,13 +273,13 @@ class Node:
         self.runner.cancel_step()
         self._ending.ask()
 
-    def _hurry(self, signals: int) -> None:
+    def _stop_waiting(self, signals: int) -> None:
         """Waits for no engine any more, unless it finishes files that are kept; any thread may."""
         self._registry.close()
         if self._runs is not None:
             self._runs.cancel_step()
-            self.forks.hurry()
-        if signals > 1 or self.config.keep is None or self._runs is None:
+            self.forks.cancel_steps()
+        if signals > 1 or self.config.output_dir is None or self._runs is None:
             self._registry.interrupt()
 
     def _give_up(self) -> None:
@@ -412,7 +412,7 @@ class Node:
         runner.failure = runner.failure_error = ""
         if told.weather != self._supplies[0].source.name:
             present = runner.manifest
-            kept = {"mode": present.mode, "speed": present.speed, "disturbed": present.faults_injected}
+            kept = {"mode": present.mode, "speed": present.speed, "faults_injected": present.faults_injected}
             runner.manifest = self._manifest().model_copy(update=kept)
         if runner.manifest != told:
             runner.outlets.manifest(runner.manifest)
@@ -480,7 +480,7 @@ class Node:
         former, engines.links = engines.links, made
         former += engines.baselines
         engines.baselines = beside
-        engines.applied, engines.ruler = snapshot.engines.applied, snapshot.engines.ruler
+        engines.effective, engines.source_index = snapshot.engines.effective, snapshot.engines.source_index
         exchange.restore(snapshot.held)
         self._begin(dict(enumerate(snapshot.step)), reset.controller, [None] * len(slots), snapshot.faults or NO_FAULTS)
         self._end(former)

@@ -222,12 +222,12 @@ class NodeServer:
         began_s = exchange.now_s = monotonic()
         if exchange.commands.has_expiries:
             self.publish_events(exchange.expire(self._passed_s))
-        values, ruler = exchange.begin_step()
+        values, source_index = exchange.begin_step()
         if self.injection is not None:
             values = self.injection.apply_to_commands(values, exchange.step)
         self._told = values
         try:
-            last = self.engines.step(values, ruler, exchange.active_slots)
+            last = self.engines.step(values, source_index, exchange.active_slots)
         except SimulatorError as error:
             if self.stopping:
                 self.inlets.run_pending(most=MAX_PENDING)
@@ -252,9 +252,9 @@ class NodeServer:
             ]
         else:
             flags = [fell] * len(steps)
-        values, undisturbed, injection = engines.values_bytes(), b"", self.injection
+        values, fault_free_values, injection = engines.values_bytes(), b"", self.injection
         if injection is not None:
-            undisturbed, values = values, injection.apply_to_sensors(values, exchange.step)
+            fault_free_values, values = values, injection.apply_to_sensors(values, exchange.step)
         self._latest = codec.pack(
             episode=exchange.episode,
             step=steps,
@@ -262,14 +262,14 @@ class NodeServer:
             elapsed_s=elapsed_s,
             flags=flags,
             values=values,
-            applied=engines.applied,
-            ruler=engines.ruler,
-            rulers=exchange.source_names,
+            effective=engines.effective,
+            source_index=engines.source_index,
+            sources=exchange.source_names,
             late=counts.late,
             rejected=counts.rejected,
             baseline=engines.baseline_bytes() if engines.baselines else b"",
-            baseline_applied=engines.baseline_applied() if engines.baselines else b"",
-            undisturbed=undisturbed,
+            baseline_effective=engines.baseline_effective() if engines.baselines else b"",
+            fault_free_values=fault_free_values,
         )
         if injection is None:
             self.outlets.sample(self._latest)
@@ -347,7 +347,7 @@ class NodeServer:
     # Requests
 
     def check_slot(self, slot: int) -> None:
-        """Whether there is such a slot; `Refused` says how many there are."""
+        """Whether there is such a slot; `RequestRejected` says how many there are."""
         if slot >= self.manifest.slots:
             raise RequestRejected(f"no slot {slot} on node {self.manifest.node!r}; it has {self.manifest.slots}")
 
@@ -364,13 +364,13 @@ class NodeServer:
         """Has these faults, in place of those that were there; none if the plan has none.
 
         Raises:
-            InvalidConfig: see `Injection`.
+            InvalidConfig: see `FaultInjection`.
         """
         self.injection = FaultInjection(faults, self.plan, self.manifest.slots) if faults.faults else None
         if self.injection is not None and self._told:
             self.injection.heard(self._told)
         if self.manifest.faults_injected != (self.injection is not None):
-            self.manifest = self.manifest.model_copy(update={"disturbed": self.injection is not None})
+            self.manifest = self.manifest.model_copy(update={"faults_injected": self.injection is not None})
 
     def _set_faults(self, faults: FaultPlan) -> Message:
         self.inject(faults)
@@ -430,7 +430,7 @@ class NodeServer:
             late=counts.late,
             rejected=counts.rejected,
             duplicate=counts.duplicate,
-            rate_limited=counts.rate_limited + self.inlets.flooded,
+            rate_limited=counts.rate_limited + self.inlets.rate_limited,
             accepted_late=counts.accepted_late,
         )
 

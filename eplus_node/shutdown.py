@@ -28,16 +28,16 @@ class Ending:
     """Sees to it that a node ends once it is asked to; `with Ending(...) as ending`, in the main thread.
 
     Args:
-        hurry: has the node wait for nothing any more; called after `PATIENCE_S`, and then again and again, with the
+        stop_waiting: has the node wait for nothing any more; called after `PATIENCE_S`, and then again and again, with the
             number of signals so far.
         give_up: ends the process; None leaves it be.
         limit_s: when; of a node that was asked a second time by a signal, after `LIMIT_S`.
     """
 
     def __init__(
-        self, hurry: Callable[[int], None], give_up: Callable[[], None] | None, limit_s: float = LIMIT_S
+        self, stop_waiting: Callable[[int], None], give_up: Callable[[], None] | None, limit_s: float = LIMIT_S
     ) -> None:
-        self._hurry, self._give_up, self._limit_s = hurry, give_up, limit_s
+        self._stop_waiting, self._give_up, self._limit_s = stop_waiting, give_up, limit_s
         self._ear, self._mouth = os.pipe()
         os.set_blocking(self._mouth, False)
         self._thread = threading.Thread(target=self._run, name="ending", daemon=True)
@@ -61,20 +61,20 @@ class Ending:
         os.write(self._mouth, bytes([_ASKED]))
 
     def _run(self) -> None:
-        signals, hurry_s, until_s = 0, 0.0, 0.0
-        while (heard := self._hear(hurry_s)) != _OVER:
+        signals, nudge_s, until_s = 0, 0.0, 0.0
+        while (heard := self._hear(nudge_s)) != _OVER:
             now_s = monotonic()
             asked = heard == _ASKED or heard in TERMINATION_SIGNALS
             signals += asked and heard != _ASKED
             if asked and not until_s:
-                hurry_s, until_s = now_s + PATIENCE_S, now_s + self._limit_s
+                nudge_s, until_s = now_s + PATIENCE_S, now_s + self._limit_s
             if asked and signals > 1:
-                hurry_s, until_s = now_s, min(until_s, now_s + LIMIT_S)
+                nudge_s, until_s = now_s, min(until_s, now_s + LIMIT_S)
             if until_s and now_s >= until_s and self._give_up is not None:
                 self._give_up()
-            if until_s and now_s >= hurry_s:
-                self._hurry(signals)
-                hurry_s = now_s + _AGAIN_S
+            if until_s and now_s >= nudge_s:
+                self._stop_waiting(signals)
+                nudge_s = now_s + _AGAIN_S
 
     def _hear(self, until_s: float) -> int | None:
         """What was heard; None if nothing was by then. 0: there is no time."""

@@ -61,7 +61,7 @@ class Subscriptions:
         self._session = session
         self._node = node
         self._shelf: deque[Callable[[], None]] = deque()
-        self.flooded = 0
+        self.rate_limited = 0
         self._close = ExitStack()
         self._owner = 0
         self._waits = False
@@ -159,7 +159,7 @@ class Subscriptions:
 
         def on_message(message: zenoh.Sample) -> None:
             if len(waiting) >= MAX_PENDING:
-                self.flooded += 1
+                self.rate_limited += 1
                 return
             name, payload, said = (
                 keys.last_chunk(str(message.key_expr)),
@@ -227,7 +227,7 @@ class Subscriptions:
 
         def refuse(query: zenoh.Query) -> None:
             busy = ErrorReply(
-                error="Refused", message=f"the node has {MAX_PENDING} requests to answer; ask again later"
+                error="RequestRejected", message=f"the node has {MAX_PENDING} requests to answer; ask again later"
             )
             with query:
                 query.reply(key, codec.encode(busy), encoding=zenoh.Encoding(codec.encoding(ErrorReply)))
@@ -252,7 +252,7 @@ class Subscriptions:
 
         def on_query(query: zenoh.Query) -> None:
             if len(waiting) >= MAX_PENDING:
-                self.flooded += 1
+                self.rate_limited += 1
                 refuse(query)
                 return
             if at_once is not None and understood(query):

@@ -39,7 +39,7 @@ def control(link: agent_sdk.ControllerLink, half: str) -> None:
 def supervise(bus: agent_sdk.Bus, sample: SampleView) -> None:
     """A price peak: the supervisor has the core drift for an hour."""
     if sample.time.hour == 15 and sample.time.minute == 0:
-        bus.write(asked.node, "core_zn_cooling_setpoint", 28.0, priority=8, for_s=3600, source="supervisor")
+        bus.write(asked.node, "core_zn_cooling_setpoint", 28.0, priority=8, duration_s=3600, source="supervisor")
 
 
 with agent_sdk.connect(asked.connect) as bus, bus.listen(asked.node) as samples:

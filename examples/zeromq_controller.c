@@ -3,7 +3,7 @@
  * Start a node and the gateway first, in two other terminals:
  *
  *     zenostat node --building office-small --weather USA_CO_Denver --begin 07-01 --end 07-07 --name office
- *     zenostat zmq --node office
+ *     zenostat gateway zeromq --node office
  *
  * Then: cc -o controller zeromq_controller.c -lzmq && ./controller
  * Usage: controller [PUBLISH COMMAND [NODE]]
@@ -137,7 +137,7 @@ static void ask(const char *what, const void *payload, size_t length) {
     encoding[size] = 0;
     size = zmq_recv(requests, answer, sizeof answer, 0);
     if (size < 0 || size > (int)sizeof answer) fail("no answer that would fit");
-    if (strstr(encoding, ".Denied")) {
+    if (strstr(encoding, ".ErrorReply")) {
         const byte *at = field(answer, "message");
         uint32_t text = head(&at);
         fprintf(stderr, "%s: %.*s\n", what, (int)text, at);
@@ -160,7 +160,7 @@ int main(int argc, char **argv) {
     const byte *at;
     byte *end;
 
-    snprintf(root, sizeof root, "zenostat/v1/%s", argc > 3 ? argv[3] : "office");
+    snprintf(root, sizeof root, "zenostat/v2/%s", argc > 3 ? argv[3] : "office");
     requests = zmq_socket(context, ZMQ_REQ);
     samples = zmq_socket(context, ZMQ_SUB);
     if (zmq_connect(samples, argc > 2 ? argv[1] : "tcp://127.0.0.1:5556")) fail("PUBLISH is no endpoint");

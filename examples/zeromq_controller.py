@@ -3,7 +3,7 @@
 Start a node and the gateway first, in two other terminals:
 
     zenostat node --building office-small --weather USA_CO_Denver --begin 07-01 --end 07-07 --name office
-    zenostat zmq --node office
+    zenostat gateway zeromq --node office
 
 Then: `python examples/zeromq_controller.py` (it needs pyzmq and msgpack, nothing of Zenostat)
 """
@@ -19,7 +19,7 @@ parser.add_argument("--publish", default="tcp://127.0.0.1:5556")
 parser.add_argument("--command", default="tcp://127.0.0.1:5557")
 parser.add_argument("--node", default="office")
 asked = parser.parse_args()
-root, me, context = f"zenostat/v1/{asked.node}", "drift", zmq.Context()
+root, me, context = f"zenostat/v2/{asked.node}", "drift", zmq.Context()
 
 samples, requests = context.socket(zmq.SUB), context.socket(zmq.REQ)
 samples.connect(asked.publish)

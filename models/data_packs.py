@@ -120,7 +120,7 @@ def find_pack(name: str) -> Pack:
 
 def command(name: str) -> str:
     """What to type to add a pack."""
-    return f"zenostat packs add {name}"
+    return f"zenostat data-packs add {name}"
 
 
 def is_installed(name: str) -> bool:

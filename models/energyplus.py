@@ -29,7 +29,7 @@ def call(verb: str, *arguments: str | Path, file: str | Path | None = None) -> N
     `file`: what an error names; the first argument if None.
 
     Raises:
-        ModelRefused: with the lines of `eplusout.err` that matter, if the child failed.
+        ModelError: with the lines of `eplusout.err` that matter, if the child failed.
     """
     folder = Path(arguments[-1]).parent
     done = subprocess.run(

@@ -91,10 +91,10 @@ def exchange(*actuators: Actuator, mode: Mode = Mode.LOCKSTEP, slots: int = 1) -
 
 
 def claim(
-    at: StepExchange, controller: str, level: int = 10, *, actuators: list[str] | None = None, required: bool = True
+    at: StepExchange, controller: str, priority: int = 10, *, actuators: list[str] | None = None, required: bool = True
 ) -> list[Event]:
     """A controller claims actuators."""
-    return at.claim(Claim(controller=controller, priority=level, actuators=actuators, required=required))
+    return at.claim(Claim(controller=controller, priority=priority, actuators=actuators, required=required))
 
 
 def command(
@@ -126,8 +126,8 @@ def advance(at: StepExchange, *, last: bool = False) -> tuple[list[float], list[
     values, who = at.begin_step()
     at.finish_step([last] * len(at.active_slots))
     at.open_intake()
-    rulers = [at.source_names[i] for i in np.frombuffer(who, "<u2")]
-    return np.frombuffer(values, "<f8").tolist(), rulers
+    sources = [at.source_names[i] for i in np.frombuffer(who, "<u2")]
+    return np.frombuffer(values, "<f8").tolist(), sources
 
 
 def ruling(at: StepExchange) -> tuple[list[float], list[str]]:

@@ -121,7 +121,7 @@ def _value(name: str, value: Any) -> list[str]:
     begin = 0
     if isinstance(value, bytes):
         begin = len(packed) - len(value)
-        kind = {"mask": "B", "ruler": "H"}.get(name, "d")
+        kind = {"operations": "B", "source_index": "H"}.get(name, "d")
         meaning = str(struct.unpack(f"<{len(value) // struct.calcsize(kind)}{kind}", value))
     first = [_line(packed[:begin], f"bin of {len(packed) - begin} bytes")] if begin else []
     pieces = [packed[i : i + _A_LINE] for i in range(begin, len(packed), _A_LINE)]

@@ -108,9 +108,9 @@ class FakeBuilding(gym.Env[NDArray[np.float32], Any]):
         ]
         return np.concatenate([time_features(TIME, begin, self.time), sensors]).astype(np.float32)
 
-    def _info(self, applied: list[float]) -> dict[str, Any]:
+    def _info(self, effective: list[float]) -> dict[str, Any]:
         told = {"time": self.time.isoformat(), "step": self._step, "late": 0, "rejected": 0}
-        return {**told, "applied": np.array(applied)}
+        return {**told, "effective": np.array(effective)}
 
     def weather(self, columns: Sequence[str]) -> WeatherSeries:
         self.asked.append(list(columns))

@@ -17,7 +17,7 @@ Rows = list[list[float]]
 
 
 def beside(info: dict[str, Any]) -> list[float]:
-    return [*info["baseline"].tolist(), *info["baseline_applied"].tolist()]
+    return [*info["baseline"].tolist(), *info["baseline_effective"].tolist()]
 
 
 def own_control(env: BuildingEnv, **reset: Any) -> Rows:
@@ -83,7 +83,7 @@ def _plain(env: BuildingEnv, actions: list[Any]) -> tuple[Rows, str]:
     rows = []
     for action in actions:
         _, reward, *_, info = env.step(action)
-        assert not {"baseline", "baseline_applied"} & set(info)
+        assert not {"baseline", "baseline_effective"} & set(info)
         rows.append(row(env, reward))
     return rows, "no baseline"
 

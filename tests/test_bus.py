@@ -29,7 +29,7 @@ config = zenoh.Config()
 config.insert_json5("mode", '"client"')
 config.insert_json5("connect/endpoints", json.dumps([sys.argv[1]]))
 config.insert_json5("scouting/multicast/enabled", "false")
-root = "zenostat/v1/office"
+root = "zenostat/v2/office"
 
 
 def say(**what):
@@ -78,7 +78,7 @@ import zenoh
 from bridge.session import open_session
 with open_session(connect=[sys.argv[1]]) as session:
     with session.declare_subscriber("zenostat/**") as subscriber:
-        next(iter(session.get("zenostat/v1/office/manifest")))
+        next(iter(session.get("zenostat/v2/office/manifest")))
         print("listens", flush=True)
         while True:
             subscriber.recv()
@@ -136,7 +136,7 @@ def test_a_stranger_reads_and_writes_with_msgpack_alone(endpoint: str, bus: agen
         place = list(link.manifest.actuators).index(
             next(a for a in link.manifest.actuators if a.name == "core_zn_cooling_setpoint")
         )
-        for text, ruler in (
+        for text, source_index in (
             ("core_zn_cooling_setpoint = 26 degC at priority 8", "anonymous"),
             ("core_zn_cooling_setpoint released at priority 8", ""),
         ):
@@ -145,9 +145,9 @@ def test_a_stranger_reads_and_writes_with_msgpack_alone(endpoint: str, bus: agen
             sample = link.receive()
             seen = stranger.json()
             assert seen["step"] == [sample.step]
-            assert seen["applied"] == sample.effective[place]
-            assert (seen["applied"] == 26.0) == (ruler == "anonymous")
-            assert seen["ruler"] == ruler == sample.value_source["core_zn_cooling_setpoint"]
+            assert seen["effective"] == sample.effective[place]
+            assert (seen["effective"] == 26.0) == (source_index == "anonymous")
+            assert seen["source_index"] == source_index == sample.value_source["core_zn_cooling_setpoint"]
             _check_points(seen["values"], sample)
         assert stranger.end()[0] == 0
 
@@ -155,8 +155,8 @@ def test_a_stranger_reads_and_writes_with_msgpack_alone(endpoint: str, bus: agen
 def _check_points(values: dict[str, dict[str, object]], sample: agent_sdk.sample.SampleView) -> None:
     """Each point came under its own key, equal to the sample to the bit."""
     manifest = sample.manifest
-    points = {f"zenostat/v1/office/sensor/{s.name}": s for s in manifest.sensors}
-    points |= {f"zenostat/v1/office/meter/{m.name}": m for m in manifest.meters}
+    points = {f"zenostat/v2/office/sensor/{s.name}": s for s in manifest.sensors}
+    points |= {f"zenostat/v2/office/meter/{m.name}": m for m in manifest.meters}
     assert set(values) == set(points)
     for key, point in points.items():
         assert values[key] == {
@@ -236,11 +236,11 @@ def test_two_controllers_are_both_waited_for(bus: agent_sdk.Bus, second_bus: age
 def test_a_higher_level_rules_until_it_is_released(bus: agent_sdk.Bus, second_bus: agent_sdk.Bus) -> None:
     with (
         bus.controller("office", name="usual") as usual,
-        second_bus.controller("office", name="urgent", level=2, required=False) as urgent,
+        second_bus.controller("office", name="urgent", priority=2, required=False) as urgent,
     ):
         sample = usual.reset()
         urgent.current()
-        rulers = []
+        sources = []
         for command in ({"core_zn_cooling_setpoint": 29.0}, {"core_zn_cooling_setpoint": None}):
             accepted = bus.status("office").accepted
             urgent.send(command)
@@ -248,8 +248,8 @@ def test_a_higher_level_rules_until_it_is_released(bus: agent_sdk.Bus, second_bu
             usual.send({"core_zn_cooling_setpoint": 24.0})
             sample, _ = usual.receive(), urgent.receive()
             index = [a.name for a in usual.manifest.actuators].index("core_zn_cooling_setpoint")
-            rulers.append((sample.value_source["core_zn_cooling_setpoint"], sample.effective[index]))
-        assert rulers == [(urgent.name, 29.0), (usual.name, 24.0)]
+            sources.append((sample.value_source["core_zn_cooling_setpoint"], sample.effective[index]))
+        assert sources == [(urgent.name, 29.0), (usual.name, 24.0)]
 
 
 def test_a_second_claim_of_a_level_names_the_holder(bus: agent_sdk.Bus, second_bus: agent_sdk.Bus) -> None:
@@ -258,7 +258,7 @@ def test_a_second_claim_of_a_level_names_the_holder(bus: agent_sdk.Bus, second_b
         with pytest.raises(RequestRejected, match=f"level 10 of .* is claimed by '{holder.name}'; claim another level"):
             second_bus.controller("office", name="late")
         until(lambda: bus.controllers() == [("office", holder.name)], "the holder alone is there")
-        with second_bus.controller("office", name="late", level=11) as late:
+        with second_bus.controller("office", name="late", priority=11) as late:
             both = sorted([("office", holder.name), ("office", late.name)])
             until(lambda: bus.controllers() == both, "both are there")
     with pytest.raises(RequestRejected, match="no actuator 'core_zn_heating'; near names: 'core_zn_heating_setpoint'"):

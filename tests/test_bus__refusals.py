@@ -22,7 +22,7 @@ BAD_WRITES = {
     "not a number": ({"value": math.nan}, OWN, "value"),
     "text": ({"value": "26"}, OWN, "value"),
     "priority 17": ({"value": 26.0, "priority": 17}, OWN, "priority"),
-    "negative duration": ({"value": 26.0, "for_s": -1.0}, OWN, "for_s"),
+    "negative duration": ({"value": 26.0, "duration_s": -1.0}, OWN, "duration_s"),
     "extra field": ({"value": 26.0, "colour": "red"}, OWN, "colour: there is no such field"),
     "foreign version": ({"value": 26.0}, "application/msgpack;zenostat/9.Write", "expected encoding"),
     "plain text": ({"value": 26.0}, "text/plain", "expected encoding"),

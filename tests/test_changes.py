@@ -26,9 +26,9 @@ MODEL: dict[str, dict[str, Any]] = {
 }
 
 
-def refused(changes: Any, model: dict[str, Any] = MODEL) -> list[str]:
+def refused(edits: Any, model: dict[str, Any] = MODEL) -> list[str]:
     with pytest.raises(InvalidConfig) as raised:
-        apply_edits(model, changes)
+        apply_edits(model, edits)
     return str(raised.value).split("\n")
 
 
@@ -102,8 +102,8 @@ def test_a_misspelled_name_says_the_near_one_and_what_a_new_object_would_lack() 
          "Timestep 'mine': a model has one object of this type, and this one has 'Timestep 1'; '*' names it too"),
     ],
 )  # fmt: skip
-def test_a_wrong_change_is_refused(changes: Any, said: str) -> None:
-    (line,) = refused(changes)
+def test_a_wrong_change_is_refused(edits: Any, said: str) -> None:
+    (line,) = refused(edits)
     assert line.startswith(said)
 
 

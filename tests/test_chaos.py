@@ -82,8 +82,8 @@ def test_the_page_has_a_row_for_every_act_and_lost_nothing() -> None:
 
 def sample(step: int, *, episode: int = 0, last: int = 3, ruled: str = "", rows: str = "", flags: int = 0) -> Sample:
     """Two actuators, `a` and `b`: `ruled` names their rulers, `rows` their values, both with a blank between."""
-    rulers, values = ruled.split() or ["-", "-"], rows.split() or ["21", "21"]
-    names = ["", *dict.fromkeys(name for name in rulers if name != "-")]
+    sources, values = ruled.split() or ["-", "-"], rows.split() or ["21", "21"]
+    names = ["", *dict.fromkeys(name for name in sources if name != "-")]
     return Sample(
         episode=[episode],
         step=[step],
@@ -92,7 +92,7 @@ def sample(step: int, *, episode: int = 0, last: int = 3, ruled: str = "", rows:
         flags=[flags | (Flag.FIRST if step == 0 else Flag.TRUNCATED if step == last else 0)],
         values=b"",
         effective=np.array([float(value) for value in values]).tobytes(),
-        source_index=np.array([0 if name == "-" else names.index(name) for name in rulers], "<u2").tobytes(),
+        source_index=np.array([0 if name == "-" else names.index(name) for name in sources], "<u2").tobytes(),
         sources=names,
     )
 

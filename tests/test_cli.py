@@ -16,7 +16,7 @@ import agent_sdk
 
 ZENOSTAT = [sys.executable, "-P", "-m", "cli.main"]
 COMMANDS = (
-    "node", "run", "evaluate", "monitor", "status", "read", "watch", "write", "release", "points", "buildings",
+    "node", "run", "evaluate", "monitor", "status", "read", "watch", "write", "relinquish", "points", "buildings",
     "weathers", "contract", "demo", "pace", "pause", "resume", "step", "faults", "reset", "stop",
 )  # fmt: skip
 DAY = ["--building", "ref-small-office", "--weather", "USA_CO_Denver", "--begin", "07-03", "--end", "07-03"]

@@ -44,7 +44,7 @@ def standing(module_folder: Path) -> Iterator[agent_sdk.Bus]:
         assert made.status("office").rejected == 0
 
 
-def rulers(link: agent_sdk.ControllerLink, steps: int) -> list[tuple[float, str]]:
+def sources(link: agent_sdk.ControllerLink, steps: int) -> list[tuple[float, str]]:
     """What the point really was in each of the next timesteps, and who set it; the controller keeps all as it is."""
     sample, found = link.current(), []
     place = [a.name for a in link.manifest.actuators].index(POINT)
@@ -68,21 +68,21 @@ def test_a_write_rules_until_it_is_released(node: NodeProgram, bus: agent_sdk.Bu
     written = zenostat(node.endpoint, "write", "office", POINT, "26", "--source", "ann")
     assert (written.returncode, written.stdout) == (0, f"office: {POINT} = 26 degC at priority 8\n"), written.stderr
     with bus.controller("office") as link:
-        assert rulers(link, 1) == [(26.0, "ann")]
+        assert sources(link, 1) == [(26.0, "ann")]
         said = actuator_of(node.endpoint)
-        assert (said["value"], said["unit"], said["ruled_by"].startswith("ann-")) == (26.0, "degC", True)
-        released = zenostat(node.endpoint, "release", "office", POINT)
-        assert (released.returncode, released.stdout) == (0, f"office: {POINT} released at priority 8\n")
-        ((value, who),) = rulers(link, 1)
+        assert (said["value"], said["unit"], said["value_source"].startswith("ann-")) == (26.0, "degC", True)
+        relinquished = zenostat(node.endpoint, "relinquish", "office", POINT)
+        assert (relinquished.returncode, relinquished.stdout) == (0, f"office: {POINT} released at priority 8\n")
+        ((value, who),) = sources(link, 1)
         assert (value != 26.0, who) == (True, "")
-        assert actuator_of(node.endpoint)["ruled_by"] == ""
+        assert actuator_of(node.endpoint)["value_source"] == ""
 
 
 def test_a_write_for_half_an_hour_rules_two_quarters(node: NodeProgram, bus: agent_sdk.Bus) -> None:
     written = zenostat(node.endpoint, "write", "office", POINT, "26", "--for", "30min", "--source", "ann")
     assert written.stdout == f"office: {POINT} = 26 degC at priority 8 for 30min\n"
     with bus.controller("office") as link:
-        assert [who for _, who in rulers(link, 4)] == ["ann", "ann", "", ""]
+        assert [who for _, who in sources(link, 4)] == ["ann", "ann", "", ""]
 
 
 def test_the_higher_priority_rules_and_a_release_is_of_one_level(node: NodeProgram, bus: agent_sdk.Bus) -> None:
@@ -90,15 +90,15 @@ def test_the_higher_priority_rules_and_a_release_is_of_one_level(node: NodeProgr
         done = zenostat(node.endpoint, "write", "office", POINT, value, "--priority", priority, "--source", who)
         assert done.returncode == 0, done.stderr
     with bus.controller("office") as link:
-        assert rulers(link, 1) == [(27.0, "high")]
-        assert zenostat(node.endpoint, "release", "office", POINT, "--priority", "3").returncode == 0
-        assert rulers(link, 1) == [(25.0, "low")]
+        assert sources(link, 1) == [(27.0, "high")]
+        assert zenostat(node.endpoint, "relinquish", "office", POINT, "--priority", "3").returncode == 0
+        assert sources(link, 1) == [(25.0, "low")]
 
 
 def test_who_writes_is_a_person_at_a_machine_if_nobody_is_named(node: NodeProgram, bus: agent_sdk.Bus) -> None:
     assert zenostat(node.endpoint, "write", "office", POINT, "26").returncode == 0
     with bus.controller("office") as link:
-        ((_, who),) = rulers(link, 1)
+        ((_, who),) = sources(link, 1)
     assert re.fullmatch(r"[^@]+@.+", who)
 
 
@@ -108,7 +108,7 @@ def test_what_the_node_refuses_ends_with_1_and_its_reason(node: NodeProgram, bus
         done = zenostat(node.endpoint, "write", "office", POINT, value)
         assert (done.returncode, done.stdout) == (1, "")
         assert f"{POINT} = {value} degC; its bounds are {low} to {high}" in done.stderr
-    with bus.controller("office", name="holder", level=8) as link:
+    with bus.controller("office", name="holder", priority=8) as link:
         done = zenostat(node.endpoint, "write", "office", POINT, "26")
         assert done.returncode == 1
         assert f"level 8 of '{POINT}' is claimed by '{link.name}'" in done.stderr
@@ -121,7 +121,7 @@ def test_what_the_node_refuses_ends_with_1_and_its_reason(node: NodeProgram, bus
         (["write", "ofice", POINT, "26"], 1, ["no node 'ofice'", "'office'"]),
         (["write", "office", "core_zn_coling_setpoint", "26"], 2, ["no actuator", f"near names: '{POINT}'"]),
         (["write", "office", AIR, "26"], 2, [f"no actuator '{AIR}'"]),
-        (["release", "office", "core_zn_coling_setpoint"], 2, ["no actuator", f"near names: '{POINT}'"]),
+        (["relinquish", "office", "core_zn_coling_setpoint"], 2, ["no actuator", f"near names: '{POINT}'"]),
         (["write", "office", POINT, "nan"], 2, [f"{POINT}: value"]),
         (["write", "office", POINT, "warm"], 2, ["Invalid value"]),
         (["write", "office", POINT, "26", "--for", "2 weeks"], 2, ["--for 2 weeks", "90s, 15min, 2h, 1d"]),
@@ -185,7 +185,7 @@ def test_each_writer_hears_of_its_own_write(node: NodeProgram, bus: agent_sdk.Bu
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"value": float("inf")}, {"value": 26.0, "priority": 0}, {"value": 26.0, "for_s": 0.0}], ids=str
+    "wrong", [{"value": float("inf")}, {"value": 26.0, "priority": 0}, {"value": 26.0, "duration_s": 0.0}], ids=str
 )
 def test_a_write_that_cannot_be_is_not_sent(standing: agent_sdk.Bus, wrong: dict[str, Any]) -> None:
     with pytest.raises(InvalidAction, match=POINT):
@@ -232,9 +232,9 @@ def test_read_shows_the_latest_sample(node: NodeProgram, bus: agent_sdk.Bus) -> 
         ):
             told = [(row["name"], row["unit"], row["low"], row["high"]) for row in kinds[kind]]
             assert told == [(point.name, point.unit, point.low, point.high) for point in points]
-        applied = [float("nan") if row["value"] is None else row["value"] for row in kinds["actuator"]]
-        assert np.array_equal(applied, sample.effective, equal_nan=True)
-        assert {row["name"]: row["ruled_by"] for row in kinds["actuator"]} == sample.value_source
+        effective = [float("nan") if row["value"] is None else row["value"] for row in kinds["actuator"]]
+        assert np.array_equal(effective, sample.effective, equal_nan=True)
+        assert {row["name"]: row["value_source"] for row in kinds["actuator"]} == sample.value_source
         lines = zenostat(node.endpoint, "read", "office", AIR).stdout.splitlines()
         assert lines[0].split() == ["kind", "name", "value", "unit", "low", "high", "ruled", "by"]
         assert lines[1].split()[:4] == ["sensor", AIR, f"{sample[AIR]:.6g}", "degC"]
@@ -272,8 +272,8 @@ def test_watch_tells_each_sample_once_from_the_present_one_on(node: NodeProgram,
     for line, seen in zip(told, samples, strict=False):
         assert line["time"] == seen.time.isoformat()
         assert line["points"] == {name: seen[name] for name in (AIR, POINT) if name in link.manifest.names}
-        applied = seen.effective[place]
-        assert line["actuators"] == {POINT: None if np.isnan(applied) else applied}
+        effective = seen.effective[place]
+        assert line["actuators"] == {POINT: None if np.isnan(effective) else effective}
 
 
 def test_the_table_has_the_extremes_since_it_began(node: NodeProgram, bus: agent_sdk.Bus) -> None:

@@ -47,7 +47,7 @@ TRAVELLING = (
 )  # fmt: skip
 NUMBERS = {
     "value of a Write": (Write, {"value": 1.0}, "value"),
-    "for_s of a Write": (Write, {"value": 1.0, "for_s": 1.0}, "for_s"),
+    "for_s of a Write": (Write, {"value": 1.0, "duration_s": 1.0}, "duration_s"),
     "value of a PointValue": (PointValue, {"value": 1.0, "unit": "W", "episode": 0, "step": 0, "time": ""}, "value"),
 }
 
@@ -56,7 +56,7 @@ lists = st.lists(counts, max_size=3)
 finite = st.floats(allow_nan=False, allow_infinity=False)
 names = st.from_regex(r"[A-Za-z0-9_][A-Za-z0-9_.\-]{0,20}", fullmatch=True)
 texts = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
-levels = st.integers(1, 16)
+priorities = st.integers(1, 16)
 
 whatever = st.one_of(
     st.builds(
@@ -68,10 +68,10 @@ whatever = st.one_of(
             )
         ),
     ),
-    st.builds(CreateBranch, controller=texts, snapshot=texts, released=st.booleans(), slot=counts),
+    st.builds(CreateBranch, controller=texts, snapshot=texts, relinquished=st.booleans(), slot=counts),
     st.builds(SnapshotTaken, snapshot=texts, episode=lists, step=lists),
     st.builds(Query),
-    st.builds(Claim, controller=names, level=levels, actuators=st.none() | st.lists(texts), required=st.booleans()),
+    st.builds(Claim, controller=names, priority=priorities, actuators=st.none() | st.lists(texts), required=st.booleans()),
     st.builds(Command, episode=lists, step=lists, mask=st.none() | st.binary(), values=st.binary()),
     st.builds(ErrorReply, error=texts, message=texts),
     st.builds(Event, kind=st.sampled_from(EventKind), text=texts, source=texts, error=texts, episode=counts),
@@ -79,15 +79,15 @@ whatever = st.one_of(
     st.builds(Reset, controller=texts, seed=st.none() | counts | st.lists(st.none() | counts), snapshot=texts),
     st.builds(
         Sample, episode=lists, step=lists, time=st.lists(texts, max_size=2), elapsed_s=st.lists(finite, max_size=2),
-        flags=st.just([0]), values=st.binary(), applied=st.binary(), ruler=st.binary(),
-        rulers=st.lists(texts, max_size=3), late=counts, rejected=counts,
+        flags=st.just([0]), values=st.binary(), effective=st.binary(), source_index=st.binary(),
+        sources=st.lists(texts, max_size=3), late=counts, rejected=counts,
     ),
     st.builds(
         Status, node=names, state=st.sampled_from(State), building=texts, weather=texts, mode=st.sampled_from(Mode),
         episode=lists, step=lists, steps=counts, time=st.lists(texts, max_size=2),
         controllers=st.lists(
             st.builds(
-                ControllerStatus, controller=texts, level=levels, actuators=counts, required=st.booleans(),
+                ControllerStatus, controller=texts, priority=priorities, actuators=counts, required=st.booleans(),
                 present=st.booleans(), accepted=counts,
             ),
             max_size=2,
@@ -96,8 +96,8 @@ whatever = st.one_of(
     ),
     st.builds(Stop, source=texts),
     st.builds(
-        Write, value=st.none() | finite, priority=levels,
-        for_s=st.none() | st.floats(0, exclude_min=True, allow_infinity=False), source=texts,
+        Write, value=st.none() | finite, priority=priorities,
+        duration_s=st.none() | st.floats(0, exclude_min=True, allow_infinity=False), source=texts,
     ),
 )  # fmt: skip
 
@@ -226,7 +226,7 @@ def test_a_number_that_is_not_finite_is_refused_by_its_path(where: str, bad: flo
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
 def test_a_number_that_is_not_finite_is_refused_in_free_options_too(bad: float) -> None:
     refused(Reset, msgpack.packb({"seed": bad}))
-    refused(EpisodeStart, msgpack.packb({"start": "ready", "weather": "", "drawn": {"sigma": bad}}))
+    refused(EpisodeStart, msgpack.packb({"engine_start": "reused", "weather": "", "noise_parameters": {"sigma": bad}}))
 
 
 def test_a_wrong_type_deep_within_is_refused_by_its_path() -> None:
@@ -236,8 +236,8 @@ def test_a_wrong_type_deep_within_is_refused_by_its_path() -> None:
 
 
 def test_all_faults_are_named_at_once() -> None:
-    said = refused(Write, msgpack.packb({"value": "warm", "priority": 17, "for_s": 0, "colour": "red"}))
-    assert all(f"{name}: " in said for name in ("value", "priority", "for_s", "colour"))
+    said = refused(Write, msgpack.packb({"value": "warm", "priority": 17, "duration_s": 0, "colour": "red"}))
+    assert all(f"{name}: " in said for name in ("value", "priority", "duration_s", "colour"))
     assert "'warm'" in said
     assert "17" in said
 
@@ -310,16 +310,16 @@ def test_an_array_has_the_size_of_its_shape_or_is_refused(size: int, slots: int,
         with pytest.raises(BadMessage, match=f"values has {size} bytes; {8 * slots * points} expected"):
             codec.floats(raw, (slots, points), "values")
     if size == slots * points:
-        assert codec.uint8s(raw, (slots, points), "mask").shape == (slots, points)
+        assert codec.uint8s(raw, (slots, points), "operations").shape == (slots, points)
     else:
         with pytest.raises(BadMessage, match=f"mask has {size} bytes; {slots * points} expected"):
-            codec.uint8s(raw, (slots, points), "mask")
+            codec.uint8s(raw, (slots, points), "operations")
 
 
 def test_arrays_stand_in_c_order_slots_first() -> None:
     raw = struct.pack("<6d", 0, 1, 2, 10, 11, 12)
     assert codec.floats(raw, (2, 3), "values").tolist() == [[0, 1, 2], [10, 11, 12]]
-    assert codec.uint8s(bytes([1, 2, 3, 4]), (2, 2), "mask").tolist() == [[1, 2], [3, 4]]
+    assert codec.uint8s(bytes([1, 2, 3, 4]), (2, 2), "operations").tolist() == [[1, 2], [3, 4]]
 
 
 def test_a_message_cannot_be_changed_through_its_arrays() -> None:

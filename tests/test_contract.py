@@ -194,7 +194,7 @@ def test_schemas_need_nothing_that_is_newer_than_draft_7() -> None:
 
 def test_every_error_is_named() -> None:
     named = MADE["components"]["messages"]["Denied"]["x-errors"]
-    assert {"ZenostatError", "Refused", "UnknownName", "NodeLost"} <= named.keys()
+    assert {"ZenostatError", "RequestRejected", "UnknownName", "NodeLost"} <= named.keys()
     assert all(issubclass(getattr(sys.modules["topics.errors"], name), ZenostatError) for name in named)
 
 
@@ -278,8 +278,8 @@ def test_what_a_node_would_refuse_does_not_fit(kind: type[Message]) -> None:
 def test_raw_arrays_tell_their_elements() -> None:
     schemas = MADE["components"]["schemas"]
     assert schemas["Sample"]["properties"]["values"]["x-items"] == "float64"
-    assert schemas["Sample"]["properties"]["ruler"]["x-items"] == "uint16"
-    mask = next(form for form in schemas["Command"]["properties"]["mask"]["anyOf"] if form["type"] == "string")
+    assert schemas["Sample"]["properties"]["source_index"]["x-items"] == "uint16"
+    mask = next(form for form in schemas["Command"]["properties"]["operations"]["anyOf"] if form["type"] == "string")
     assert mask["x-items"] == "uint8"
     for schema in walk(schemas):
         assert (schema.get("format") == "binary") == ("x-items" in schema)
@@ -340,13 +340,13 @@ def _bytes_on_the_page(part: str) -> bytes:
 def test_the_bytes_on_the_page_are_these_messages() -> None:
     """By hand: a stranger's msgpack, and floats as IEEE 754 has them."""
     command = msgpack.unpackb(_bytes_on_the_page("command"))
-    assert command == {"episode": [0], "step": [3], "mask": None, "values": command["values"]}
+    assert command == {"episode": [0], "step": [3], "operations": None, "values": command["values"]}
     assert command["values"] == bytes.fromhex("00000000000034400000000000003a40")  # 1.25 * 2^4, 1.625 * 2^4
     masked = msgpack.unpackb(_bytes_on_the_page("masked"))
-    assert (masked["mask"], masked["values"][8:]) == (b"\x00\x01", command["values"][8:])
+    assert (masked["operations"], masked["values"][8:]) == (b"\x00\x01", command["values"][8:])
     sample = msgpack.unpackb(_bytes_on_the_page("sample"))
     assert struct.unpack("<3d", sample["values"]) == (17.3, 23.5, 1.8e6)
-    assert [sample["rulers"][place] for place in struct.unpack("<2H", sample["ruler"])] == ["mine", ""]
+    assert [sample["sources"][place] for place in struct.unpack("<2H", sample["source_index"])] == ["mine", ""]
     for message, part in ((COMMAND, "command"), (MASKED, "masked"), (SAMPLE, "sample")):
         assert codec.decode(type(message), _bytes_on_the_page(part)) == message
 
@@ -357,6 +357,6 @@ def test_the_command_on_the_page_is_one_that_a_node_knows_by_its_first_bytes() -
 
 
 def test_keys_on_the_page_are_the_table() -> None:
-    told = re.findall(r"^\| `zenostat/v1/\{node\}/(\S+)` \|", PAGE.read_text(encoding="utf-8"), re.M)
+    told = re.findall(r"^\| `zenostat/v2/\{node\}/(\S+)` \|", PAGE.read_text(encoding="utf-8"), re.M)
     assert told == [topic.key for topic in TOPICS]
     assert keys.PREFIX == "zenostat/v1"

@@ -266,7 +266,7 @@ def test_what_is_set_lies_within_the_bounds(name: str, samples: list[tuple[float
         ({"lead": 24}, "lead = 24; a number from 0 to 23 expected"),
         ({"setback": "much"}, "setback = 'much'; a number of at least 0 expected"),
         ({"low": 24.0}, r"the comfort band 24 to 23.5 degC is upside down"),
-        ({"marign": 1}, "ComfortBandRules takes no parameter 'marign'; near names: 'margin'"),
+        ({"marign": 1}, "RuleBasedController takes no parameter 'marign'; near names: 'margin'"),
     ],
 )
 def test_parameters_that_cannot_be(given: dict[str, Any], says: str) -> None:
@@ -570,7 +570,7 @@ def test_pids_that_cannot_be(of: Manifest, given: dict[str, Any], says: str) -> 
 
 def test_pid_needs_a_setpoint() -> None:
     with pytest.raises(
-        InvalidConfig, match=r"PidControl needs setpoint: --set setpoint=\.\.\., or setpoint= in Python"
+        InvalidConfig, match=r"PIDController needs setpoint: --set setpoint=\.\.\., or setpoint= in Python"
     ):
         make_controller(PIDController, node(HEAT), {})
 

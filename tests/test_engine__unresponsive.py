@@ -51,7 +51,7 @@ def test_a_timestep_of_an_engine_that_stands_still_fails_by_name() -> None:
     with gym.make("zenostat/Building-v1", **SMALL, **SOON) as env:
         env.reset(seed=1)
         env.step(env.action_space.low)
-        own = env.unwrapped.own_node
+        own = env.unwrapped.local_node
         engine = engines_of(own.pid)[-1]
         engine.suspend()
         with pytest.raises(EngineUnresponsive, match=SAID):
@@ -65,7 +65,7 @@ def test_one_of_several_that_stands_still_fails_the_step() -> None:
     env.reset(seed=1)
     low = np.stack([env.single_action_space.low] * 2)
     env.step(low)
-    engines_of(env.unwrapped.own_node.pid)[-1].suspend()
+    engines_of(env.unwrapped.local_node.pid)[-1].suspend()
     with pytest.raises(EngineUnresponsive, match=SAID):
         env.step(low)
     env.reset(seed=1)
@@ -89,7 +89,7 @@ def test_an_event_says_so(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "given", "place", "start"),
+    ("name", "given", "place", "engine_start"),
     [("zenostat/Building-v1", SMALL, 0, EngineStart.FORKED), (NOISE, DAY, 1, EngineStart.PREFETCHED)],
     ids=["waiting", "started ahead"],
 )
@@ -100,14 +100,14 @@ def test_one_that_waits_for_the_next_episode_is_replaced_with_a_warning(
     with gym.make(name, **given, **SOON) as env:
         env.reset(seed=1)
         env.step(env.action_space.low)
-        own = env.unwrapped.own_node
+        own = env.unwrapped.local_node
         until(lambda: len(engines_of(own.pid)) == 2, "another engine waits")
         engines_of(own.pid)[place].suspend()
         with (
             agent_sdk.connect(own.endpoint, affinity="off") as bus,
             bus.session.declare_subscriber(keys.EVENT.at("building"), FifoChannel(1024)) as heard,
         ):
-            assert env.reset()[1]["start"] == start
+            assert env.reset()[1]["engine_start"] == start
             assert env.step(env.action_space.low)[-1]["step"] == 1
             assert "replaced: the engine process neither answered" in next_of(heard, EventKind.WARNING).text
 

@@ -53,7 +53,7 @@ def rollout(env: gym.Env[Any, Any], *, seed: int, steps: int = N) -> list[tuple[
     for _ in range(steps):
         observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
         terms = sorted(info["reward_terms"].items())
-        came = (reward, terminated, truncated, info["time"], info["step"], info["applied"].tobytes())
+        came = (reward, terminated, truncated, info["time"], info["step"], info["effective"].tobytes())
         said.append((observation.tobytes(), *came, terms))
     return said
 
@@ -167,7 +167,7 @@ def test_the_action_at_sample_0_rules_the_first_timestep() -> None:
         for setpoint in (15.0, 22.5):
             start, _ = winter.reset(seed=1)
             observation, _, _, _, info = winter.step(np.full(5, setpoint, np.float32))
-            assert info["applied"].tolist() == [setpoint] * 5
+            assert info["effective"].tolist() == [setpoint] * 5
             assert observation[:5].tolist() == [setpoint] * 5
             heated[setpoint] = start.tobytes(), *winter.unwrapped.observation_dict(observation).items()
     low, high = heated[15.0], heated[22.5]
@@ -184,14 +184,14 @@ def test_no_actuators_is_the_buildings_own_control() -> None:
         truncated = False
         while not truncated:
             observation, _, _, truncated, info = own.step(np.zeros(0, np.float32))
-            assert info["applied"].shape == (0,)
+            assert info["effective"].shape == (0,)
             seen.append(observation)
-    with make() as free, agent_sdk.connect(free.unwrapped.own_node.endpoint, affinity="off") as bus:
+    with make() as free, agent_sdk.connect(free.unwrapped.local_node.endpoint, affinity="off") as bus:
         free.unwrapped.link.close()
         until(lambda: bus.controllers() == [], "the environment has let go")
         with bus.controller("building") as link:
-            released = [sample.values.astype(np.float32) for sample in link]  # commands nothing
-    assert np.array(seen).tobytes() == np.array(released).tobytes()
+            relinquished = [sample.values.astype(np.float32) for sample in link]  # commands nothing
+    assert np.array(seen).tobytes() == np.array(relinquished).tobytes()
 
 
 # Names, points and rewards
@@ -261,7 +261,7 @@ def test_sensors_meters_and_actuators_of_the_users() -> None:
     with chosen:
         manifest = chosen.unwrapped.manifest
         assert manifest.names == ("outside", "inside", "cooled", "power", "lights", "all")
-        readings = {sensor.name: sensor.reading for sensor in manifest.sensors}
+        readings = {sensor.name: sensor.aggregation for sensor in manifest.sensors}
         assert readings == {
             "outside": Aggregation.INSTANT,
             "inside": Aggregation.MEAN,
@@ -273,7 +273,7 @@ def test_sensors_meters_and_actuators_of_the_users() -> None:
         for _ in range(50):
             observation, _, _, _, info = chosen.step(np.array([24.0], np.float32))
         values = chosen.unwrapped.observation_dict(observation)
-        assert info["applied"].tolist() == [24.0]
+        assert info["effective"].tolist() == [24.0]
         assert 0 < values["lights"] < values["all"]
         assert values["cooled"] > 0
 
@@ -298,7 +298,7 @@ def test_a_node_that_runs_elsewhere(folder: Path, env: gym.Env[Any, Any]) -> Non
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     with NodeProgram(folder, **SMALL, listen=[endpoint]) as node:
         with gym.make("zenostat/Building-v1", connect=endpoint, node="office", affinity="off") as remote:
-            assert remote.unwrapped.own_node is None
+            assert remote.unwrapped.local_node is None
             assert remote.observation_space == env.observation_space
             there = rollout(remote, seed=6)
         assert node.process.poll() is None, "the node belongs to somebody else and goes on"
@@ -328,7 +328,7 @@ def test_import_is_light() -> None:
 
 def test_files_are_kept_where_asked_and_nowhere_else(scratch: Path) -> None:
     kept = scratch / "kept"
-    with make(keep=kept) as keeping:
+    with make(output_dir=kept) as keeping:
         rollout(keeping, seed=1)
         rollout(keeping, seed=1, steps=10)  # EnergyPlus keeps no empty files; it reports hourly
     assert remains(scratch) == []

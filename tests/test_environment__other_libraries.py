@@ -73,7 +73,7 @@ def test_infos_of_a_real_building_have_one_form(scratch: Path) -> None:
         while not ended:
             _, _, _, ended, info = env.step(env.action_space.sample())
             assert form(info) == expected
-    assert (Path(info["outputs"]) / "eplusout.err").is_file()
+    assert (Path(info["output_dir"]) / "eplusout.err").is_file()
 
 
 def test_what_no_action_sets_was_not_commanded() -> None:
@@ -159,5 +159,5 @@ def test_minari_collects_with_infos(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     dataset = collector.create_dataset(dataset_id="zenostat/fake-v0", algorithm_name="random", author="test")
     episodes = list(dataset.iterate_episodes())
     assert [len(episode) for episode in episodes] == [24, 24]
-    assert len(episodes[0].infos["applied"]) == 25
+    assert len(episodes[0].infos["effective"]) == 25
     collector.close()

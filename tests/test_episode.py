@@ -143,9 +143,9 @@ def source(name: str, sizing: str = "weather") -> WeatherSource:
 
 
 def episodes(
-    building: Building, sources: Sequence[WeatherSource], variability: Variability | None = None
+    building: Building, sources: Sequence[WeatherSource], weather_noise: Variability | None = None
 ) -> EpisodeFactory:
-    return EpisodeFactory(building, building.period("07-03", "07-04", 4), sources, variability or {}, outputs=False)
+    return EpisodeFactory(building, building.period("07-03", "07-04", 4), sources, weather_noise or {}, outputs=False)
 
 
 def prepared(of: EpisodeFactory, draw: WeatherDraw, folder: Path) -> EpisodeFiles:

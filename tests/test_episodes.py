@@ -60,7 +60,7 @@ def test_a_new_episode_forgets_what_was_outside() -> None:
 
 def test_an_episode_ends_when_comfort_was_left_for_two_hours(scratch: Path) -> None:
     """With cooling as good as off on a July day; the step that says so is the eighth outside, and the last."""
-    env = make(terminate=[{"points": ["core_zn_air_temperature"], "high": 26.0, "for_h": 2}])
+    env = make(terminate=[{"points": ["core_zn_air_temperature"], "high": 26.0, "duration_h": 2}])
     observation, _ = env.reset(seed=0)
     at, outside, ended = env.observation_names.index("core_zn_air_temperature"), 0, False
     while not ended:
@@ -95,9 +95,9 @@ def test_a_step_says_what_was_commanded_and_who_ruled(scratch: Path) -> None:
     _, _, _, _, info = env.step([20.0, 25.0])
     names = [a.name for a in env.manifest.actuators]
     expected = [20.0 if "heating" in name else 25.0 for name in names]
-    assert info["action"].tolist() == info["applied"].tolist() == expected
-    assert set(info["ruled_by"]) == {"agent"}
-    assert len(info["ruled_by"]) == len(names)
+    assert info["action"].tolist() == info["effective"].tolist() == expected
+    assert set(info["value_source"]) == {"agent"}
+    assert len(info["value_source"]) == len(names)
     assert sum(info["reward_terms"].values()) == pytest.approx(env.step([20.0, 25.0])[1], abs=1.0)
     env.close()
 
@@ -112,21 +112,21 @@ def test_what_a_person_sets_is_told(scratch: Path) -> None:
         bus.write("building", "core_zn_cooling_setpoint", 29.0, priority=8, source="facility manager")
     at = [a.name for a in env.manifest.actuators].index("core_zn_cooling_setpoint")
     told = env.step([20.0, 25.0])[4]
-    assert told["ruled_by"][at].startswith("facility manager")
-    assert (told["applied"][at], told["action"][at]) == (29.0, 25.0)
+    assert told["value_source"][at].startswith("facility manager")
+    assert (told["effective"][at], told["action"][at]) == (29.0, 25.0)
     env.close()
 
 
 def test_the_last_step_says_where_the_files_are(scratch: Path) -> None:
-    env = make(keep=scratch / "kept")
+    env = make(output_dir=scratch / "kept")
     env.reset(seed=0)
     ended = False
     while not ended:
         assert env.sample.step < 96
         *_, ended, info = env.step([20.0, 25.0])
-        assert bool(info["outputs"]) == ended
+        assert bool(info["output_dir"]) == ended
     env.close()
-    assert (Path(info["outputs"]) / "eplusout.err").is_file()
+    assert (Path(info["output_dir"]) / "eplusout.err").is_file()
 
 
 def test_a_picture_of_the_last_day(scratch: Path) -> None:
@@ -198,7 +198,7 @@ def test_an_environment_goes_to_one_file_and_comes_back_equal(scratch: Path) -> 
     from agent_sdk.rewards import LinearReward
     from agent_sdk.wrappers import apply_wrappers, wrappers_of
 
-    wrappers = [{"wrapper": "CyclicTime"}, {"wrapper": "ReducedObservation", "keep": ["core_zn_air_temperature"]}]
+    wrappers = [{"wrapper": "CyclicTime"}, {"wrapper": "ReducedObservation", "output_dir": ["core_zn_air_temperature"]}]
     env = apply_wrappers(gym.make(NAME, **DAY, reward=LinearReward(weight=0.25), control="zone"), wrappers)
     save_env(env, scratch / "one.yaml")
     again = load_env(scratch / "one.yaml", affinity="off")

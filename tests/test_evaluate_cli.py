@@ -110,8 +110,8 @@ def test_an_unknown_scenario_lists_near_ones(scratch: Path) -> None:
 def test_who_ends_it_is_left_nothing(scratch: Path, number: signal.Signals) -> None:
     (scratch / "office.yaml").write_text(SCENARIO)
     (scratch / "told.py").write_text(
-        "from agent_sdk.controllers import ComfortBandRules\n\n\n"
-        "class Told(ComfortBandRules):\n    def act(self, sample):\n"
+        "from agent_sdk.controllers import RuleBasedController\n\n\n"
+        "class Told(RuleBasedController):\n    def act(self, sample):\n"
         "        if sample.step == 40:\n            open('told', 'w').close()\n        return super().act(sample)\n"
     )
     command = [*ZENOSTAT, "office.yaml", "--controller", "told.py:Told", "--out", "rows.csv"]

@@ -111,10 +111,10 @@ def test_an_episode_by_hand() -> None:
     }
 
 
-@pytest.mark.parametrize("reading", [Aggregation.INSTANT, Aggregation.MEAN])
-def test_without_meters_power_times_the_timestep_counts_and_is_called_so(reading: Aggregation) -> None:
+@pytest.mark.parametrize("aggregation", [Aggregation.INSTANT, Aggregation.MEAN])
+def test_without_meters_power_times_the_timestep_counts_and_is_called_so(aggregation: Aggregation) -> None:
     power = sensor("demand", "Facility Total HVAC Electricity Demand Rate", "Whole Building", "W")
-    of = manifest(sensors=[sensor("core"), power.model_copy(update={"reading": reading})])
+    of = manifest(sensors=[sensor("core"), power.model_copy(update={"aggregation": aggregation})])
     found = tallied(of, [24.0, 1000.0], [24.0, 3000.0])
     assert found.hvac_electricity_kwh == pytest.approx(1.0)  # 4000 W for a quarter of an hour
     assert found.energy_kwh == {}
@@ -122,7 +122,7 @@ def test_without_meters_power_times_the_timestep_counts_and_is_called_so(reading
     assert (found.mean_power_w, found.peak_kw) == (pytest.approx(2000.0), pytest.approx(3.0))
     said = MetricsAccumulator(of).sources["mean_power_w"]
     assert said.startswith("sensor demand, W times the timestep")
-    assert ("approximation" in said) == (reading is Aggregation.INSTANT)
+    assert ("approximation" in said) == (aggregation is Aggregation.INSTANT)
 
 
 def test_what_a_scenario_does_not_tell_is_absent() -> None:
@@ -273,7 +273,7 @@ def test_parameters_go_to_those_that_take_them() -> None:
 
     evaluate(
         building(),
-        {"mine": maker("mine"), "bound": partial(maker("bound"), seed=9), "drawn": RandomController},
+        {"mine": maker("mine"), "bound": partial(maker("bound"), seed=9), "noise_parameters": RandomController},
         seed=4,
         parameters={"margin": 0.5, "zone_2_cooling_setpoint": 27.0},
     )
@@ -324,7 +324,7 @@ def test_what_faults_do_to_points_does_not_count() -> None:
     """Metrics are of the building, as rewards are: a point that was dropped has the value that EnergyPlus gave."""
     values = [22.0, 30.0, 1.0, KWH, KWH, 0.0, 0.0, 0.0]
     told = view(OFFICE, 1, [NAN] * len(values))
-    told.message = told.message.model_copy(update={"undisturbed": np.array(values, "<f8").tobytes()})
+    told.message = told.message.model_copy(update={"fault_free_values": np.array(values, "<f8").tobytes()})
     tally = MetricsAccumulator(OFFICE, None)
     tally.add(view(OFFICE, 0, values))
     tally.add(told)

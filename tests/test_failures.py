@@ -65,7 +65,7 @@ def node_and_bus(folder: Path) -> Iterator[tuple[NodeProgram, agent_sdk.Bus]]:
 @contextmanager
 def during_a_timestep(env: gym.Env[Any, Any], do: Callable[[psutil.Process, psutil.Process], None]) -> Iterator[None]:
     """Freezes the engine, lets the body step, and calls `do(node, engine)` once the node waits for the engine."""
-    own = env.unwrapped.own_node
+    own = env.unwrapped.local_node
     node, engine = psutil.Process(own.pid), engine_of(own.pid)
     faults: list[BaseException] = []
 
@@ -237,7 +237,7 @@ def test_the_engine_is_killed_while_it_waits() -> None:
     with make() as env:
         env.reset(seed=1)
         env.step(env.action_space.low)
-        own = env.unwrapped.own_node
+        own = env.unwrapped.local_node
         engine_of(own.pid).kill()
         with pytest.raises(EngineDied, match="the engine process was killed by SIGKILL after sample 1"):
             env.step(env.action_space.low)
@@ -268,7 +268,7 @@ def test_the_node_is_killed_between_steps() -> None:
     with make() as env:
         env.reset(seed=1)
         env.step(env.action_space.low)
-        psutil.Process(env.unwrapped.own_node.pid).kill()
+        psutil.Process(env.unwrapped.local_node.pid).kill()
         started = time.monotonic()
         with pytest.raises(NodeLost, match=r"node 'building' is gone \(last sample: episode \d+, step 1\)"):
             env.step(env.action_space.low)
@@ -310,7 +310,7 @@ def test_a_reset_by_another_is_told(folder: Path) -> None:
     with (
         node_and_bus(folder) as (_, bus),
         bus.controller("office", name="one") as one,
-        bus.controller("office", name="two", level=9) as two,
+        bus.controller("office", name="two", priority=9) as two,
     ):
         one.reset()
         two.reset()
@@ -322,10 +322,10 @@ def test_a_reset_by_another_is_told(folder: Path) -> None:
 
 
 def test_faulty_actions_change_nothing() -> None:
-    with make() as checked, make() as undisturbed:
+    with make() as checked, make() as fault_free_values:
         env = checked.unwrapped
         env.reset(seed=1)
-        undisturbed.reset(seed=1)
+        fault_free_values.reset(seed=1)
         good = env.action_space.low
         too_hot, not_a_number = good.copy(), good.copy()
         too_hot[1], not_a_number[0] = 99.0, np.nan
@@ -343,7 +343,7 @@ def test_faulty_actions_change_nothing() -> None:
                 env.step(action)
         observation, _, _, _, info = env.step(good)
         assert info["step"] == 1
-        assert observation.tobytes() == undisturbed.step(good)[0].tobytes()
+        assert observation.tobytes() == fault_free_values.step(good)[0].tobytes()
 
 
 def test_faulty_values_of_a_controller(folder: Path) -> None:

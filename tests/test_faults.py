@@ -81,7 +81,7 @@ SOME = {"from_step": 1, "to_step": 3}
         (room("drift", rate_per_h=2.0, when={"from_step": 1}), [20.0] * 4, [20.0, 20.0, 20.5, 21.0]),
         (room("freeze", when=SOME), [20.0, 21.0, 22.0, 23.0], [20.0, 21.0, 21.0, 23.0]),
         (room("stuck", value=-3.0, when=SOME), [20.0, 21.0, 22.0, 23.0], [20.0, -3.0, -3.0, 23.0]),
-        (room("quantise", resolution=0.5), [20.2, 20.3, -0.8, 20.75], [20.0, 20.5, -1.0, 21.0]),
+        (room("quantize", resolution=0.5), [20.2, 20.3, -0.8, 20.75], [20.0, 20.5, -1.0, 21.0]),
         (room("clip", low=19.0, high=21.0), [18.0, 19.5, 30.0], [19.0, 19.5, 21.0]),
         (room("clip", high=21.0), [-90.0, 30.0], [-90.0, 21.0]),
         (room("spike", amplitude=5.0, probability=1.0, two_sided=False), [20.0, 21.0], [25.0, 26.0]),
@@ -153,19 +153,19 @@ def test_commands_come_later_and_so_does_a_release() -> None:
 
 
 def test_what_is_released_stays_so_unless_it_is_stuck() -> None:
-    released = [NAN, NAN]
+    relinquished = [NAN, NAN]
     for kind in (
         {"kind": "bias", "offset": 1.0},
         {"kind": "gain", "factor": 2.0},
         {"kind": "drift", "rate_per_h": 2.0},
         {"kind": "noise", "sigma": 1.0},
-        {"kind": "quantise", "resolution": 0.5},
+        {"kind": "quantize", "resolution": 0.5},
         {"kind": "spike", "amplitude": 2.0, "probability": 1},
         {"kind": "clip", "low": 20.0},
         {"kind": "freeze"},
     ):
-        assert np.isnan(commands(made({"actuators": "cooling", **kind}), released)).all(), kind
-    assert commands(made(cooling("stuck", value=22.0)), released) == [22.0, 22.0]
+        assert np.isnan(commands(made({"actuators": "cooling", **kind}), relinquished)).all(), kind
+    assert commands(made(cooling("stuck", value=22.0)), relinquished) == [22.0, 22.0]
 
 
 def test_a_frozen_actuator_is_not_released() -> None:
@@ -410,7 +410,7 @@ parameters = {
     "stuck": {"value": st.floats(10, 30)},
     "drop": {},
     "delay": {"steps": st.integers(1, 5)},
-    "quantise": {"resolution": st.sampled_from([0.1, 0.5, 2.0])},
+    "quantize": {"resolution": st.sampled_from([0.1, 0.5, 2.0])},
     "spike": {"amplitude": numbers, "probability": st.sampled_from([0.1, 1.0])},
     "clip": {"low": st.floats(-5, 15), "high": st.floats(16, 25)},
 }

@@ -140,7 +140,7 @@ def test_state_and_mean_are_told_apart(divided) -> None:
     state = next(
         s.name
         for s in manifest.sensors
-        if s.key == zone and s.variable == "Zone Air Temperature" and s.reading is Aggregation.INSTANT
+        if s.key == zone and s.variable == "Zone Air Temperature" and s.aggregation is Aggregation.INSTANT
     )
     pairs = [
         (state, "zone_mean"),

@@ -29,7 +29,7 @@ def play(env: BuildingEnv, *, steps: int | None = None) -> tuple[str, np.ndarray
     while not ended and (steps is None or len(rows) <= steps):
         observation, reward, _, ended, _ = env.step(env.action_space.sample())
         rows.append(np.append(observation, reward))
-    return info["start"], np.array(rows)
+    return info["engine_start"], np.array(rows)
 
 
 def play_on(env: BuildingEnv) -> None:
@@ -45,12 +45,12 @@ def test_a_fork_is_a_fresh_start_to_the_bit(kind: str, scratch: Path) -> None:
     waiting through a whole episode.
     """
     packs.sinergym()
-    fresh, forking = make(ALL[kind], keep=scratch / "kept"), make(ALL[kind])
+    fresh, forking = make(ALL[kind], output_dir=scratch / "kept"), make(ALL[kind])
     began, expected = play(fresh)
     again, second = play(fresh)
-    assert (began, again) == ("ready", "started")
+    assert (began, again) == ("reused", "started")
     np.testing.assert_array_equal(expected, second)
-    for start, steps in (("ready", None), ("forked", 40), ("forked", None)):
+    for start, steps in (("reused", None), ("forked", 40), ("forked", None)):
         began, rows = play(forking, steps=steps)
         assert began == start
         np.testing.assert_array_equal(rows, expected[: len(rows)])
@@ -115,19 +115,25 @@ def test_a_killed_fork_is_an_error_that_says_so_and_the_next_episode_runs(scratc
 def test_the_engine_of_the_next_weather_is_started_ahead(scratch: Path) -> None:
     """It is the one that a start at the time would have given; a seed that was not foreseen starts another."""
     name = SMALL.replace("continuous", "continuous-stochastic")
-    env, plain = make(name), make(name, keep=scratch / "kept")
+    env, plain = make(name), make(name, output_dir=scratch / "kept")
 
     def began(one: BuildingEnv, seed: int | None) -> tuple[str, list[list[float]]]:
         observation, info = one.reset(seed=seed)
         rows = [observation.tolist()]
         rows += [one.step([20.0, 25.0])[0].tolist() for _ in range(60)]
-        return info["start"], rows
+        return info["engine_start"], rows
 
-    for seed, start in ((4, "started"), (None, "ahead"), (None, "ahead"), (4, "started"), (None, "ahead")):
+    for seed, start in (
+        (4, "started"),
+        (None, "prefetched"),
+        (None, "prefetched"),
+        (4, "started"),
+        (None, "prefetched"),
+    ):
         got, expected = began(env, seed), began(plain, seed)
         assert got[0] == start
         assert got[1] == expected[1]
-    for seed, start in ((5, "started"), (6, "started"), (7, "started"), (None, "started"), (None, "ahead")):
+    for seed, start in ((5, "started"), (6, "started"), (7, "started"), (None, "started"), (None, "prefetched")):
         assert began(env, seed)[0] == start
     assert len(engines(env)) == 2
     assert len([path for path in within(env.local_node.folder) if path.suffix == ".epw"]) == 2
@@ -142,9 +148,9 @@ def test_weathers_in_turn_are_started_ahead(scratch: Path) -> None:
     for _ in range(5):
         _, info = env.reset()
         env.step([20.0, 25.0])
-        seen.append((info["weather"], info["start"]))
+        seen.append((info["weather"], info["engine_start"]))
     assert [weather for weather, _ in seen] == [names[i % 2] for i in range(5)]
-    assert [start for _, start in seen] == ["ready", *["ahead"] * 4]
+    assert [start for _, start in seen] == ["reused", *["prefetched"] * 4]
     env.close()
 
 
@@ -156,5 +162,5 @@ def test_an_engine_ahead_that_died_is_started_again(scratch: Path) -> None:
     ahead.kill()
     until(lambda: not runs(ahead), "it has ended")
     _, info = env.reset()
-    assert (info["weather"], info["start"]) == ("USA_FL_Miami", "started")
+    assert (info["weather"], info["engine_start"]) == ("USA_FL_Miami", "started")
     env.close()

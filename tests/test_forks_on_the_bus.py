@@ -126,7 +126,7 @@ def test_who_leaves_takes_along_what_it_asked_for(bus: Bus) -> None:
     with bus.controller("office") as link:
         link.reset()
         mine = bus.snapshot("office").snapshot
-        with bus.controller("office", name="passer-by", level=12, required=False) as other:
+        with bus.controller("office", name="passer-by", priority=12, required=False) as other:
             theirs = bus.branch("office", CreateBranch(controller=other.name, snapshot=mine))
             bus.snapshot("office", other.name)
         until(lambda: not bus.status("office").branches, "its branch has ended")
@@ -151,7 +151,7 @@ def test_a_killed_environment_leaves_a_shared_node_without_its_forks(bus: Bus) -
         assert cooling_of(link, 3) == 3
 
 
-def cooling_of(link: agent_sdk.client.ControlLink, steps: int) -> int:
+def cooling_of(link: agent_sdk.client.ControllerLink, steps: int) -> int:
     sample = link.current()
     for _ in range(steps):
         sample.send({"core_zn_cooling_setpoint": 24.0})

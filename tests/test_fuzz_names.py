@@ -102,11 +102,11 @@ def test_ten_thousand_actuators_are_ruled_as_two_are() -> None:
     assert at.command("low", command(values)) is None
     assert at.command("high", command(np.full(MANY, 50.0), mask=mask)) is None
     assert at.write("a1", Write(value=7.0, source="somebody"), 0.0).kind is EventKind.WRITTEN
-    ruling, rulers = advance(at)
+    ruling, sources = advance(at)
     expected = np.where(np.arange(MANY) % 2 == 0, 50.0, values)
     expected[1] = 7.0
     assert ruling == expected.tolist()
-    assert rulers[:4] == ["high", "somebody", "high", "low"]
+    assert sources[:4] == ["high", "somebody", "high", "low"]
 
 
 def test_one_bad_value_among_ten_thousand_is_named_and_changes_nothing() -> None:
@@ -124,7 +124,7 @@ def test_who_writes_has_a_name_of_a_bounded_length() -> None:
     longest = Write(value=25.0, source="x" * 128)
     assert codec.decode(Write, codec.encode(longest)) == longest
     with pytest.raises(BadMessage, match=r"source.*128"):
-        codec.decode(Write, codec.pack(value=25.0, priority=8, for_s=None, source="x" * 129))
+        codec.decode(Write, codec.pack(value=25.0, priority=8, duration_s=None, source="x" * 129))
 
 
 @pytest.mark.slow
@@ -145,5 +145,5 @@ def test_a_building_with_ten_thousand_actuators_and_odd_names_is_commanded(scrat
     env.reset()
     for factor in (0.25, -3.0):
         commanded = factor * np.arange(len(names))
-        np.testing.assert_array_equal(env.step(commanded)[4]["applied"], commanded)
+        np.testing.assert_array_equal(env.step(commanded)[4]["effective"], commanded)
     env.close()

@@ -34,14 +34,14 @@ from topics import codec
 
 endpoint, seed, tame, own = sys.argv[1], int(sys.argv[2]), sys.argv[3] == "tame", sys.argv[4]
 draw = random.Random(seed)
-root = "zenostat/v1/office"
+root = "zenostat/v2/office"
 nodes_own = ["sample", "manifest", "event", "sensor/outdoor_temperature", "wake", "nothing", "a/b/c", "@live/x"]
 verbs = ["claim", "reset", "snapshot", "drop", "branch", "stop", "pace", "pause", "resume", "step", "faults", "weather"]
 reading = ["rpc/status", "rpc/scenario", "rpc/weather", "manifest", "sample", "rpc/unknown", "command/x", "actuator/y"]
 names = ["x", "é", "名", "with space", "-", "a" * 3000, "'quoted'", "..", "%2F", "\t", "@at", "~"]
 points = ["core_zn_cooling_setpoint", "core_zn_heating_setpoint", "core_zn_coling_setpoint"]
 encodings = ["", "application/msgpack", "zenoh/bytes", "application/msgpack;zenostat/2.Command", ";zenostat/",
-             "application/msgpack;zenostat/1.Write", "text/plain"]
+             "application/msgpack;zenostat/2.Write", "text/plain"]
 
 
 def anything(depth=0):
@@ -226,10 +226,10 @@ def test_what_may_change_something_leaves_the_node_in_order(scratch: Path) -> No
                 (keys.FAULTS, {"faults": []}), (keys.RESUME, {}), (keys.PACE, {"mode": "lockstep"}), (keys.RESET, {}),
             ):  # fmt: skip
                 for reply in bus.session.get(verb.at("office"), payload=msgpack.packb(fields), timeout=60):
-                    assert str(reply.ok.encoding) == "application/msgpack;zenostat/1.Accepted"
+                    assert str(reply.ok.encoding) == "application/msgpack;zenostat/2.Accepted"
             until(lambda: bus.status("office").state is State.WAITING, "the node waits again")
             until_quiet(bus.session)
-        with bus.controller("office", level=2) as link:
+        with bus.controller("office", priority=2) as link:
             assert len(day(link)) == 97
     assert node.process.returncode == 0
 

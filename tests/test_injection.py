@@ -78,7 +78,7 @@ class Stage:
 
     def column(self, samples: Sequence[Sample], name: str, raw: str = "values") -> np.ndarray:
         """A point's values, or an actuator's applied ones, of each sample."""
-        names = self.actuators if raw == "applied" else self.names
+        names = self.actuators if raw == "effective" else self.names
         return np.array([np.frombuffer(getattr(sample, raw))[names.index(name)] for sample in samples])
 
 
@@ -94,14 +94,14 @@ def stage(module_folder: Path) -> Iterator[Stage]:
 
 def same(one: Sequence[Sample], other: Sequence[Sample], *names: str) -> bool:
     """Whether these fields agree to the bit in all samples."""
-    fields = names or ("step", "time", "elapsed_s", "flags", "values", "applied", "ruler")
+    fields = names or ("step", "time", "elapsed_s", "flags", "values", "effective", "source_index")
     return [[getattr(s, f) for f in fields] for s in one] == [[getattr(s, f) for f in fields] for s in other]
 
 
 def true(samples: Sequence[Sample], clean: Sequence[Sample]) -> bool:
     """Whether the building went as it does without faults, to the bit."""
     return [s.fault_free_values for s in samples] == [s.values for s in clean] and same(
-        samples, clean, "applied", "ruler"
+        samples, clean, "effective", "source_index"
     )
 
 
@@ -152,7 +152,7 @@ def test_values_are_disturbed_as_the_plan_says_and_nothing_else_is(stage: Stage)
         {"kind": "bias", "points": CORE, "offset": 1.5, "when": {"from_step": 10, "to_step": 20}},
         {"kind": "freeze", "points": NORTH, "when": {"from_step": 30, "to_step": 40}},
         {"kind": "drift", "points": EAST, "rate_per_h": 0.5, "when": {"from_s": 9000.0}},
-        {"kind": "quantise", "points": SOUTH, "resolution": 0.5},
+        {"kind": "quantize", "points": SOUTH, "resolution": 0.5},
         {"kind": "gain", "points": "electricity_facility", "factor": 2.0, "when": {"from_time": "07-03T12:00"}},
     )
     assert true(ran, stage.clean)
@@ -200,7 +200,7 @@ def test_a_dropped_point_is_nan_in_the_frame_and_silent_by_itself(stage: Stage) 
 
 def test_a_disturbed_command_is_what_the_building_gets(stage: Stage) -> None:
     ran = stage.faulty({"kind": "bias", "actuators": SETPOINT, "offset": 0.5, "when": {"from_step": 40, "to_step": 60}})
-    got = stage.column(ran, SETPOINT, "applied")[1:]
+    got = stage.column(ran, SETPOINT, "effective")[1:]
     # The command that answers sample k rules timestep k + 1.
     assert got.tolist() == [command(k) + (0.5 if 40 <= k < 60 else 0.0) for k in range(LAST)]
     truth = [s.fault_free_values for s in ran]
@@ -211,7 +211,7 @@ def test_a_disturbed_command_is_what_the_building_gets(stage: Stage) -> None:
 
 def test_a_command_that_is_not_heard_leaves_the_former_one_in_force(stage: Stage) -> None:
     ran = stage.faulty({"kind": "drop", "actuators": SETPOINT, "when": {"from_step": 41, "to_step": 50}})
-    got = stage.column(ran, SETPOINT, "applied")[1:]
+    got = stage.column(ran, SETPOINT, "effective")[1:]
     assert got.tolist() == [command(40 if 41 <= k < 50 else k) for k in range(LAST)]
 
 
@@ -223,7 +223,7 @@ def test_a_fault_that_is_set_amid_an_episode_knows_what_was_heard_before(stage: 
             stage.bus.faults("office", None)
 
     assert command(52) == 27.0  # not what the building's own control would set
-    got = stage.column(day(stage.link, between=cut, seed=1), SETPOINT, "applied")[1:]
+    got = stage.column(day(stage.link, between=cut, seed=1), SETPOINT, "effective")[1:]
     assert got.tolist() == [command(52 if 53 <= k < 62 else k) for k in range(LAST)]
 
 
@@ -266,7 +266,7 @@ def test_faults_are_set_and_ended_while_it_runs(stage: Stage) -> None:
     assert seen == {"manifest": True, "on": ["stuck 1"]}
     assert np.flatnonzero(stage.column(ran, CORE) == 50.0).tolist() == [*range(11, 16)]
     assert [bool(s.fault_free_values) for s in ran] == [11 <= k < 16 for k in range(LAST + 1)]
-    assert same(ran, stage.clean, "applied", "ruler")
+    assert same(ran, stage.clean, "effective", "source_index")
 
 
 @pytest.mark.parametrize(
@@ -335,9 +335,11 @@ def test_a_branch_and_a_snapshot_meet_the_same_faults(scratch: Path) -> None:
             back = [env.step(action) for action in actions[20:]]
         for other in (beside, back):
             assert [s[0].tobytes() for s in other] == [s[0].tobytes() for s in went]
-            assert [s[-1]["undisturbed"].tobytes() for s in other] == [s[-1]["undisturbed"].tobytes() for s in went]
+            assert [s[-1]["fault_free_values"].tobytes() for s in other] == [
+                s[-1]["fault_free_values"].tobytes() for s in went
+            ]
             assert [s[1] for s in other] == [s[1] for s in went]
-        assert went[0][0].tobytes() != went[0][-1]["undisturbed"].astype(np.float32).tobytes()
+        assert went[0][0].tobytes() != went[0][-1]["fault_free_values"].astype(np.float32).tobytes()
     finally:
         env.close()
 
@@ -476,8 +478,8 @@ def test_an_agent_observes_the_faults_and_is_rewarded_by_the_truth(scratch: Path
     assert any(columns)
     assert any(step[1] != 0.0 for step in ran["clean"])
     for clean, faulty in zip(ran["clean"], ran["faulty"], strict=True):
-        assert "undisturbed" not in clean[-1]
-        truth = faulty[-1]["undisturbed"]
+        assert "fault_free_values" not in clean[-1]
+        truth = faulty[-1]["fault_free_values"]
         assert truth.astype(np.float32).tobytes() == clean[0][-tail:].tobytes()
         assert faulty[1] == clean[1]
         expected = np.where(columns[-tail:], truth + 10.0, truth).astype(np.float32)

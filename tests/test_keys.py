@@ -48,7 +48,7 @@ def all_messages() -> set[type[Message]]:
 @rows
 def test_a_key_lies_below_the_root_of_its_node(topic: Topic) -> None:
     key = KeyExpr(topic.at("office", name="one"))
-    assert str(key).startswith("zenostat/v1/office/")
+    assert str(key).startswith("zenostat/v2/office/")
     assert keys.node_of(str(key)) == "office"
     assert "{" not in str(key)
 
@@ -72,7 +72,7 @@ def test_wildcards_match_all_but_presence(topic: Topic) -> None:
     key = KeyExpr(topic.at("office", name="one"))
     hidden = topic.delivery is Delivery.TOKEN
     assert hidden == ("@" in topic.key)
-    for pattern in ("zenostat/v1/office/**", "zenostat/v1/*/**", "zenostat/**", "**"):
+    for pattern in ("zenostat/v2/office/**", "zenostat/v2/*/**", "zenostat/**", "**"):
         assert KeyExpr(pattern).intersects(key) is not hidden, pattern
 
 
@@ -119,7 +119,7 @@ def test_commands_and_writes_are_not_lost(topic: Topic) -> None:
 @pytest.mark.parametrize("message", sorted(all_messages(), key=lambda m: m.__name__), ids=lambda m: m.__name__)
 def test_an_encoding_names_the_class_and_the_version_and_survives_zenoh(message: type[Message]) -> None:
     said = codec.encoding(message)
-    assert said == f"application/msgpack;zenostat/1.{message.__name__}"
+    assert said == f"application/msgpack;zenostat/2.{message.__name__}"
     assert str(zenoh.Encoding(said)) == said
 
 

@@ -179,9 +179,9 @@ def test_a_mask_sets_keeps_and_releases() -> None:
     answer(at, "agent", [1.0, 2.0, 3.0])
     advance(at)
     answer(at, "agent", [10.0, 20.0, 30.0], [SET, KEEP, RELEASE])
-    values, rulers = advance(at)
+    values, sources = advance(at)
     assert same(values, [10.0, 2.0, NAN])
-    assert rulers == ["agent", "agent", ""]
+    assert sources == ["agent", "agent", ""]
 
 
 def test_what_a_mask_does_not_set_is_not_looked_at() -> None:
@@ -200,9 +200,9 @@ def test_slots_are_commanded_apart() -> None:
     assert at.step == [1, 1]
     mask = [KEEP, KEEP, RELEASE, SET]
     assert at.command("agent", command([0, 0, 0, 28.0], step=[1, 1], episode=[0, 0], mask=mask)) is None
-    values, rulers = advance(at)
+    values, sources = advance(at)
     assert same(values, [16.0, 23.0, NAN, 28.0])
-    assert rulers == ["agent", "agent", "", "agent"]
+    assert sources == ["agent", "agent", "", "agent"]
 
 
 def test_the_bounds_themselves_are_within() -> None:
@@ -378,7 +378,7 @@ def both_paths_agree(bounds: str, controller: str, sent: Command, *, times: int)
 @settings(max_examples=300, deadline=None)
 @given(
     bounds=st.sampled_from(sorted(BOUNDS)),
-    wrong=st.sets(st.sampled_from(["values", "values", "step", "episode", "mask"]), max_size=2),
+    wrong=st.sets(st.sampled_from(["values", "values", "step", "episode", "operations"]), max_size=2),
     values=st.lists(numbers, min_size=1, max_size=3) | st.lists(numbers, min_size=2, max_size=2),
     step=st.sampled_from([0, 2]),
     mask=st.lists(st.integers(0, 3), min_size=1, max_size=3),
@@ -392,7 +392,7 @@ def test_the_fast_path_does_what_the_decoded_path_does(
         values if "values" in wrong else inside(bounds),
         step=step if "step" in wrong else 1,
         episode=1 if "episode" in wrong else 0,
-        mask=mask if "mask" in wrong else None,
+        mask=mask if "operations" in wrong else None,
     )
     both_paths_agree(bounds, controller, sent, times=1 + again)
 
@@ -415,9 +415,9 @@ def test_a_usual_command_takes_the_fast_path(count: int) -> None:
             codec.command_head(at.episode, at.step, 8 * count * at.slots) + np.full(count * at.slots, 0.5).tobytes()
         )
         assert at.accept_fast("agent", payload)
-        values, rulers = advance(at)
+        values, sources = advance(at)
         assert values == [0.5] * count * at.slots
-        assert rulers == ["agent"] * count * at.slots
+        assert sources == ["agent"] * count * at.slots
         assert at.counts.accepted == k + 1
 
 
@@ -469,11 +469,11 @@ def test_a_second_claim_on_a_level_is_refused_by_name() -> None:
     assert at.awaiting() == ["first"]
 
 
-@pytest.mark.parametrize(("level", "actuators"), [(11, None), (10, ["heat"])], ids=["level", "actuators"])
-def test_claims_that_do_not_meet_are_both_taken(level: int, actuators: list[str] | None) -> None:
+@pytest.mark.parametrize(("priority", "actuators"), [(11, None), (10, ["heat"])], ids=["priority", "actuators"])
+def test_claims_that_do_not_meet_are_both_taken(priority: int, actuators: list[str] | None) -> None:
     at = exchange()
     claim(at, "first", 10, actuators=["cool"])
-    (event,) = claim(at, "second", level, actuators=actuators)
+    (event,) = claim(at, "second", priority, actuators=actuators)
     said(event, EventKind.CONNECTED, "second")
     assert at.awaiting() == ["first", "second"]
 
@@ -558,9 +558,9 @@ def test_what_one_set_that_was_replaced_does_not_outlive_it() -> None:
     at.on_disconnect("agent")
     claim(at, "other", actuators=["heat"])
     answer(at, "other", [16.0, 0.0], [SET, KEEP])
-    values, rulers = advance(at)
+    values, sources = advance(at)
     assert same(values, [16.0, NAN])
-    assert rulers == ["other", ""]
+    assert sources == ["other", ""]
 
 
 def test_what_was_set_at_a_level_does_not_outlive_the_claim_on_it() -> None:
@@ -571,9 +571,9 @@ def test_what_was_set_at_a_level_does_not_outlive_the_claim_on_it() -> None:
     advance(at)
     claim(at, "agent", 12)
     answer(at, "agent", [0.0, 0.0], [RELEASE, RELEASE])
-    values, rulers = advance(at)
+    values, sources = advance(at)
     assert same(values, [NAN, NAN])
-    assert rulers == ["", ""]
+    assert sources == ["", ""]
 
 
 def test_one_that_claims_again_answers_again() -> None:
@@ -614,7 +614,7 @@ def test_a_write_rules_over_a_controller_until_it_is_released() -> None:
     answer(at, "agent", [20.0, 24.0])
     assert advance(at) == ([20.0, 28.0], ["agent", "wall"])
     answer(at, "agent", [20.0, 24.0])
-    said(at.write("cool", Write(value=None, source="wall"), 1800.0), EventKind.WRITTEN, "released", "priority 8")
+    said(at.write("cool", Write(value=None, source="wall"), 1800.0), EventKind.WRITTEN, "relinquished", "priority 8")
     assert advance(at) == ([20.0, 24.0], ["agent", "agent"])
 
 
@@ -638,9 +638,9 @@ def test_a_write_answers_nothing() -> None:
 def test_a_write_reaches_all_slots() -> None:
     at = exchange(slots=2, mode=Mode.FREE)
     at.write("cool", Write(value=28.0, source="wall"), 0.0)
-    values, rulers = advance(at)
+    values, sources = advance(at)
     assert same(values, [NAN, 28.0, NAN, 28.0])
-    assert rulers == ["", "wall", "", "wall"]
+    assert sources == ["", "wall", "", "wall"]
 
 
 @pytest.mark.parametrize("priority", [8, 12])
@@ -668,13 +668,13 @@ def test_a_write_once_the_episode_is_over_is_refused() -> None:
     assert advance(at)[1] == ["", ""]
 
 
-@pytest.mark.parametrize("for_s", [600.0, 2700.0], ids=["shorter", "longer"])
-def test_a_later_write_has_its_own_time(for_s: float) -> None:
+@pytest.mark.parametrize("duration_s", [600.0, 2700.0], ids=["shorter", "longer"])
+def test_a_later_write_has_its_own_time(duration_s: float) -> None:
     at = exchange(mode=Mode.FREE)
     at.write("cool", Write(value=28.0, duration_s=1800.0), 0.0)
-    at.write("cool", Write(value=27.0, duration_s=for_s), 0.0)
+    at.write("cool", Write(value=27.0, duration_s=duration_s), 0.0)
     over = [k for k in range(5) if at.expire(k * 900.0)]
-    assert over == [math.ceil(for_s / 900.0)]
+    assert over == [math.ceil(duration_s / 900.0)]
 
 
 def test_each_write_has_a_time_of_its_own() -> None:
@@ -744,9 +744,9 @@ def test_in_free_mode_nobody_is_waited_for() -> None:
     at = exchange(mode=Mode.FREE)
     assert at.ready_to_step()
     claim(at, "agent")
-    values, rulers = advance(at)
+    values, sources = advance(at)
     assert same(values, [NAN, NAN])
-    assert rulers == ["", ""]
+    assert sources == ["", ""]
     assert answer(at, "agent", [20.0, 25.0]) is None
     assert advance(at) == ([20.0, 25.0], ["agent", "agent"])
     assert advance(at) == ([20.0, 25.0], ["agent", "agent"])  # held
@@ -776,9 +776,9 @@ def test_a_reset_releases_everything_and_keeps_the_claims(ended: bool) -> None:
     at.ready()
     assert (at.state, at.step) == (State.WAITING, [0])
     assert not at.commands.has_expiries
-    values, rulers = ruling(at)
+    values, sources = ruling(at)
     assert same(values, [NAN, NAN])
-    assert rulers == ["", ""]
+    assert sources == ["", ""]
     assert at.awaiting() == ["agent"]
     assert answer(at, "agent", [21.0, 26.0]) is None
     assert advance(at) == ([21.0, 26.0], ["agent", "agent"])

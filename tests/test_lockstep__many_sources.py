@@ -30,10 +30,10 @@ def test_300_controllers_of_300_actuators_are_each_told_by_name() -> None:
         mask = [CommandOp.SET if i == number else CommandOp.KEEP for i in range(IDLE)]
         assert at.command(f"c{number}", command(np.full(IDLE, float(number)), mask=mask)) is None
     assert at.write("a7", Write(value=70.0, source="panel"), 0.0).kind is EventKind.WRITTEN
-    values, rulers = advance(at)
+    values, sources = advance(at)
     expected = [f"c{number}" for number in range(IDLE)]
     expected[7] = "panel"
-    assert rulers == expected
+    assert sources == expected
     assert values == [70.0 if number == 7 else float(number) for number in range(IDLE)]
 
 
@@ -60,6 +60,6 @@ def test_too_many_sources_are_refused_by_name_and_releasing_makes_place() -> Non
     assert at.write("a0", Write(value=0.5, source="w9"), 0.0).kind is EventKind.WRITTEN
     assert at.write("a3", Write(value=None, source="panel"), 0.0).kind is EventKind.WRITTEN
     assert at.write("a3", Write(value=0.5, source="panel"), 0.0).kind is EventKind.WRITTEN
-    _, rulers = ruling(at)
-    assert rulers[3] == "panel"
-    assert rulers[9] == "w9" == rulers[0]
+    _, sources = ruling(at)
+    assert sources[3] == "panel"
+    assert sources[9] == "w9" == sources[0]

@@ -96,7 +96,7 @@ def test_the_deviation_of_sinergyms_noise_is_what_the_page_says(tau_h: float, pe
 
 def test_a_normalized_reward_whose_maxima_stay_is_sinergyms() -> None:
     """Its penalties are negative and its maxima positive, so the maxima never move."""
-    fixed = {"kind": "normalised", "moving": False, "max_power_w": 8.0, "max_degrees": 12.0, "weight": 0.5}
+    fixed = {"kind": "normalized", "moving": False, "max_power_w": 8.0, "max_degrees": 12.0, "weight": 0.5}
     env = FakeEnv(reward=fixed)
     env.reset(seed=1)
     env.action_space.seed(1)

@@ -92,14 +92,14 @@ def test_a_link_that_is_down(scratch: Path) -> None:
 def test_an_own_node_that_was_frozen(slots: int) -> None:
     env = make(slots, **SMALL)
     env.reset(seed=0)
-    node = env.unwrapped.own_node.pid
+    node = env.unwrapped.local_node.pid
     os.kill(node, signal.SIGSTOP)
     try:
         step_until_lost(env)
     finally:
         os.kill(node, signal.SIGCONT)
     steps_again(env)
-    assert env.unwrapped.own_node.pid == node
+    assert env.unwrapped.local_node.pid == node
     env.close()
 
 

@@ -61,18 +61,18 @@ def test_a_number_that_is_not_finite_is_refused(bad: float) -> None:
         actuator("heat", low=bad)
 
 
-@pytest.mark.parametrize("level", [1, 8, 16])
-def test_bacnet_has_sixteen_levels(level: int) -> None:
-    assert Write(value=1.0, priority=level).priority == level
-    assert Claim(controller="a", priority=level).priority == level
+@pytest.mark.parametrize("priority", [1, 8, 16])
+def test_bacnet_has_sixteen_levels(priority: int) -> None:
+    assert Write(value=1.0, priority=priority).priority == priority
+    assert Claim(controller="a", priority=priority).priority == priority
 
 
-@pytest.mark.parametrize("level", [0, 17, -1])
-def test_there_is_no_other_level(level: int) -> None:
+@pytest.mark.parametrize("priority", [0, 17, -1])
+def test_there_is_no_other_level(priority: int) -> None:
     with pytest.raises(ValidationError):
-        Write(value=1.0, priority=level)
+        Write(value=1.0, priority=priority)
     with pytest.raises(ValidationError):
-        Claim(controller="a", priority=level)
+        Claim(controller="a", priority=priority)
 
 
 def test_a_person_writes_above_a_controller() -> None:

@@ -82,9 +82,9 @@ def test_what_is_no_single_zones_is_the_buildings() -> None:
     env.reset(seed=0)
     *_, infos = env.step({"building": np.float32([0.5, 19]), "zone_1": np.float32([24])})
     assert env.actuator_names("building") == ("zone_1_heating_setpoint", "zone_2_heating_setpoint", "equipment")
-    assert infos["building"]["applied"].tolist() == [19.0, 19.0, 0.5]
-    assert infos["zone_1"]["applied"].tolist() == [24.0]
-    assert infos["zone_1"]["ruled_by"] == ("zone_1",)
+    assert infos["building"]["effective"].tolist() == [19.0, 19.0, 0.5]
+    assert infos["zone_1"]["effective"].tolist() == [24.0]
+    assert infos["zone_1"]["value_source"] == ("zone_1",)
 
 
 def test_a_zone_that_is_called_as_another_agent_gets_a_number() -> None:
@@ -104,13 +104,13 @@ def test_discrete_zones_choose_each_for_itself() -> None:
     assert env.action_space("zone_1") == gym.spaces.Discrete(4)
     env.reset(seed=0)
     *_, infos = env.step({"zone_1": 0, "zone_2": np.int64(3)})
-    assert infos["zone_1"]["applied"].tolist() == [15.0, 30.0]
-    assert infos["zone_2"]["applied"].tolist() == [22.5, 22.5]
+    assert infos["zone_1"]["effective"].tolist() == [15.0, 30.0]
+    assert infos["zone_2"]["effective"].tolist() == [22.5, 22.5]
     points = fake(2, control="point", discrete=4)
     assert points.action_space("zone_1") == gym.spaces.MultiDiscrete([4, 4])
     points.reset(seed=0)
     *_, infos = points.step({"zone_1": [0, 3], "zone_2": [3, 0]})
-    assert [infos[a]["applied"].tolist() for a in points.agents] == [[15.0, 22.5], [22.5, 30.0]]
+    assert [infos[a]["effective"].tolist() for a in points.agents] == [[15.0, 22.5], [22.5, 30.0]]
     with pytest.raises(InvalidAction, match=r"agent 'zone_2': action 0.5; Discrete\(4\) expected: zone_2_heating"):
         env.step({"zone_1": 0, "zone_2": 0.5})
     with pytest.raises(InvalidAction, match="choice 4 of zone_2_heating_setpoint"):
@@ -120,7 +120,7 @@ def test_discrete_zones_choose_each_for_itself() -> None:
 def test_one_zone_alone_is_one_agent() -> None:
     env = fake(1, control="zone", discrete=4)
     env.reset(seed=0)
-    assert env.step({"zone_1": 0})[-1]["zone_1"]["applied"].tolist() == [15.0, 30.0]
+    assert env.step({"zone_1": 0})[-1]["zone_1"]["effective"].tolist() == [15.0, 30.0]
 
 
 # Episodes
@@ -143,7 +143,7 @@ def test_it_is_the_buildings_environment_cut_in_parts() -> None:
         parts, rewards, terminated, truncated, infos = env.step({"zone_2": action[2:], "zone_1": action[:2]})
         observation, reward, _, _, info = whole.step(action)
         assert rewards == {"zone_1": reward, "zone_2": reward}
-        assert infos["zone_2"]["applied"].tolist() == info["applied"][2:].tolist()
+        assert infos["zone_2"]["effective"].tolist() == info["effective"][2:].tolist()
         assert (infos["zone_1"]["step"], infos["zone_1"]["time"]) == (step, info["time"])
         assert infos["zone_1"]["reward_terms"] == info["reward_terms"]
         ends.append((set(terminated.values()), set(truncated.values()), bool(env.agents)))
@@ -308,7 +308,7 @@ def test_the_zones_of_a_real_building(office: ZonesEnv) -> None:
         actions = draw(office)
         _, rewards, _, _, infos = office.step(actions)
         for agent, info in infos.items():
-            assert info["applied"] == pytest.approx(actions[agent], abs=1e-6)
+            assert info["effective"] == pytest.approx(actions[agent], abs=1e-6)
         values = office.env.observation_dict(office.state())
         outside = [max(23.0 - t, t - 26.0, 0.0) for t in (values[f"{zone}_air_temperature"] for zone in ZONES)]
         by_hand = -0.5e-4 * values["hvac_electricity_power"] - 0.5 * sum(outside)

@@ -196,7 +196,7 @@ def test_a_folder_whose_owner_lives_is_not_swept(scratch: Path) -> None:
         program.close()
         sweep()
         assert theirs.exists(), "another owner holds it"
-        joined.release()
+        joined.relinquish()
         sweep()
     assert not theirs.exists()
     mine.remove()
@@ -212,7 +212,7 @@ def test_a_node_has_no_file_in_shared_memory(folder: Path) -> None:
 def test_an_environment_ends_a_node_that_stands_still(scratch: Path) -> None:
     env = gym.make("zenostat/Building-v1", **SMALL, affinity="off").unwrapped
     env.reset(seed=0)
-    node = psutil.Process(env.own_node.pid)
+    node = psutil.Process(env.local_node.pid)
     node.suspend()
     closing = threading.Thread(target=env.close)
     closing.start()

@@ -19,7 +19,7 @@ STARTED = r"own node had ended \(killed by SIGKILL.*\), and another one was star
 
 
 def kill_node(env: Any) -> None:
-    node = psutil.Process(env.unwrapped.own_node.pid)
+    node = psutil.Process(env.unwrapped.local_node.pid)
     node.kill()
     with pytest.raises(NodeLost, match="is gone"):
         step_for_ever(env)
@@ -51,7 +51,7 @@ def test_it_dies_again_and_again() -> None:
     env = gym.make("zenostat/Building-v1", **SMALL, affinity="off")
     for _ in range(2):
         env.reset()
-        psutil.Process(env.unwrapped.own_node.pid).kill()  # the reset follows at once
+        psutil.Process(env.unwrapped.local_node.pid).kill()  # the reset follows at once
         with pytest.warns(UserWarning, match=STARTED):
             env.reset()
         env.step(env.action_space.sample())
@@ -72,8 +72,8 @@ def test_a_vector_environment() -> None:
 
 def test_a_node_of_somebody_elses_is_not_started_again() -> None:
     own = gym.make("zenostat/Building-v1", **SMALL, affinity="off")
-    node = own.unwrapped.own_node
-    env = gym.make("zenostat/Building-v1", connect=node.endpoint, node="building", level=9, affinity="off")
+    node = own.unwrapped.local_node
+    env = gym.make("zenostat/Building-v1", connect=node.endpoint, node="building", priority=9, affinity="off")
     env.reset()
     psutil.Process(node.pid).kill()
     with pytest.raises(NodeLost, match="is gone"):

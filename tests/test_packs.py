@@ -135,7 +135,7 @@ def test_what_names_nothing_clear_without_the_pack_does_not_with_it(text, tmp_pa
 def test_without_the_pack_its_names_say_what_to_do(cache):
     assert catalog.buildings() == catalog.bundled_buildings()
     assert catalog.weathers() == catalog.bundled_weathers()
-    command = "is in the data pack 'sinergym': zenostat packs add sinergym"
+    command = "is in the data pack 'sinergym': zenostat data-packs add sinergym"
     for text in ("5ZoneAutoDXVAV", "5zoneautodxvav", "5Zone", "sinergym/5ZoneAutoDXVAV", "sinergym/office"):
         with pytest.raises(UnknownName) as raised:
             find_building(text)
@@ -146,7 +146,7 @@ def test_without_the_pack_its_names_say_what_to_do(cache):
         assert str(raised.value) == f"weather {text!r} {command}"
     with pytest.raises(UnknownName, match="no building 'sinergym/5Zones'; near names: 'sinergym/5ZoneAutoDXVAV'"):
         find_building("sinergym/5Zones")
-    with pytest.raises(InvalidConfig, match="needs the data pack 'sinergym': zenostat packs add sinergym"):
+    with pytest.raises(InvalidConfig, match="needs the data pack 'sinergym': zenostat data-packs add sinergym"):
         folder("sinergym")
     assert installed() == []
 

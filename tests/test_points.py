@@ -127,7 +127,7 @@ def test_none_asked_is_none_given() -> None:
 
 
 @pytest.mark.parametrize(
-    ("unit", "summed", "reading"),
+    ("unit", "summed", "aggregation"),
     [
         ("W", False, Aggregation.MEAN),
         ("kg/s", False, Aggregation.MEAN),
@@ -141,8 +141,10 @@ def test_none_asked_is_none_given() -> None:
         ("W", True, Aggregation.SUM),
     ],
 )
-def test_rates_are_means_states_are_instants_and_sums_are_sums(unit: str, summed: bool, reading: Aggregation) -> None:
-    assert default_aggregation(Variable("v", "k", unit, system=True, summed=summed)) is reading
+def test_rates_are_means_states_are_instants_and_sums_are_sums(
+    unit: str, summed: bool, aggregation: Aggregation
+) -> None:
+    assert default_aggregation(Variable("v", "k", unit, system=True, summed=summed)) is aggregation
 
 
 TEMPERATURE, ENERGY, POWER = (
@@ -153,7 +155,7 @@ TEMPERATURE, ENERGY, POWER = (
 
 
 @pytest.mark.parametrize(
-    ("spec", "reading"),
+    ("spec", "aggregation"),
     [
         (TEMPERATURE, "instant"),
         ((*TEMPERATURE, "mean"), "mean"),
@@ -164,9 +166,9 @@ TEMPERATURE, ENERGY, POWER = (
         ((*ENERGY, "sum"), "sum"),
     ],
 )
-def test_a_reading_is_that_asked_or_the_usual_one(spec: tuple[str, ...], reading: str) -> None:
+def test_a_reading_is_that_asked_or_the_usual_one(spec: tuple[str, ...], aggregation: str) -> None:
     (sensor,) = chosen(sensors={"s": spec}).sensors
-    assert sensor.aggregation == reading
+    assert sensor.aggregation == aggregation
 
 
 @pytest.mark.parametrize(

@@ -84,7 +84,7 @@ def to_the_end(samples: Iterator[SampleView]) -> list[SampleView]:
     return found
 
 
-def applied(sample: SampleView, point: str = POINT) -> float:
+def effective(sample: SampleView, point: str = POINT) -> float:
     return float(sample.effective[[a.name for a in sample.manifest.actuators].index(point)])
 
 
@@ -105,7 +105,7 @@ def status_of(bus: agent_sdk.Bus, name: str) -> ControllerStatus:
 
 @pytest.mark.parametrize(
     ("policy", "bus_of"),
-    [("wait", "unix"), ("hold", "unix"), ("release", "unix"), ("hold", "tcp"), ("wait", "tcp")],
+    [("wait", "unix"), ("hold", "unix"), ("relinquish", "unix"), ("hold", "tcp"), ("wait", "tcp")],
 )
 def test_a_killed_controller_is_noticed_and_the_policy_follows(scratch: Path, policy: str, bus_of: str) -> None:
     """agent@0 → agent@1 → node@2 → agent is killed → policy"""
@@ -132,10 +132,10 @@ def test_a_killed_controller_is_noticed_and_the_policy_follows(scratch: Path, po
         assert [sample.step for sample in rest] == [*range(3, STEPS + 1)]
         assert all(sample.fallback for sample in rest)
         if policy == "hold":
-            assert {(applied(s), s.value_source[POINT]) for s in rest} == {(27.0, name)}
+            assert {(effective(s), s.value_source[POINT]) for s in rest} == {(27.0, name)}
         else:
             assert {s.value_source[POINT] for s in rest} == {""}
-            assert {applied(s) for s in rest} == {24.0, 26.7}  # the building's own: at work, and set back
+            assert {effective(s) for s in rest} == {24.0, 26.7}  # the building's own: at work, and set back
         agent_ = status_of(bus, name)
         assert (agent_.accepted, agent_.missed, agent_.bypassed) == (2, STEPS - 2, True)
         assert bus.status("office").statistics.missed == STEPS - 2
@@ -168,7 +168,7 @@ def test_one_that_was_killed_comes_back_at_the_present_step(scratch: Path) -> No
     fell = [sample.step for sample in found if sample.fallback]
     assert {sample.value_source[point] for sample in found for point in NORTH} == {north.name}
     assert who == [{name}] * 31 + [{successor}] * (STEPS - 31)
-    assert [applied(sample, SOUTH[0]) for sample in found] == [26.0] * 31 + [27.0] * (STEPS - 31)
+    assert [effective(sample, SOUTH[0]) for sample in found] == [26.0] * 31 + [27.0] * (STEPS - 31)
     # It had answered sample 21 before it was killed, or had not.
     assert fell in ([*range(22, 32)], [*range(23, 32)])
 
@@ -212,9 +212,9 @@ def test_a_frozen_controller_s_late_command_says_how_late_and_rules_nothing(scra
         assert (again.source, "answers again" in again.text) == (name, True)
         while not (sample := next(samples)).step > again.step + 3:
             frozen += [sample] if sample.step <= again.step else []
-            assert sample.step <= again.step or (applied(sample), sample.fallback) == (24.0, False)
+            assert sample.step <= again.step or (effective(sample), sample.fallback) == (24.0, False)
     assert [s.step for s in frozen] == [*range(2, again.step + 1)]
-    assert {(applied(s), s.value_source[POINT], s.fallback) for s in frozen} == {(25.0, name, True)}
+    assert {(effective(s), s.value_source[POINT], s.fallback) for s in frozen} == {(25.0, name, True)}
 
 
 @pytest.mark.parametrize("policy", ["abort", "hold"])
@@ -236,9 +236,9 @@ def test_a_controller_that_joins_late_and_is_silent_meets_its_deadline(scratch: 
 # Aborted
 
 
-@pytest.mark.parametrize("how", ["killed", "silent"])
+@pytest.mark.parametrize("how", ["killed", "unresponsive"])
 def test_abort_is_told_to_the_other_controller_and_a_reset_begins_anew(scratch: Path, how: str) -> None:
-    silent = {"deadline_s": 4.0} if how == "silent" else {}
+    silent = {"deadline_s": 4.0} if how == "unresponsive" else {}
     with (
         office(scratch, policy="abort", **silent) as (node, bus),
         Program(TOLD_WHAT_TO_SEND, node.endpoint, "south", *SOUTH) as south,
@@ -257,7 +257,7 @@ def test_abort_is_told_to_the_other_controller_and_a_reset_begins_anew(scratch: 
         status = bus.status("office")
         assert status.state is State.FAILED
         assert name in status.failure
-        if how == "silent":
+        if how == "unresponsive":
             south.tell("26")
             assert south.line().startswith("EpisodeAborted")
             south.process.kill()
@@ -302,17 +302,17 @@ def test_two_controllers_and_a_supervisor_are_as_one_to_the_bit(scratch: Path) -
         many = [south.current()]
         while not many[-1].truncated:
             if many[-1].step == 8:
-                bus.write("office", POINT, 28.0, priority=8, for_s=3600.0, source="supervisor")
+                bus.write("office", POINT, 28.0, priority=8, duration_s=3600.0, source="supervisor")
             many[-1].send({point: wanted(point, many[-1].step) for point in SOUTH})
             many.append(south.receive())
         assert north.json() == STEPS
     assert len(many) == STEPS + 1
     for sample in many[1:]:
         who = dict.fromkeys(NORTH, name) | dict.fromkeys(SOUTH, south.name)
-        ruler = sample.value_source[POINT]
+        source_index = sample.value_source[POINT]
         if 9 <= sample.step <= 12:
-            assert ruler.startswith("supervisor-")
-            who[POINT] = ruler
+            assert source_index.startswith("supervisor-")
+            who[POINT] = source_index
         assert sample.value_source == {point: who.get(point, "") for point in sample.value_source}
     with (
         office(scratch / "one") as (node, bus),
@@ -328,7 +328,7 @@ def test_two_controllers_and_a_supervisor_are_as_one_to_the_bit(scratch: Path) -
         assert together.message.values == alone.message.values
         assert together.message.effective == alone.message.effective
     assert np.isfinite(single[-1].values).all()
-    assert {applied(sample) for sample in many[9:13]} == {28.0}
+    assert {effective(sample) for sample in many[9:13]} == {28.0}
 
 
 # The command line
@@ -383,7 +383,7 @@ def test_the_command_line_says_what_the_policy_is_and_whom_it_met(scratch: Path)
     assert claims[1:] == ["office", "10", "3", "yes", "gone, waived"]
     assert counts[1:] == ["0", "0", "0", "0", "1", "-", "-", "-"]
     claims, counts = row(said, north.name)
-    assert claims[1:] == ["office", "10", "2", "yes", "present"]
+    assert claims[1:] == ["office", "10", "2", "yes", "connected"]
     assert counts[1:6] == ["1", "0", "0", "0", "0"]
     median, p99, most = map(float, counts[6:])
     assert 0.0 < median == p99 == most

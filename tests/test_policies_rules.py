@@ -66,9 +66,9 @@ def ruled(policy: Policy) -> tuple[list[float], list[str]]:
 
 
 def check_ruled(at: StepExchange, expected: tuple[list[float], list[str]]) -> None:
-    values, rulers = advance(at)
+    values, sources = advance(at)
     assert np.array_equal(values, expected[0], equal_nan=True), values
-    assert rulers == expected[1]
+    assert sources == expected[1]
 
 
 # Gone
@@ -552,8 +552,8 @@ def test_one_that_is_not_required_stops_nothing_by_leaving(policy: Policy) -> No
     events = at.bypass("helper")
     assert told(events) == ([] if policy is Policy.WAIT else [(EventKind.FALLBACK, "helper")])
     answer(at, "agent", [20.0, 25.0])
-    released = policy is Policy.RELINQUISH
-    check_ruled(at, ([20.0, 25.0 if released else 28.0], ["agent", "agent" if released else "helper"]))
+    relinquished = policy is Policy.RELINQUISH
+    check_ruled(at, ([20.0, 25.0 if relinquished else 28.0], ["agent", "agent" if relinquished else "helper"]))
     assert not at.fallback_active
     assert at.counts.missed == status(at, "helper").missed == 0
 
@@ -730,7 +730,7 @@ def test_a_controller_that_is_back_keeps_its_counts() -> None:
 
 MOVES = st.lists(
     st.tuples(
-        st.sampled_from(["answer", "late", "early", "claim", "left", "waive", "overdue", "go", "go"]),
+        st.sampled_from(["answer", "late", "early", "claim", "disconnected", "waive", "overdue", "go", "go"]),
         st.sampled_from(["a", "b"]),
         st.integers(1, 3),
     ),
@@ -756,7 +756,7 @@ def test_whatever_happens_a_command_rules_its_own_step_and_every_message_is_coun
         match kind:
             case "claim":
                 claim(at, name, actuators=["heat" if name == "a" else "cool"])
-            case "left":
+            case "disconnected":
                 at.on_disconnect(name)
             case "waive":
                 at.bypass(name)
@@ -796,12 +796,12 @@ def says(at: StepExchange, name: str, step: int, taken: dict[str, list[int]]) ->
 def goes_on(at: StepExchange, policy: Policy, taken: dict[str, list[int]]) -> bool:
     """The timestep: who rules does so by what it answered last; gives whether somebody was missing."""
     absent = [c.controller for c in at.controllers() if at.step[0] not in taken[c.controller]]
-    values, rulers = advance(at)
+    values, sources = advance(at)
     assert at.fallback_active or not absent
     assert policy is not Policy.WAIT or not absent
-    for name, ruling, ruler in zip(("a", "b"), values, rulers, strict=True):
-        assert ruler in ("", name)
-        if ruler:
+    for name, ruling, source_index in zip(("a", "b"), values, sources, strict=True):
+        assert source_index in ("", name)
+        if source_index:
             assert ruling == value(name, max(taken[name]))
         else:
             assert policy is Policy.RELINQUISH or not taken[name]

@@ -13,7 +13,7 @@ from bridge.exchange.priority_array import BASELINE_SOURCE, PRIORITIES, Priority
 SLOTS, ACTUATORS = 2, 3
 NAMES = [f"controller {i}" for i in range(5)]
 
-levels = st.integers(1, PRIORITIES)
+priorities = st.integers(1, PRIORITIES)
 finite = st.floats(allow_nan=False, allow_infinity=False)
 who = st.sampled_from(NAMES)
 cells = st.lists(finite | st.none(), min_size=SLOTS * ACTUATORS, max_size=SLOTS * ACTUATORS)
@@ -35,32 +35,34 @@ class Model(RuleBasedStateMachine):
         self.array = PriorityArray(SLOTS, ACTUATORS)
         self.model: list[dict[int, tuple[float, str]]] = [{} for _ in range(SLOTS * ACTUATORS)]
 
-    def _set(self, cell: int, level: int, name: str, value: float | None) -> None:
+    def _set(self, cell: int, priority: int, name: str, value: float | None) -> None:
         if value is None:
-            self.model[cell].pop(level, None)
+            self.model[cell].pop(priority, None)
         else:
-            self.model[cell][level] = (value, name)
+            self.model[cell][priority] = (value, name)
 
-    @rule(level=levels, name=who, values=st.lists(finite, min_size=SLOTS * ACTUATORS, max_size=SLOTS * ACTUATORS))
-    def put_all(self, level: int, name: str, values: list[float]) -> None:
-        self.array.put_all(level, self.array.source(name), np.array(values).tobytes())
+    @rule(
+        priority=priorities, name=who, values=st.lists(finite, min_size=SLOTS * ACTUATORS, max_size=SLOTS * ACTUATORS)
+    )
+    def put_all(self, priority: int, name: str, values: list[float]) -> None:
+        self.array.put_all(priority, self.array.source(name), np.array(values).tobytes())
         for cell, value in enumerate(values):
-            self._set(cell, level, name, value)
+            self._set(cell, priority, name, value)
 
-    @rule(level=levels, name=who, values=cells, where=chosen)
-    def put(self, level: int, name: str, values: list[float | None], where: list[bool]) -> None:
+    @rule(priority=priorities, name=who, values=cells, where=chosen)
+    def put(self, priority: int, name: str, values: list[float | None], where: list[bool]) -> None:
         shape = (SLOTS, ACTUATORS)
         numbers = np.array([np.nan if v is None else v for v in values]).reshape(shape)
-        self.array.put(level, self.array.source(name), numbers, np.array(where).reshape(shape))
+        self.array.put(priority, self.array.source(name), numbers, np.array(where).reshape(shape))
         for cell, (value, meant) in enumerate(zip(values, where, strict=True)):
             if meant:
-                self._set(cell, level, name, value)
+                self._set(cell, priority, name, value)
 
-    @rule(level=levels, name=who, actuator=st.integers(0, ACTUATORS - 1), value=finite | st.none())
-    def put_one(self, level: int, name: str, actuator: int, value: float | None) -> None:
-        self.array.put_one(level, self.array.source(name), actuator, np.nan if value is None else value)
+    @rule(priority=priorities, name=who, actuator=st.integers(0, ACTUATORS - 1), value=finite | st.none())
+    def put_one(self, priority: int, name: str, actuator: int, value: float | None) -> None:
+        self.array.put_one(priority, self.array.source(name), actuator, np.nan if value is None else value)
         for slot in range(SLOTS):
-            self._set(slot * ACTUATORS + actuator, level, name, value)
+            self._set(slot * ACTUATORS + actuator, priority, name, value)
 
     @rule()
     def clear(self) -> None:
@@ -81,11 +83,11 @@ TestAgainstTheModel.settings = settings(deadline=None)
 def test_lower_rules_release_falls_to_the_next_and_empty_is_the_building() -> None:
     # fire@1 over person@8 over controller@10
     array = PriorityArray(1, 1)
-    for level, name, value in ((10, "controller", 24.0), (8, "person", 22.0), (1, "fire", 15.0)):
-        array.put_one(level, array.source(name), 0, value)
+    for priority, name, value in ((10, "controller", 24.0), (8, "person", 22.0), (1, "fire", 15.0)):
+        array.put_one(priority, array.source(name), 0, value)
     assert resolved(array) == [(15.0, "fire")]
-    for level, next_ruler in ((1, (22.0, "person")), (8, (24.0, "controller")), (10, (None, BASELINE_SOURCE))):
-        array.put_one(level, array.source("anybody"), 0, np.nan)
+    for priority, next_ruler in ((1, (22.0, "person")), (8, (24.0, "controller")), (10, (None, BASELINE_SOURCE))):
+        array.put_one(priority, array.source("anybody"), 0, np.nan)
         assert resolved(array) == [next_ruler]
 
 

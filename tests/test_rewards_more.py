@@ -94,7 +94,7 @@ GIVEN: dict[str, dict[str, Any]] = {
     "linear": {},
     "exponential": {},
     "hourly": {"weight_outside": 0.75},
-    "normalised": {},
+    "normalized": {},
     "multi_zone": {},
     "energy_cost": {"price": {"table": PERIODS, "otherwise": 100.0, "unit": "EUR/MWh"}},
     "tariff": {"periods": PERIODS, "otherwise": 100.0, "unit": "EUR/MWh"},
@@ -159,7 +159,7 @@ def test_slots_are_what_each_of_them_is_alone(kind: str, slots: list[tuple[Array
         assert got.reward.shape == (len(slots),)
         singles = [bound(row, begin) for bound, row, begin in zip(alone, rows, begins, strict=True)]
         assert got.reward == pytest.approx([single.reward for single in singles])
-        for name, of in (("terms", got.terms), ("measures", got.metrics)):
+        for name, of in (("terms", got.terms), ("metrics", got.metrics)):
             assert set(of) == set(getattr(singles[0], name))
             for key, column in of.items():
                 assert column.shape == (len(slots),)
@@ -208,7 +208,7 @@ for kind, more in {
     "linear": {"winter": st.just((18.0, 22.0)), "power": st.sampled_from(["power", ("power", "fans")])},
     "exponential": {"temperatures": st.just(("north",)), "lambda_energy": st.floats(0, 1)},
     "hourly": {"hours": st.sampled_from([(7, 8), (22, 6), (0, 24)]), "weight_outside": weights},
-    "normalised": {"max_power_w": st.floats(1, 1e6), "forget": st.booleans()},
+    "normalized": {"max_power_w": st.floats(1, 1e6), "forget": st.booleans()},
     "multi_zone": {"zones": st.sampled_from([{"north": "n"}, {"north": ("h", "c")}]), "threshold": st.floats(0, 3)},
     "energy_cost": {"weight_temperature": weights, "lambda_cost": st.floats(0, 9)},
     "tariff": {"energy": st.sampled_from(["electricity", ["a", "b"]]), "otherwise": st.floats(-1, 1)},
@@ -451,9 +451,9 @@ def test_energypluss_own_votes() -> None:
 
 
 def test_energypluss_own_dissatisfied_and_those_of_the_votes() -> None:
-    reading = ThermalSensationReward(by="ppd").bind(SENSED)(np.array([0.0, 3.0, 3.0, 30.0]), WINTER)
-    assert reading.reward == pytest.approx(-0.5 * 0.2)
-    assert reading.metrics["ppd_mean"] == pytest.approx(30.0)
+    aggregation = ThermalSensationReward(by="ppd").bind(SENSED)(np.array([0.0, 3.0, 3.0, 30.0]), WINTER)
+    assert aggregation.reward == pytest.approx(-0.5 * 0.2)
+    assert aggregation.metrics["ppd_mean"] == pytest.approx(30.0)
     voted = ThermalSensationReward(by="ppd", pmv="a", limit=5.0).bind(SENSED)(np.array([0.0, 1.0, 3.0, 30.0]), WINTER)
     assert voted.metrics["ppd_mean"] == pytest.approx(26.12, abs=0.01)  # ISO 7730: 26 % at a vote of 1
     assert voted.reward == pytest.approx(-0.5 * 0.2112, abs=1e-4)
@@ -570,7 +570,7 @@ def test_a_sensor_of_energy_has_to_read_the_sum() -> None:
     [((12, 1), True), ((12, 31), True), ((1, 1), True), ((3, 31), True), ((4, 1), False), ((11, 30), False),
      ((7, 1), False)],
 )  # fmt: skip
-@pytest.mark.parametrize("kind", ["linear", "exponential", "hourly", "normalised", "energy_cost", "peak", "occupied"])
+@pytest.mark.parametrize("kind", ["linear", "exponential", "hourly", "normalized", "energy_cost", "peak", "occupied"])
 def test_summer_is_in_december_south_of_the_equator(kind: str, day: tuple[int, int], summer: bool) -> None:
     bound: Any = made(kind).bind(NODE_SOUTH)
     moment = datetime(2017, *day, 12)
@@ -698,7 +698,7 @@ def test_a_file_of_prices_is_read_when_the_reward_is_bound(tmp_path: Path) -> No
         ("tariff", {"periods": []}), ("hourly", {"hours": [9, 9]}), ("multi_zone", {"zones": {}}),
         ("multi_zone", {"zones": {"a": ["b", "c", "d"]}}), ("multi_zone", {"threshold": -1}),
         ("peak", {"threshold_kw": -1}), ("occupied", {"by": "chance"}), ("thermal_sensation", {"met": 0.1}),
-        ("normalised", {"max_power_w": 0}), ("exponential", {"winter": [24, 20]}),
+        ("normalized", {"max_power_w": 0}), ("exponential", {"winter": [24, 20]}),
     ],
     ids=str,
 )  # fmt: skip

@@ -98,14 +98,14 @@ FIGHTS = {
 }
 
 
-def said(changes: dict[str, Any], *actuators: Actuator) -> list[str]:
-    return conflicts(MODEL | changes, actuators)
+def said(edits: dict[str, Any], *actuators: Actuator) -> list[str]:
+    return conflicts(MODEL | edits, actuators)
 
 
 @pytest.mark.parametrize("case", FIGHTS)
 def test_who_fights_whom(case: str) -> None:
-    changes, actuator, text = FIGHTS[case]
-    assert said(changes, actuator) == ([f"actuator {actuator.name!r}: {text}"] if text else [])
+    edits, actuator, text = FIGHTS[case]
+    assert said(edits, actuator) == ([f"actuator {actuator.name!r}: {text}"] if text else [])
 
 
 _DRIVE = """
@@ -144,9 +144,9 @@ print("SEEN", json.dumps([code, sorted(set(seen))]))
 @pytest.mark.parametrize("case", [case for case, (_, actuator, _) in FIGHTS.items() if actuator is not HEATING])
 def test_it_is_so_in_energyplus(case: str, folder: Path) -> None:
     """A day of the small office on which the actuator is always set to 26.5 degC."""
-    changes, actuator, text = FIGHTS[case]
+    edits, actuator, text = FIGHTS[case]
     office = read_building(find_building("ref-small-office"))
-    objects = apply_edits(for_episode(office, office.period("07-03", "07-03", None)), changes)
+    objects = apply_edits(for_episode(office, office.period("07-03", "07-03", None)), edits)
     orders = json.dumps([(actuator.component_type, actuator.control_type, actuator.key, 26.5)])
     command = [sys.executable, "-P", "-c", _DRIVE, str(write(objects, folder)), str(find_weather("Denver").path)]
     done = subprocess.run([*command, str(folder), orders], capture_output=True, text=True, check=True)
@@ -181,11 +181,11 @@ def test_a_program_that_also_reads_the_schedule_is_said_to() -> None:
             "output_variable_or_output_meter_index_key_name": "clgsetp_sch",
         }
     }
-    changes = ems(
+    edits = ems(
         SCHEDULE, "Schedule Value", "CLGSETP_SCH", "SET Rival = Seen + 1",
         more={"EnergyManagementSystem:Sensor": sensor},  # type: ignore[dict-item]
     )  # fmt: skip
-    (line,) = said(changes, COOLING_SCHEDULE)
+    (line,) = said(edits, COOLING_SCHEDULE)
     assert line.endswith("'Rival' (program 'Prog' also reads it), and wins")
 
 

@@ -33,8 +33,8 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor, VecNormali
 from agent_sdk.envs.sb3_vec_env import SlotsVecEnv, as_sb3  # noqa: E402
 
 SAME = AutoresetMode.SAME_STEP
-WARM = {"points": ["zone_1_air_temperature"], "low": 17.0, "high": 26.0, "for_h": 2.0}
-LAST = {"points": ["outdoor_temperature"], "low": 90.0, "for_h": 24.0}  # broken with an episode's last step
+WARM = {"points": ["zone_1_air_temperature"], "low": 17.0, "high": 26.0, "duration_h": 2.0}
+LAST = {"points": ["outdoor_temperature"], "low": 90.0, "duration_h": 24.0}  # broken with an episode's last step
 DAY: dict[str, Any] = {"zones": 2, "steps_per_hour": 1, "climate": Climate(noise_k=3.0), "control": "building"}
 
 

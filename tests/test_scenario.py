@@ -105,7 +105,7 @@ noises = st.fixed_dictionaries(
     optional={"mu": ranges(numbers), "tau_h": ranges(positive), "low": st.floats(-9, 0), "high": st.floats(1, 9)},
 )
 sensors = st.fixed_dictionaries(
-    {"variable": words, "key": words}, optional={"reading": st.sampled_from(["mean", "sum", "instant", None])}
+    {"variable": words, "key": words}, optional={"aggregation": st.sampled_from(["mean", "sum", "instant", None])}
 )
 edges = {"low": st.none() | numbers, "high": st.none() | numbers}
 actuators = st.fixed_dictionaries({"component_type": words, "control_type": words, "key": words}, optional=edges)
@@ -136,12 +136,12 @@ fields = st.fixed_dictionaries(
         "id": names,
         "about": words | st.text(characters, min_size=120) | st.text("a b\n", min_size=120),
         "weather_order": st.sampled_from(["random", "sequence"]),
-        "variability": st.dictionaries(words, noises, max_size=3),
+        "weather_noise": st.dictionaries(words, noises, max_size=3),
         "sizing": st.sampled_from(["weather", "model"]),
         "begin": days,
         "end": days,
         "steps_per_hour": st.sampled_from([1, 4, 60]),
-        "changes": st.dictionaries(
+        "edits": st.dictionaries(
             words,
             st.dictionaries(words, st.none() | st.dictionaries(words, nested, max_size=3), max_size=3),
             max_size=2,
@@ -150,7 +150,7 @@ fields = st.fixed_dictionaries(
         "sensors": st.none() | st.dictionaries(names, sensors, max_size=3),
         "meters": st.none() | st.dictionaries(names, words, max_size=3),
         "actuators": st.none() | st.dictionaries(names, actuators, max_size=3),
-        "reading": st.sampled_from(["mean", "instant"]),
+        "aggregation": st.sampled_from(["mean", "instant"]),
         "actions": st.none() | st.dictionaries(names, actions, max_size=3),
         "control": st.sampled_from(["point", "zone", "building"]),
         "discrete": st.none() | st.integers(2, 50) | st.lists(choices, max_size=3),
@@ -188,7 +188,7 @@ def test_the_schema_accepts_what_the_loader_accepts(given: dict[str, Any]) -> No
 @pytest.mark.parametrize("text", ["{}", "a{}", "{}a", "a{}b", " {} ", "'{}\"", "{0}{0}", "a\n{}"])
 def test_line_breaks_of_unicode_are_kept(tmp_path: Path, character: str, text: str) -> None:
     said = text.format(character)
-    scenario = read_scenario({**BASE, "about": said, "changes": {"M": {said: {said: said}}}})
+    scenario = read_scenario({**BASE, "about": said, "edits": {"M": {said: {said: said}}}})
     file = tmp_path / "written.yaml"
     file.write_text(dump(scenario), encoding="utf-8", newline="")
     assert load_scenario(file) == scenario
@@ -269,7 +269,7 @@ def test_parts_may_be_given_as_they_are() -> None:
     read = read_scenario(
         {
             **BASE,
-            "variability": {"dry_bulb_temperature": {"sigma": [1, 2]}},
+            "weather_noise": {"dry_bulb_temperature": {"sigma": [1, 2]}},
             "sensors": {"a": ["Zone Air Temperature", "Core_ZN", "mean"]},
             "actuators": {"c": ["Fan", "Flow", "FAN 1", 0, 2]},
             "actions": {"f": {"actuators": ["c"]}},
@@ -334,7 +334,7 @@ variability:
     assert scenario.weather_noise["relative_humidity"] == ColumnNoise(sigma=3.0, mu=0.5)
 
 
-# Refused
+# RequestRejected
 
 
 @pytest.mark.parametrize(
@@ -372,7 +372,7 @@ WRONG = {
     "control": "control: zones",
     "weather_order": "weather_order: shuffled",
     "sizing": "sizing: none",
-    "reading": "reading: sum",
+    "aggregation": "reading: sum",
     "sensors.a.reading": "sensors: {a: [v, k, average]}",
     "time.1": "time: [hour, second]",
     "begin": "begin: 5",
@@ -534,14 +534,14 @@ def test_the_example_of_the_documentation_is_a_scenario() -> None:
 NEITHER = {
     "unknown field": {"colour": "red"},
     "unknown field of a sensor": {"sensors": {"a": {"variable": "v", "key": "k", "colour": "red"}}},
-    "unknown field of noise": {"variability": {"wind_speed": {"sigma": 1, "tau": 24}}},
+    "unknown field of noise": {"weather_noise": {"wind_speed": {"sigma": 1, "tau": 24}}},
     "unknown field of the reward": {"reward": {"kind": "linear", "lambda_enrgy": 1}},
     "unknown kind of reward": {"reward": {"kind": "liner"}},
     "reward without a kind": {"reward": {"weight": 0.5}},
     "weight above 1": {"reward": {"kind": "linear", "weight": 2}},
     "word that is none": {"control": "zones"},
     "time field that is none": {"time": ["second"]},
-    "reading that is none": {"reading": "average"},
+    "reading that is none": {"aggregation": "average"},
     "one step": {"discrete": 1},
     "no rows": {"discrete": [{"actions": ["a"], "values": []}]},
     "no actuators": {"actions": {"a": {"actuators": []}}},

@@ -93,7 +93,7 @@ def test_an_action_sets_all_its_actuators_and_the_clock_is_observed(scratch: Pat
     hours = []
     for _ in range(12):
         observation, reward, _, _, info = env.step([25.5])
-        assert info["applied"].tolist() == [25.5, 25.5]
+        assert info["effective"].tolist() == [25.5, 25.5]
         assert reward == 0.0
         hours.append(observation[0])
     assert hours == [0.0] * 6 + [1.0] * 6
@@ -106,7 +106,7 @@ def test_control_by_zone_is_a_pair_for_each_zone(scratch: Path) -> None:
     assert len(with_zones.action_names) == 2 * 5
     with_zones.reset(seed=0)
     action = with_zones.action_space.sample()
-    assert with_zones.step(action)[4]["applied"] == pytest.approx(action)
+    assert with_zones.step(action)[4]["effective"] == pytest.approx(action)
     with_zones.close()
     whole.close()
 
@@ -116,12 +116,12 @@ def test_actuators_beside_the_actions_are_context(scratch: Path) -> None:
     actions = {"cooling": {"actuators": ["core_cooling"]}}
     env = make("zenostat/Scenario-v1", file=written(scratch, actions=actions))
     env.reset(seed=0)
-    own = env.step([26.0])[4]["applied"][1]
+    own = env.step([26.0])[4]["effective"][1]
     env.set_context({"west_cooling": 28.25})
-    assert env.step([26.0])[4]["applied"].tolist() == [26.0, 28.25]
-    assert env.step([27.0])[4]["applied"].tolist() == [27.0, 28.25]
+    assert env.step([26.0])[4]["effective"].tolist() == [26.0, 28.25]
+    assert env.step([27.0])[4]["effective"].tolist() == [27.0, 28.25]
     env.set_context({"west_cooling": None})
-    assert env.step([27.0])[4]["applied"].tolist() == [27.0, own]
+    assert env.step([27.0])[4]["effective"].tolist() == [27.0, own]
     env.close()
 
 
@@ -129,8 +129,8 @@ def test_a_variant_changes_the_model_and_nothing_is_left_of_it(scratch: Path) ->
     """With half the lights there is less electricity; the plain scenario beside it stays as it is."""
     lights = {"Lights": {"*": {"watts_per_floor_area": 2.0}}}
     totals = {}
-    for name, changes in (("plain", None), ("dim", lights), ("again", None)):
-        env = make(f"{SMALL}-continuous-v1", changes=changes)
+    for name, edits in (("plain", None), ("dim", lights), ("again", None)):
+        env = make(f"{SMALL}-continuous-v1", edits=edits)
         env.reset(seed=0)
         at = env.observation_names.index("electricity_facility")
         ended, total = False, 0.0
@@ -164,7 +164,7 @@ def test_the_same_seed_gives_the_same_trajectory_to_the_bit(scratch: Path) -> No
 
 def test_what_forecasts_read_is_what_is_simulated(scratch: Path) -> None:
     """At whole hours EnergyPlus's outdoor air is the row of the disturbed file, and not of the original."""
-    env = make(f"{SMALL}-continuous-stochastic-v1", reading="instant")
+    env = make(f"{SMALL}-continuous-stochastic-v1", aggregation="instant")
     rows, _ = play(env, 2)
     at, hour = env.observation_names.index("outdoor_temperature"), env.manifest.steps_per_hour
     simulated, told = rows[hour::hour, at], outdoors(env)[:24]
@@ -236,7 +236,7 @@ def test_a_sinergym_configuration_of_a_users_own(scratch: Path) -> None:
     assert env.manifest.weather == "sinergym/USA_WA_Port.Angeles"
     assert env.action_space == gym.spaces.Discrete(10)
     env.reset(seed=0)
-    assert env.step(9)[4]["applied"].tolist() == [21.0, 23.25]  # the last pair of the pack's own table
+    assert env.step(9)[4]["effective"].tolist() == [21.0, 23.25]  # the last pair of the pack's own table
     env.close()
 
 
@@ -284,12 +284,12 @@ FAULTS: dict[str, tuple[dict[str, Any], type[UsageError], str]] = {
         "row 1: cooling = 31 is outside 23 to 30 degC",
     ),
     "a field that the schema lacks": (
-        {"changes": {"Lights": {"*": {"watts_per_area": 2.0}}}},
+        {"edits": {"Lights": {"*": {"watts_per_area": 2.0}}}},
         InvalidConfig,
         "watts_per_area.*near names: 'watts_per_floor_area'",
     ),
-    "noise on what is no column": ({"variability": {"dry_bulb_temp": {"sigma": 1}}}, UnknownName, "dry_bulb_temp"),
-    "negative noise": ({"variability": {"dry_bulb_temperature": {"sigma": -1}}}, InvalidConfig, "sigma"),
+    "noise on what is no column": ({"weather_noise": {"dry_bulb_temp": {"sigma": 1}}}, UnknownName, "dry_bulb_temp"),
+    "negative noise": ({"weather_noise": {"dry_bulb_temperature": {"sigma": -1}}}, InvalidConfig, "sigma"),
     "a reward of no kind": ({"reward": {"kind": "best"}}, InvalidConfig, "no kind 'best'"),
     "a field of no scenario": ({"wether": "x"}, InvalidConfig, "wether"),
 }
@@ -313,7 +313,7 @@ def test_a_fault_of_a_file_is_one_clear_error(fault: str, scratch: Path) -> None
 )
 def test_a_broken_file_is_named(broken: Any, field: str, kind: type[Exception], words: str, scratch: Path) -> None:
     path = broken(scratch)
-    noise = {"variability": {"dry_bulb_temperature": {"sigma": 1.0}}}
+    noise = {"weather_noise": {"dry_bulb_temperature": {"sigma": 1.0}}}
     with pytest.raises(kind, match=f"(?s){words}"):
         gym.make("zenostat/Scenario-v1", file=written(scratch, **{field: str(path)}, **noise), affinity="off")
 
@@ -341,5 +341,5 @@ def test_a_period_over_new_year_has_all_its_timesteps(scratch: Path) -> None:
 
 def test_the_model_without_its_pack_names_the_command(monkeypatch: pytest.MonkeyPatch, scratch: Path) -> None:
     monkeypatch.setenv("ZENOSTAT_CACHE", str(scratch / "empty"))
-    with pytest.raises(InvalidConfig, match="zenostat packs add sinergym"):
+    with pytest.raises(InvalidConfig, match="zenostat data-packs add sinergym"):
         plan(read_config({"scenario": "5zone-hot-continuous-v1"}))

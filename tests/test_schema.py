@@ -23,8 +23,8 @@ GYPSUM = "1/2IN Gypsum"
 MATERIAL = {"roughness": "Smooth", "thickness": 0.1, "conductivity": 0.2, "density": 800.0, "specific_heat": 900.0}
 
 
-def material(**changes: Any) -> dict[str, dict[str, dict[str, Any]]]:
-    return {"Material": {"brick": {**MATERIAL, **changes}}}
+def material(**edits: Any) -> dict[str, dict[str, dict[str, Any]]]:
+    return {"Material": {"brick": {**MATERIAL, **edits}}}
 
 
 def only(objects: Mapping[str, Any], *, complete: bool = True) -> str:
@@ -117,7 +117,7 @@ def test_unknown_names_list_near_ones() -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("edits", "said"),
     [
         ({"thickness": -1}, "thickness is -1; expected a number above 0"),
         ({"thickness": float("nan")}, "thickness is nan; expected a number above 0"),
@@ -127,8 +127,8 @@ def test_unknown_names_list_near_ones() -> None:
         ({"thickness": None}, "thickness is null; expected a number above 0, or no such field"),
     ],
 )  # fmt: skip
-def test_a_wrong_value_is_said_with_what_would_be_right(changes: dict[str, Any], said: str) -> None:
-    assert only(material(**changes)) == f"Material 'brick': {said}"
+def test_a_wrong_value_is_said_with_what_would_be_right(edits: dict[str, Any], said: str) -> None:
+    assert only(material(**edits)) == f"Material 'brick': {said}"
 
 
 def test_words_and_limits_of_a_field_with_both_are_said() -> None:

@@ -173,9 +173,9 @@ def test_a_monitor_only_reads_and_nobody_but_a_node_answers() -> None:
     incoming = {
         role: {message for rule in rules(role) if rule.flow == "ingress" for message in rule.messages} for role in ROLES
     }
-    reading = {"declare_subscriber", "query", "declare_liveliness_subscriber", "liveliness_query"}
-    assert incoming[Role.MONITOR] == reading
-    assert incoming[Role.CONTROLLER] == reading | {"put", "liveliness_token"}
+    aggregation = {"declare_subscriber", "query", "declare_liveliness_subscriber", "liveliness_query"}
+    assert incoming[Role.MONITOR] == aggregation
+    assert incoming[Role.CONTROLLER] == aggregation | {"put", "liveliness_token"}
     assert incoming[Role.NODE] == set(ALL_MESSAGES)
 
 
@@ -196,7 +196,7 @@ def test_zenoh_denies_what_no_rule_allows() -> None:
 # What may be done
 
 
-def day(link: agent_sdk.link.ControlLink, meanwhile: Any = lambda _: None) -> list[bytes]:
+def day(link: agent_sdk.link.ControllerLink, meanwhile: Any = lambda _: None) -> list[bytes]:
     """A day at 25 degC, in lockstep; all values of all samples."""
     sample, values = link.reset(), []
     while True:

@@ -45,11 +45,11 @@ def test_names_with_a_dot_are_no_paths(here: Path) -> None:
 
 @pytest.mark.parametrize("form", [str, Path])
 def test_paths_of_files_are_made_absolute(here: Path, form: Any) -> None:
-    given = {"building": form("mine.idf"), "weather": form("mine.epw"), "keep": form("kept")}
+    given = {"building": form("mine.idf"), "weather": form("mine.epw"), "output_dir": form("kept")}
     found = for_node(given, "b")
     assert found["building"] == str(here / "mine.idf")
     assert found["weather"] == str(here / "mine.epw")
-    assert found["keep"] == str(here / "kept"), "a folder that is still to be made"
+    assert found["output_dir"] == str(here / "kept"), "a folder that is still to be made"
 
 
 @pytest.mark.parametrize("form", [tuple, list])
@@ -134,7 +134,7 @@ def test_points_stand_under_names(kind: str, points: Any) -> None:
 
 
 def test_points_may_be_tuples_lists_or_by_field() -> None:
-    by_field = {"variable": "Zone Air Temperature", "key": "Core_ZN", "reading": "mean"}
+    by_field = {"variable": "Zone Air Temperature", "key": "Core_ZN", "aggregation": "mean"}
     sensors = {"a": TEMPERATURE, "b": list(TEMPERATURE), "c": (*TEMPERATURE, Aggregation.MEAN), "d": by_field}
     found = for_node({**BASE, "sensors": sensors}, "b")["sensors"]
     plain = ["Zone Air Temperature", "Core_ZN"]
@@ -152,19 +152,19 @@ def test_no_points_is_not_the_same_as_points_left_out() -> None:
 def test_what_travels_is_plain() -> None:
     given = {
         **BASE,
-        "keep": Path("/kept"),
+        "output_dir": Path("/kept"),
         "time": ("hour", "month"),
-        "variability": {"dry_bulb_temperature": {"sigma": (1.0, 2.0)}},
+        "weather_noise": {"dry_bulb_temperature": {"sigma": (1.0, 2.0)}},
         "actuators": {"core": ("Zone Temperature Control", "Heating Setpoint", "Core_ZN", 15, None)},
         "actions": {"heat": {"actuators": ("core",)}},
         "discrete": ({"actions": ("heat",), "values": ((15.0,), (20.0,))},),
-        "changes": {"Material": {"Insulation": {"conductivity": 0.03}, "Other": None}},
+        "edits": {"Material": {"Insulation": {"conductivity": 0.03}, "Other": None}},
     }
     found = for_node(given, "b")
     assert json.loads(json.dumps(found)) == found
-    assert found["variability"] == {"dry_bulb_temperature": {"sigma": [1.0, 2.0]}}
+    assert found["weather_noise"] == {"dry_bulb_temperature": {"sigma": [1.0, 2.0]}}
     assert found["discrete"] == [{"actions": ["heat"], "values": [[15.0], [20.0]]}]
-    assert found["changes"] == given["changes"]
+    assert found["edits"] == given["edits"]
 
 
 def test_numpys_numbers_are_numbers() -> None:

@@ -70,11 +70,11 @@ def test_a_scenario_says_what_its_file_says(base, root, found):
         assert scenario.id == name
         assert find_building(scenario.building).path == root / "data" / "buildings" / said["building_file"]
         assert [find_weather(w).path for w in scenario.weather] == [root / "data" / "weather" / weathers[key]]
-        assert (scenario.sizing, scenario.reading, scenario.control) == ("weather", "instant", "point")
+        assert (scenario.sizing, scenario.aggregation, scenario.control) == ("weather", "instant", "point")
         assert list(scenario.time) == said["time_variables"] == ["month", "day_of_month", "hour"]
         assert scenario.steps_per_hour == (said["building_config"] or {}).get("timesteps_per_hour")
         assert (scenario.begin, scenario.end) == (None, None)
-        assert (scenario.changes, scenario.actions, scenario.weather_order) == ({}, None, "random")
+        assert (scenario.edits, scenario.actions, scenario.weather_order) == ({}, None, "random")
 
 
 @pytest.mark.parametrize("base", PACK_IDS)
@@ -89,7 +89,7 @@ def test_what_is_observed_stands_in_the_files_order(base, root, found):
             expected.append((re.sub("[^A-Za-z0-9_.-]", "_", name), variable, key))
     for scenario in (s for n, s in found.items() if s.id.startswith(f"{base}-")):
         assert [(name, s.variable, s.key) for name, s in scenario.sensors.items()] == expected
-        assert all(s.reading is None for s in scenario.sensors.values())
+        assert all(s.aggregation is None for s in scenario.sensors.values())
         assert scenario.meters == {name: meter for meter, name in said["meters"].items()}
 
 
@@ -122,7 +122,7 @@ def test_actuators_have_the_bounds_of_the_action_space(base, root, found):
 @pytest.mark.parametrize("base", PACK_IDS)
 def test_only_the_stochastic_ones_have_noise(base, found):
     for scenario in (s for s in found.values() if s.id.startswith(f"{base}-")):
-        assert scenario.variability == (
+        assert scenario.weather_noise == (
             {
                 "dry_bulb_temperature": ColumnNoise(sigma=1.0, mu=0.0, tau_h=24.0),
                 "relative_humidity": ColumnNoise(sigma=(2.0, 5.0), mu=0.0, tau_h=24.0, low=0.0, high=100.0),
@@ -231,7 +231,7 @@ def test_all_are_read_once(root):
 
 def test_without_the_pack_its_scenarios_say_what_to_do(tmp_path, monkeypatch):
     monkeypatch.setenv("ZENOSTAT_CACHE", str(tmp_path))
-    with pytest.raises(InvalidConfig, match="zenostat packs add sinergym"):
+    with pytest.raises(InvalidConfig, match="zenostat data-packs add sinergym"):
         pack_scenarios()
 
 
@@ -351,7 +351,7 @@ UNREADABLE = {
     "steps_per_hour": ("building_config: {timesteps_per_hour: four}", "timesteps_per_hour: a whole number"),
     "time": ("time_variables: [hours]", "no field 'hours' of the clock"),
     "meters": ("meters: {'Electricity:HVAC': 3}", "meters.Electricity:HVAC"),
-    "variability": ("weather_variability: {Wind Speed: [1]}", "weather_variability.Wind Speed"),
+    "weather_noise": ("weather_variability: {Wind Speed: [1]}", "weather_variability.Wind Speed"),
     "actuators": ("action_space: MyBox()", "action_space"),
 }
 
@@ -392,7 +392,9 @@ def test_discrete_choices_of_a_building_of_the_pack_need_the_pack(own, tmp_path,
         scenarios_of(path)
     monkeypatch.setenv("ZENOSTAT_CACHE", str(tmp_path / "empty"))
     assert list(scenarios_of(path)) == ["5zone-here-continuous-v1"]
-    with pytest.raises(InvalidConfig, match="'5zone' mean is in the data pack 'sinergym': zenostat packs add sinergym"):
+    with pytest.raises(
+        InvalidConfig, match="'5zone' mean is in the data pack 'sinergym': zenostat data-packs add sinergym"
+    ):
         scenario_of(path, "discrete")
 
 
@@ -468,7 +470,7 @@ def test_all_faults_of_a_file_are_said_at_once(own, tmp_path, monkeypatch):
     for expected in (
         "unknown setting 'wether_variability'; near names: 'weather_variability'",
         "id_base: the base of the ids 'my hut' cannot stand in a topic",
-        "building_file: '5ZoneAutoDXVAV.epJSON' is in the data pack 'sinergym': zenostat packs add sinergym",
+        "building_file: '5ZoneAutoDXVAV.epJSON' is in the data pack 'sinergym': zenostat data-packs add sinergym",
         "weather_specification: 1 weather_files and 2 keys",
         "weather_specification.weather_files.0: no file 'there.epw' beside own.yaml or in the data pack",
         "building_config.timesteps_per_hour: a whole number expected, got 'four'",
@@ -546,13 +548,13 @@ REWARDS: dict[str, tuple[str, dict[str, Any], dict[str, Any]]] = {
         "HourlyLinearReward", ZONES | ENERGY | {"default_energy_weight": 0.75, "range_comfort_hours": [7, 23]},
         {"kind": "hourly", **WEIGHTS, "weight": 0.75, "weight_outside": 1.0, "hours": [7, 24], **BANDED},
     ),
-    "normalised": (
+    "normalized": (
         "NormalizedLinearReward", ZONES | ENERGY,
-        {"kind": "normalised", "weight": 0.5, "max_power_w": 8.0, "max_degrees": 12.0, **BANDED},
+        {"kind": "normalized", "weight": 0.5, "max_power_w": 8.0, "max_degrees": 12.0, **BANDED},
     ),
     "normalised from nothing": (
         "NormalizedLinearReward", ZONES | ENERGY | {"max_energy_penalty": 0, "max_comfort_penalty": 3},
-        {"kind": "normalised", "weight": 0.5, "max_power_w": None, "max_degrees": 3.0, **BANDED},
+        {"kind": "normalized", "weight": 0.5, "max_power_w": None, "max_degrees": 3.0, **BANDED},
     ),
     "multi-zone": (
         "MultiZoneReward",

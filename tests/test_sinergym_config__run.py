@@ -34,7 +34,7 @@ def test_the_initial_context_rules_from_the_first_timestep(scratch: Path) -> Non
             env.reset(seed=1)
             for _ in range(3):
                 info = env.step(env.action_space.sample())[4]
-                assert info["applied"][names.index("people")] == 0.25
+                assert info["effective"][names.index("people")] == 0.25
 
 
 def test_arguments_replace_a_reward_and_choices_in_code(scratch: Path) -> None:

@@ -164,9 +164,9 @@ def test_a_slot_begins_anew_while_the_others_stand() -> None:
     assert (at.episode, at.step, at.done) == ([0, 1, 0], [1, 0, 1], [False] * 3)
     assert at.modified == [True, False, True]
     assert at.awaiting() == ["agent"]
-    values, rulers = ruling(at)
+    values, sources = ruling(at)
     np.testing.assert_array_equal(values, [20.0, 25.0, NAN, NAN, 20.0, 25.0])
-    assert rulers == ["agent", "agent", "", "", "agent", "agent"]
+    assert sources == ["agent", "agent", "", "", "agent", "agent"]
     assert answer(at, "agent", [21.0, 26.0] * 3) is None
     assert go(at)[0] == [0, 1, 2]
     assert at.step == [2, 1, 2]
@@ -332,13 +332,13 @@ def arrays(puts: list[tuple[int, str, list[float], list[bool]]]) -> PriorityArra
 
 
 def put_in(array: PriorityArray, puts: list[tuple[int, str, list[float], list[bool]]]) -> None:
-    for level, name, values, where in puts:
+    for priority, name, values, where in puts:
         source = array.source(name)
         if all(where) and np.isfinite(values).all():
-            array.put_all(level, source, np.array(values).tobytes())
+            array.put_all(priority, source, np.array(values).tobytes())
         else:
             shape = (SLOTS, ACTUATORS)
-            array.put(level, source, np.array(values).reshape(shape), np.array(where).reshape(shape))
+            array.put(priority, source, np.array(values).reshape(shape), np.array(where).reshape(shape))
 
 
 def told(array: PriorityArray) -> list[list[tuple[str, str]]]:
@@ -389,8 +389,8 @@ def test_a_source_s_place_is_given_on_once_nothing_of_it_holds() -> None:
     for number in range(300):
         who = array.source(f"w{number}", keeping=[array.source("quiet claimant")])
         array.put_one(8, who, 1, float(number))
-        _, rulers = array.resolve()
-        assert [array.names[index] for index in np.frombuffer(rulers, "<u2")] == ["holder", f"w{number}"]
+        _, sources = array.resolve()
+        assert [array.names[index] for index in np.frombuffer(sources, "<u2")] == ["holder", f"w{number}"]
         array.put_one(8, who, 1, np.nan)
     assert array.names[array.source("quiet claimant")] == "quiet claimant"
     assert len(array.names) == 256

@@ -46,7 +46,7 @@ def test_going_back_is_exact_any_number_of_times(kind: str, scratch: Path) -> No
     for _ in range(2):
         for at in points:
             for actions, expected in ((mine, straight), (its, other[at])):
-                assert back(env, kept[at])["start"] == EngineStart.SNAPSHOT
+                assert back(env, kept[at])["engine_start"] == EngineStart.SNAPSHOT
                 assert env.sample.step == at
                 np.testing.assert_array_equal(row(env)[:-1], straight[at][:-1])
                 same(go(env, actions[at:]), expected[at + 1 :])
@@ -122,7 +122,7 @@ def test_a_reset_after_going_back_draws_as_if_nothing_had_been(scratch: Path) ->
 
 def test_rewards_and_limits_remember_what_they_did(scratch: Path) -> None:
     """A month's peak, and hours outside a range that end an episode: both need the past."""
-    limit = {"points": ["core_zn_air_temperature"], "high": 27.0, "for_h": 2.0}
+    limit = {"points": ["core_zn_air_temperature"], "high": 27.0, "duration_h": 2.0}
     env = make(reward=PEAK, terminate=[limit], **FOUR)
     mine = [[20.0, 28.0]] * 96
 
@@ -163,19 +163,19 @@ def test_rewards_and_limits_remember_what_they_did(scratch: Path) -> None:
 
 def test_with_files_kept_an_episode_after_going_back_to_sample_0_has_its_own(scratch: Path) -> None:
     """An episode that goes back keeps no files; the next one does, though its engine stands at the same sample."""
-    env = make(keep=scratch / "kept", **FOUR)
+    env = make(output_dir=scratch / "kept", **FOUR)
     mine = plan(env, 1)
     straight = episode(env, mine)
     env.reset()
     snapshot = env.snapshot()
     back(env, snapshot)
-    assert "outputs" not in go_and_tell(env, mine)
+    assert "output_dir" not in go_and_tell(env, mine)
     back(env, snapshot)
-    assert env.reset()[1]["start"] == EngineStart.STARTED
+    assert env.reset()[1]["engine_start"] == EngineStart.STARTED
     same(go(env, mine[:-1]), straight[1:-1])
     *_, info = env.step(mine[-1])
     env.close()
-    assert (Path(info["outputs"]) / "eplusout.end").read_text().startswith("EnergyPlus Completed Successfully")
+    assert (Path(info["output_dir"]) / "eplusout.end").read_text().startswith("EnergyPlus Completed Successfully")
 
 
 def go_and_tell(env: BuildingEnv, actions: Any) -> dict[str, Any]:

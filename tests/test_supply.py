@@ -29,7 +29,7 @@ IN_TURN = {"weather": ["USA_CO_Denver", "USA_FL_Miami"], "weather_order": "seque
 @contextmanager
 def no_room(env: Any) -> Iterator[None]:
     """The folder for the engines' files is none."""
-    folder = env.own_node.folder
+    folder = env.local_node.folder
     aside = folder.with_name(f"{folder.name}-aside")
     folder.rename(aside)
     folder.touch()
@@ -86,12 +86,12 @@ def test_what_cannot_be_started_ahead_is_started_when_it_is_due(scratch: Path) -
     until(lambda: len(engines(env)) == 2 and _rests(engines(env)[-1]), "the next engine waits")
     with no_room(env):
         _, info = env.reset()  # the engine is there; the next one cannot be
-        assert info["start"] == "ahead"
+        assert info["engine_start"] == "prefetched"
         go(env, [[20.0, 25.0]] * 2)
     seen = [env.reset()[1] for _ in range(2)]
-    assert [(info["weather"], info["start"]) for info in seen] == [
+    assert [(info["weather"], info["engine_start"]) for info in seen] == [
         ("USA_CO_Denver", "started"),
-        ("USA_FL_Miami", "ahead"),
+        ("USA_FL_Miami", "prefetched"),
     ]
     env.close()
 
@@ -137,7 +137,7 @@ def test_a_baseline_that_cannot_be_forked_leaves_no_process(scratch: Path, monke
 
 
 def _children(env: Any) -> list[psutil.Process]:
-    return psutil.Process(env.own_node.pid).children(recursive=True)
+    return psutil.Process(env.local_node.pid).children(recursive=True)
 
 
 @pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="there is one core")

@@ -263,9 +263,9 @@ def test_commands_set_keep_and_release() -> None:
     link.send()
     assert link.receive().effective.tolist() == [21.0, 28.0], "what is not named is kept"
     link.send({"zone_1_heating_setpoint": None})
-    released = link.receive()
-    assert released.effective.tolist() == [16.0, 28.0]
-    assert set(released.value_source.values()) == {""}
+    relinquished = link.receive()
+    assert relinquished.effective.tolist() == [16.0, 28.0]
+    assert set(relinquished.value_source.values()) == {""}
     link.send(column(20, 24))
     assert link.receive().effective.tolist() == [20.0, 24.0]
     anew = link.reset()
@@ -321,7 +321,7 @@ def test_it_has_the_spaces_of_its_manifest() -> None:
     assert both.action_names == ("heating_setpoint", "cooling_setpoint")
     both.reset(seed=0)
     *_, info = both.step(np.float32([20, 24]))
-    assert info["applied"].tolist() == [20.0, 24.0, 20.0, 24.0]
+    assert info["effective"].tolist() == [20.0, 24.0, 20.0, 24.0]
 
 
 @pytest.mark.parametrize(
@@ -337,7 +337,7 @@ def test_discrete_steps_go_from_the_widest_to_the_tightest(control: str, space: 
     assert env.action_space == space
     env.reset(seed=0)
     middle = 1 if isinstance(space, gym.spaces.Discrete) else np.ones(space.shape, int)
-    assert env.step(middle)[-1]["applied"].tolist() == [18.75, 26.25] * 2
+    assert env.step(middle)[-1]["effective"].tolist() == [18.75, 26.25] * 2
 
 
 def test_context_weather_reward_and_limits_are_those_of_a_real_environment() -> None:
@@ -353,7 +353,7 @@ def test_context_weather_reward_and_limits_are_those_of_a_real_environment() -> 
     assert (info["weather"], info["weather_noise"]) == ("fake", {})
     env.set_context({"equipment": 0.0})
     observation, reward, *_, info = env.step(np.float32([24]))
-    assert info["ruled_by"] == ("", "agent", "agent")
+    assert info["value_source"] == ("", "agent", "agent")
     values = env.observation_dict(observation)
     assert values["electricity_facility"] == values["electricity_hvac"], "the equipment is off"
     assert reward == pytest.approx(-values["hvac_electricity_power"])
@@ -483,7 +483,7 @@ def answering(function: Callable[[Any], Any]) -> type:
 
 
 def lengthens(sample: Any) -> Any:
-    sample.wire.rulers.append("me")
+    sample.wire.sources.append("me")
     return {}
 
 
@@ -523,14 +523,17 @@ CONTROLLER_MUTANTS: dict[str, tuple[Any, dict[str, Any]]] = {
     ),
     "out of bounds": (
         answering(lambda s: {COOL: 31.0 if s.step == 9 else 24.0}),
-        {"values are within bounds": f"{COOL} = 31 at sample 9; its bounds are 22.5 to 30.0", REFUSED: "Refused"},
+        {
+            "values are within bounds": f"{COOL} = 31 at sample 9; its bounds are 22.5 to 30.0",
+            REFUSED: "RequestRejected",
+        },
     ),
     "crossing": (
         answering(lambda s: {HEAT: 24.0} if s.step == 5 else {COOL: 23.0} if s.step == 2 else {}),
         {
             "heating stays below cooling": f"{HEAT} = 24 lies above {COOL} = 23 at sample 5",
             "values are within bounds": f"{HEAT} = 24",
-            REFUSED: "Refused",
+            REFUSED: "RequestRejected",
         },
     ),
     "changes the sample": (answering(lengthens), {"changes neither sample nor manifest": "changed sample 0"}),
@@ -797,7 +800,7 @@ ENVIRONMENT_MUTANTS: dict[str, tuple[Any, dict[str, Any]]] = {
         {"rewards are finite, and the sum of their terms": "its reward_terms add up to"},
     ),
     "mute": (
-        with_(info=lambda env, i: {k: v for k, v in i.items() if k not in ("applied", "weather")}),
+        with_(info=lambda env, i: {k: v for k, v in i.items() if k not in ("effective", "weather")}),
         {"info has its keys, and counts": "the info of reset lacks applied, weather the info of step lacks applied"},
     ),
     "miscounts": (

@@ -37,8 +37,8 @@ from topics.messages import State
 MODES = list(AutoresetMode)
 each_mode = pytest.mark.parametrize("mode", MODES, ids=lambda mode: mode.value)
 
-HOT = {"points": ["zone_1_air_temperature"], "low": 17.0, "high": 26.0, "for_h": 2.0}
-NIGHT = {"points": ["outdoor_temperature"], "low": 18.0, "for_h": 3.0}  # outside at sample 0, which does not count
+HOT = {"points": ["zone_1_air_temperature"], "low": 17.0, "high": 26.0, "duration_h": 2.0}
+NIGHT = {"points": ["outdoor_temperature"], "low": 18.0, "duration_h": 3.0}  # outside at sample 0, which does not count
 COLD = {"points": ["zone_1_air_temperature"], "low": 21.1}  # a zone begins at 21 degC
 WIDE = {"points": ["zone_2_air_temperature", "outdoor_temperature"], "low": 5.0, "high": 28.5}
 DAY: dict[str, Any] = {"zones": 2, "steps_per_hour": 1, "climate": Climate(noise_k=3.0)}
@@ -48,7 +48,7 @@ FORMS: dict[str, dict[str, Any]] = {
     "continuous": {},
     "clock": {"time": ("month", "day_of_week", "hour", "minutes", "current_time")},
     "one choice": {"control": "building", "discrete": 5},
-    "choices": {"control": "zone", "discrete": 4, "time": ("hour",)},
+    "discrete_actions": {"control": "zone", "discrete": 4, "time": ("hour",)},
     "limits": {"terminate": [HOT, WIDE]},
     "patience": {"terminate": [NIGHT]},
     "outside at once": {"terminate": [COLD]},
@@ -225,13 +225,13 @@ def test_what_one_slot_gets_beside_its_actions_is_its_own() -> None:
     step_both(envs, actions)
     _, _, _, _, infos = ours.step(actions)
     theirs.step(actions)
-    assert infos["applied"][:, -1].tolist() == [0.1, 0.5], "it lasts, in slot 1 alone"
+    assert infos["effective"][:, -1].tolist() == [0.1, 0.5], "it lasts, in slot 1 alone"
     for env in envs:
         env.envs[0].set_context({"zone_1_heating_setpoint": 21.0})
         env.envs[1].set_context({"zone_1_heating_setpoint": None})
     step_both(envs, actions)
     ours.set_context({"equipment": 1.0})
-    assert ours.step(actions)[4]["applied"][:, -1].tolist() == [1.0, 1.0]
+    assert ours.step(actions)[4]["effective"][:, -1].tolist() == [1.0, 1.0]
 
 
 def test_a_context_that_was_not_used_ends_with_the_episode() -> None:
@@ -239,7 +239,7 @@ def test_a_context_that_was_not_used_ends_with_the_episode() -> None:
     ours.reset(seed=1)
     ours.set_context({"equipment": 0.5})
     ours.reset(options={"reset_mask": np.array([True, False])})
-    assert ours.step(np.full((2, 1), 24.0))[4]["applied"][:, -1].tolist() == [0.1, 0.5]
+    assert ours.step(np.full((2, 1), 24.0))[4]["effective"][:, -1].tolist() == [0.1, 0.5]
 
 
 def test_an_own_reward_gets_arrays_and_a_time_for_each_slot() -> None:
@@ -343,7 +343,7 @@ def test_actions_that_cannot_be_name_their_slot() -> None:
     assert env.step(right)[4]["step"].tolist() == (before + 1).tolist(), "nothing was simulated"
 
 
-@pytest.mark.parametrize("form", ["one choice", "choices"])
+@pytest.mark.parametrize("form", ["one choice", "discrete_actions"])
 def test_choices_that_cannot_be_name_their_slot(form: str) -> None:
     env = fakes(3, **FORMS[form])
     env.reset(seed=1)
@@ -454,7 +454,7 @@ def test_a_failed_step_is_not_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
 # Equal to Gymnasium's own, on real nodes
 
 ONE_DAY: dict[str, Any] = {"begin": "07-03", "end": "07-03", "affinity": "off"}
-CLOSE = {"points": ["air_temperature"], "low": 15.0, "high": 25.5, "for_h": 0.5}
+CLOSE = {"points": ["air_temperature"], "low": 15.0, "high": 25.5, "duration_h": 0.5}
 SCENARIOS: dict[str, dict[str, Any]] = {
     "5zone-hot-continuous-v1": {},
     "5zone-mixed-discrete-v1": {},
@@ -486,7 +486,7 @@ def test_each_slot_of_a_node_is_what_a_single_environment_is(
     """Through the ends of episodes, with the weather that comes next; only how an engine began may differ."""
     ours, theirs = real
     ours.autoreset_mode = theirs.autoreset_mode = mode
-    ends = run_both(real, mode, 106, seed=11, but=("start",))
+    ends = run_both(real, mode, 106, seed=11, but=("engine_start",))
     assert np.sum(ends, axis=0).min() >= 1
     if ours.manifest.task.terminate:
         assert any(end.any() and not end.all() for end in ends), "some ended alone"
@@ -570,13 +570,13 @@ def test_a_scenarios_wrappers_are_around_the_vector(scratch: Path) -> None:
 
 
 def test_files_that_are_kept_are_a_slots_own(scratch: Path) -> None:
-    settings = {**SMALL, "steps_per_hour": 1, "affinity": "off", "keep": scratch / "runs"}
+    settings = {**SMALL, "steps_per_hour": 1, "affinity": "off", "output_dir": scratch / "runs"}
     env = gym.make_vec("zenostat/Building-v1", num_envs=2, autoreset_mode="SameStep", **settings)
     try:
         env.reset(seed=1)
         for _ in range(24):
             *_, infos = env.step(env.action_space.sample())
-        folders = infos["final_info"]["outputs"].tolist()
+        folders = infos["final_info"]["output_dir"].tolist()
         assert len(set(folders)) == 2
         assert all((Path(folder) / "eplusout.err").is_file() for folder in folders)
     finally:
@@ -585,7 +585,7 @@ def test_files_that_are_kept_are_a_slots_own(scratch: Path) -> None:
 
 def test_each_slot_tells_the_weather_that_it_reads(scratch: Path) -> None:
     settings = {**ONE_DAY, "building": "ref-small-office", "weather": "USA_CO_Denver", "steps_per_hour": 4}
-    settings["variability"] = {"dry_bulb_temperature": {"sigma": 3.0, "mu": 0.0, "tau_h": 24.0}}
+    settings["weather_noise"] = {"dry_bulb_temperature": {"sigma": 3.0, "mu": 0.0, "tau_h": 24.0}}
     settings |= {"reward": None}
     settings["sensors"] = {"outdoors": ("Site Outdoor Air DryBulb Temperature", "Environment")}
     env = gym.make_vec("zenostat/Building-v1", num_envs=2, **settings)
@@ -609,7 +609,7 @@ def test_each_slot_tells_the_weather_that_it_reads(scratch: Path) -> None:
 def test_all_slots_go_back_exactly_any_number_of_times(scratch: Path) -> None:
     """With the weather of each, and what reward and limits remembered; slots had begun at different times."""
     packs.sinergym()
-    warm = {"points": ["air_temperature"], "low": 15.0, "high": 40.0, "for_h": 2.0}
+    warm = {"points": ["air_temperature"], "low": 15.0, "high": 40.0, "duration_h": 2.0}
     form = {**ONE_DAY, "terminate": [warm], "reward": {"kind": "peak"}, "autoreset_mode": AutoresetMode.DISABLED}
     envs = gym.make_vec(
         "zenostat/5zone-hot-continuous-stochastic-v1", num_envs=3, vectorization_mode="vector_entry_point", **form
@@ -630,7 +630,7 @@ def test_all_slots_go_back_exactly_any_number_of_times(scratch: Path) -> None:
             seen, info = envs.reset(options={"snapshot": kept})
             np.testing.assert_array_equal(seen, stood[0])
             assert info["step"].tolist() == [15, 5, 15]
-            assert info["start"].tolist() == ["snapshot"] * 3
+            assert info["engine_start"].tolist() == ["snapshot"] * 3
             weather = [envs.envs[slot].weather(["dry_bulb_temperature"]).values for slot in range(3)]
             assert len(set(weather)) == 3
             for row, expected in zip(actions[15:40], straight, strict=True):
@@ -731,7 +731,7 @@ def test_rewards_and_limits_know_the_truth_of_what_faults_disturb(scratch: Path)
         rows, rewards, ends, _, infos = many.step(np.tile(action, (2, 1)))
         for slot in range(2):
             np.testing.assert_array_equal(rows[slot], seen)
-            np.testing.assert_array_equal(infos["undisturbed"][slot], info["undisturbed"])
+            np.testing.assert_array_equal(infos["fault_free_values"][slot], info["fault_free_values"])
             assert rewards[slot] == reward
             assert ends[slot] == terminated == False  # noqa: E712
         assert np.isfinite(reward)
@@ -745,9 +745,9 @@ def test_slots_that_cannot_go_back_go_on(scratch: Path) -> None:
     env.reset(seed=1)
     straight = [env.step(actions)[0] for _ in range(10)]
     env.reset(seed=1)
-    before = {engine.pid for engine in engines_of(env.own_node.pid)}
+    before = {engine.pid for engine in engines_of(env.local_node.pid)}
     with env.snapshot() as kept:
-        kill(next(engine for engine in engines_of(env.own_node.pid) if engine.pid not in before))
+        kill(next(engine for engine in engines_of(env.local_node.pid) if engine.pid not in before))
         for _ in range(2):
             with pytest.raises(EngineDied):
                 env.reset(options={"snapshot": kept})

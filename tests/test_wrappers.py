@@ -593,10 +593,10 @@ def test_several_step_sizes_are_sinergyms_default_of_seventeen_choices() -> None
     moves = [0.0, *steps, *(-step for step in steps)]
     for number in range(17):
         env.reset(seed=0)
-        applied = env.step(number)[4]["applied"]
+        effective = env.step(number)[4]["effective"]
         heat = moves[number] if number < 9 else 0.0
         cool = moves[number - 8] if number >= 9 else 0.0
-        assert list(applied)[:2] == pytest.approx([19.0 + heat, 26.0 + cool])
+        assert list(effective)[:2] == pytest.approx([19.0 + heat, 26.0 + cool])
 
 
 def test_discrete_incremental_action_by_hand() -> None:
@@ -672,13 +672,13 @@ def test_context_follows_its_schedule(schedule: Any) -> None:
     for _ in range(2):
         steps = episode(env, lambda: MIDDLE)
         assert bare.contexts == [(0, {"occupants": 0.25}), (14, {"occupants": 1.0}), (37, {"occupants": 0.25})]
-        applied = [info["applied"][2] for *_, info in steps[1:]]
-        assert applied == [0.25] * 14 + [1.0] * 23 + [0.25] * 11
+        effective = [info["effective"][2] for *_, info in steps[1:]]
+        assert effective == [0.25] * 14 + [1.0] * 23 + [0.25] * 11
 
 
 def test_context_by_chance_is_ruled_by_the_seed() -> None:
     env = w.ChangingContext(fake(), lambda time, random: {"occupants": float(random.random())})
-    seen = [[info["applied"][2] for *_, info in episode(env, lambda: MIDDLE, seed)[1:]] for seed in (1, 1, 2)]
+    seen = [[info["effective"][2] for *_, info in episode(env, lambda: MIDDLE, seed)[1:]] for seed in (1, 1, 2)]
     assert seen[0] == seen[1] != seen[2]
     assert len(set(seen[0])) == 24
 

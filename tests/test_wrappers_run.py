@@ -36,7 +36,7 @@ def building() -> Iterator[gym.Env[Any, Any]]:
         },
         actuators={"core_cooling": (*points[0], 22.0, 30.0), "side_cooling": (*points[1], 22.0, 30.0)},
         actions={"cooling": {"actuators": ["core_cooling"]}},
-        variability=NOISE,
+        weather_noise=NOISE,
     )
     yield made
     made.close()
@@ -80,8 +80,8 @@ def test_context_is_what_the_building_gets(building: gym.Env[Any, Any]) -> None:
     schedule = {"00:00": {"side_cooling": 29.0}, "09:00": {"side_cooling": 24.5}, "18:00": {"side_cooling": 29.0}}
     env = w.ChangingContext(building, schedule)
     for seed in (1, 1):
-        applied = [info["applied"].tolist() for _, info in episode(env, seed, [26.0])[1:]]
-        assert applied == [[26.0, 29.0]] * 36 + [[26.0, 24.5]] * 36 + [[26.0, 29.0]] * 24
+        effective = [info["effective"].tolist() for _, info in episode(env, seed, [26.0])[1:]]
+        assert effective == [[26.0, 29.0]] * 36 + [[26.0, 24.5]] * 36 + [[26.0, 29.0]] * 24
 
 
 def test_increments_are_what_the_building_gets(building: gym.Env[Any, Any]) -> None:
@@ -90,7 +90,7 @@ def test_increments_are_what_the_building_gets(building: gym.Env[Any, Any]) -> N
     )
     for _ in range(2):
         seen = episode(env, 1, [0.4])
-        assert [info["applied"][0] for _, info in seen[1:10]] == [26.5, 27, 27.5, 28, 28.5, 29, 29.5, 30, 30]
+        assert [info["effective"][0] for _, info in seen[1:10]] == [26.5, 27, 27.5, 28, 28.5, 29, 29.5, 30, 30]
         values = seen[5][0]
         assert values["core_setpoint"] == 28.5
         assert values["excess"] == np.float32(values["core"]) - np.float32(28.5)
@@ -106,7 +106,7 @@ def test_a_log_has_n_rows_with_n_steps(building: gym.Env[Any, Any], tmp_path: Pa
     assert [row["time"] for row in rows] == [info["time"] for _, info in seen]
     for row, (values, info) in zip(rows, seen, strict=True):
         assert {name: float(row[f"observation.{name}"]) for name in values} == values
-        assert float(row["applied.core_cooling"]) == info["applied"][0] == 26.0
+        assert float(row["applied.core_cooling"]) == info["effective"][0] == 26.0
         terms = {name: float(row[f"reward.{name}"]) for name in info["reward_terms"]}
         assert terms == info["reward_terms"]
         assert float(row["reward"]) == pytest.approx(sum(terms.values()))

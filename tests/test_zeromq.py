@@ -35,7 +35,7 @@ SETPOINT = "core_zn_cooling_setpoint"
 
 
 class GatewayProgram:
-    """`zenostat zmq` as a program, on free ports."""
+    """`zenostat gateway zeromq` as a program, on free ports."""
 
     def __init__(self, endpoint: str, *options: str) -> None:
         command = [sys.executable, "-P", "-u", "-m", "cli.main", "zmq", "--connect", endpoint]
@@ -63,7 +63,7 @@ class Peer:
     """A ZeroMQ program's two sockets."""
 
     def __init__(self, gateway: GatewayProgram, kind: int = 0, node: str = "office") -> None:
-        self.root = f"zenostat/v1/{node}"
+        self.root = f"zenostat/v2/{node}"
         self.context = zmq.Context()
         self.req = kind == zmq.REQ
         self.requests = self.context.socket(kind or zmq.DEALER)
@@ -231,17 +231,17 @@ def test_refusals_say_what_the_node_said(gateway):
         sample = peer.after(None)
         count = len(sample.effective) // 8
         assert peer.ask("command/c", **keeping(sample))[1]["message"].startswith("'c' has claimed nothing")
-        assert peer.ask("rpc/claim", controller="c", actuators=["chair"])[1]["error"] == "Refused"
+        assert peer.ask("rpc/claim", controller="c", actuators=["chair"])[1]["error"] == "RequestRejected"
         assert peer.ask("rpc/claim", controller="c")[0] == "Accepted"
         kind, denied = other.ask("rpc/claim", controller="d")
-        assert (kind, denied["error"]) == ("Denied", "Refused")
+        assert (kind, denied["error"]) == ("Denied", "RequestRejected")
         assert "is claimed by 'c'" in denied["message"]
         assert other.ask("command/c", **keeping(sample))[1]["message"].startswith(
             "'c' was claimed again through another"
         )
         for _ in range(30):  # more than the node tells of in a step
             kind, denied = peer.ask("command/c", **answering(sample, np.full(count, 99.0)))
-            assert (kind, denied["error"]) == ("Denied", "Refused")
+            assert (kind, denied["error"]) == ("Denied", "RequestRejected")
         assert "did not say why" in denied["message"]
         assert peer.ask("command/c", **keeping(sample))[0] == "Accepted"
         assert peer.ask("rpc/weather", columns=["no such"])[1]["error"] == "UnknownName"
@@ -267,7 +267,7 @@ def test_subscribers_hear_the_latest_at_once_and_only_what_they_asked_for(gatewa
     with Peer(gateway) as peer, Peer(gateway) as other:
         peer.listen("sample")
         topic, encoding, payload = peer.published.recv_multipart()
-        assert (topic, encoding) == (b"zenostat/v1/office/sample", b"application/msgpack;zenostat/1.Sample")
+        assert (topic, encoding) == (b"zenostat/v2/office/sample", b"application/msgpack;zenostat/2.Sample")
         assert msgpack.unpackb(payload)["step"] == [0]
         peer.listen("manifest")
         assert peer.hear(Manifest).node == "office"
@@ -285,7 +285,7 @@ KILLED = """
 import sys, msgpack, zmq
 requests = zmq.Context().socket(zmq.REQ)
 requests.connect(sys.argv[1])
-requests.send_multipart([b"zenostat/v1/office/rpc/claim", msgpack.packb({"controller": "doomed"})])
+requests.send_multipart([b"zenostat/v2/office/rpc/claim", msgpack.packb({"controller": "doomed"})])
 print(requests.recv_multipart()[1].decode(), flush=True)
 sys.stdin.read()
 """
@@ -365,7 +365,7 @@ def test_end_of_the_node_is_told_and_answered(scratch, node, gateway, end):
             assert peer.event(EventKind.STOPPED)
             until(lambda: peer.ask("rpc/status")[0] == "Denied", "it is gone")
         kind, denied = peer.ask("command/slow", **keeping(sample))
-        assert (kind, denied["error"]) == ("Denied", "NothingThere")
+        assert (kind, denied["error"]) == ("Denied", "NodeNotFound")
 
 
 def test_failure_of_the_engine_is_the_answer_of_who_waits(node, gateway):
@@ -402,19 +402,19 @@ def open_gateway(module_folder: Path) -> Iterator[Peer]:
 
 
 BAD = {
-    "office": "zenostat/v1/NODE/… expected",
-    "zenostat/v2/office/rpc/status": "zenostat/v1/NODE/… expected",
-    "zenostat/v1/*/rpc/status": "cannot stand in a topic",
-    "zenostat/v1/**": "zenostat/v1/NODE/… expected",
-    "zenostat/v1/office/command/*": "cannot stand in a topic",
-    "zenostat/v1/office/command/": "cannot stand in a topic",
-    "zenostat/v1/office/command/a/b": "cannot stand in a topic",
-    "zenostat/v1/office/@live/controller/x": "no request '@live/controller/x'",
-    "zenostat/v1/office/sensor/x": "no request 'sensor/x'",
-    "zenostat/v1/office/event": "no request 'event'",
-    "zenostat/v1/office/wake": "no request 'wake'",
-    "zenostat/v1/office/rpc/sing": "no request 'rpc/sing'",
-    "zenostat/v1/plant/rpc/status": "for node 'office' alone",
+    "office": "zenostat/v2/NODE/… expected",
+    "zenostat/v2/office/rpc/status": "zenostat/v2/NODE/… expected",
+    "zenostat/v2/*/rpc/status": "cannot stand in a topic",
+    "zenostat/v2/**": "zenostat/v2/NODE/… expected",
+    "zenostat/v2/office/command/*": "cannot stand in a topic",
+    "zenostat/v2/office/command/": "cannot stand in a topic",
+    "zenostat/v2/office/command/a/b": "cannot stand in a topic",
+    "zenostat/v2/office/@live/controller/x": "no request '@live/controller/x'",
+    "zenostat/v2/office/sensor/x": "no request 'sensor/x'",
+    "zenostat/v2/office/event": "no request 'event'",
+    "zenostat/v2/office/wake": "no request 'wake'",
+    "zenostat/v2/office/rpc/sing": "no request 'rpc/sing'",
+    "zenostat/v2/plant/rpc/status": "for node 'office' alone",
 }
 
 
@@ -445,7 +445,7 @@ def test_bad_payloads_are_denied_with_the_reason(open_gateway, what, payload, wo
     assert words in denied["message"]
 
 
-WORDS = st.sampled_from([b"", b"zenostat/v1/office/rpc/status", b"zenostat/v1/office/command/c", b"\x80", b"\xff"])
+WORDS = st.sampled_from([b"", b"zenostat/v2/office/rpc/status", b"zenostat/v2/office/command/c", b"\x80", b"\xff"])
 
 
 @settings(max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -538,5 +538,5 @@ def test_c_example(gateway, scratch):
         peer.listen("sample")
         sample = peer.hear(Sample)
         names = [a["name"] for a in peer.ask("manifest")[1]["actuators"]]
-    assert np.frombuffer(sample.applied)[names.index(SETPOINT)] == 26.0
-    assert sample.rulers[np.frombuffer(sample.ruler, "<u2")[names.index(SETPOINT)]] == "from-c"
+    assert np.frombuffer(sample.effective)[names.index(SETPOINT)] == 26.0
+    assert sample.sources[np.frombuffer(sample.source_index, "<u2")[names.index(SETPOINT)]] == "from-c"

@@ -36,7 +36,7 @@ def test_controller_that_starts_again_takes_its_identity_from_a_connection_that_
         new.listen("sample")
         sample = new.after(None)
         kind, denied = new.ask("command/doomed", **keeping(sample))
-        assert (kind, denied["error"]) == ("Denied", "Refused")
+        assert (kind, denied["error"]) == ("Denied", "RequestRejected")
         assert denied["message"].startswith("'doomed' has claimed nothing; claim first, through this connection")
         assert new.ask("rpc/claim", controller="doomed")[0] == "Accepted"
         assert new.ask("command/doomed", **keeping(sample))[0] == "Accepted"
@@ -83,7 +83,7 @@ def test_message_without_an_end_ends_its_connection(gateway: GatewayProgram, kin
 
 
 def test_message_that_is_large_or_long_in_coming_is_read(gateway: GatewayProgram) -> None:
-    topic = b"zenostat/v1/office/rpc/status"
+    topic = b"zenostat/v2/office/rpc/status"
     with bare(gateway.command, b"DEALER") as connection, Peer(gateway) as peer:
         connection.sendall(bytes([1, len(topic)]) + topic + b"\x02" + struct.pack(">Q", 8 * MIB) + bytes(4 * MIB))
         for _ in range(10):

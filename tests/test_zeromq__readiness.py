@@ -73,7 +73,7 @@ def test_what_is_asked_of_a_node_waits_until_it_has_said_what_it_is(node, gatewa
 
             return Callback(on_query, indirect=False)
 
-        denied = ErrorReply(error="Refused", message="slow has heard it")
+        denied = ErrorReply(error="RequestRejected", message="slow has heard it")
         manifests = session.declare_queryable(keys.MANIFEST.at("slow"), Callback(asked.put, indirect=False))
         samples = session.declare_queryable(keys.SAMPLE.at("slow"), answer(keys.SAMPLE, sample))
         rest = session.declare_queryable(keys.STATUS.at("slow"), answer(keys.STATUS, codec.encode(denied)))
@@ -88,9 +88,9 @@ def test_what_is_asked_of_a_node_waits_until_it_has_said_what_it_is(node, gatewa
             query.reply(keys.MANIFEST.at("slow"), manifest, encoding=zenoh.Encoding(codec.encoding(Manifest)))
         assert to.hear(Manifest).node == "slow"
         assert to.hear(Sample).step == [0]
-        assert to.answer()[1] == {"error": "Refused", "message": "slow has heard it"}
+        assert to.answer()[1] == {"error": "RequestRejected", "message": "slow has heard it"}
         for one in (token, manifests, samples, rest):
             one.undeclare()
         assert to.event(EventKind.FAILED).error == "NodeLost"
         kind, gone = to.ask("rpc/status")
-        assert (kind, gone["error"]) == ("Denied", "NothingThere")
+        assert (kind, gone["error"]) == ("Denied", "NodeNotFound")

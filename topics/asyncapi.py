@@ -27,7 +27,7 @@ _NO_PAYLOAD = {
     QUESTION: "A Zenoh query (`get`) without a payload.",
     PRESENCE: "A Zenoh liveliness token: there as long as who declared it; it carries no payload.",
 }
-_ITEMS = {"mask": "uint8", "payload": "uint8", "ruler": "uint16"}
+_ITEMS = {"operations": "uint8", "payload": "uint8", "source_index": "uint16"}
 _TRAVEL = {
     Delivery.DROP: {"primitive": "put", "congestion_control": "drop"},
     Delivery.BLOCK: {"primitive": "put", "congestion_control": "block"},

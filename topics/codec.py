@@ -42,7 +42,7 @@ _UNNAMED = frozenset(("", "zenoh/bytes", "application/octet-stream", _MEDIA, "ap
 
 @cache
 def encoding(message: type[Message]) -> str:
-    """The encoding of a message class: `application/msgpack;zenostat/1.Sample`."""
+    """The encoding of a message class: `application/msgpack;zenostat/2.Sample`."""
     return f"{_MEDIA}{_SCHEMA_MARK}{SCHEMA_VERSION}.{message.__name__}"
 
 

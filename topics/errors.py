@@ -8,18 +8,18 @@
     │   └── InvalidAction       an action of the wrong shape, out of bounds or not finite
     ├── PeerError               a mistake of the other side of the bus
     │   ├── BadMessage          malformed, oversized, of another schema version
-    │   ├── Refused             a request or command that the node did not take, and why
+    │   ├── RequestRejected             a request or command that the node did not take, and why
     │   ├── EpisodeChanged      the episode was reset or stopped under a controller
     │   └── EpisodeAborted      the node's policy ended the episode: a controller gave no command
     ├── SimulatorError          EnergyPlus did not do its part
-    │   ├── ModelRefused        EnergyPlus refused the model or gave up; `lines` of eplusout.err
+    │   ├── ModelError        EnergyPlus refused the model or gave up; `lines` of eplusout.err
     │   ├── EngineDied          the engine process ended without a word
     │   │   └── EngineUnresponsive  it neither answered nor used processor time, and was killed
     │   └── ForkFailed          the system could not fork an engine, for want of memory or processes
     └── BusError                the way to the other side
-        ├── EndpointTaken       another program listens there
-        ├── NameTaken           a node of that name is on the bus already
-        ├── NothingThere        nobody answers at that endpoint or under that name
+        ├── AddressInUse       another program listens there
+        ├── NameInUse           a node of that name is on the bus already
+        ├── NodeNotFound        nobody answers at that endpoint or under that name
         └── NodeLost            a node that was there is gone
 
 An error crosses a process border as `{"error": class name, "message": text}` and is raised there

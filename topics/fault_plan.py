@@ -194,7 +194,7 @@ class Delay(PointFault):
 class Quantize(PointFault):
     """Is rounded to the nearest multiple of `resolution`."""
 
-    kind: Literal["quantise"]
+    kind: Literal["quantize"]
     resolution: Positive
 
 

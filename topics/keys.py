@@ -1,6 +1,6 @@
 """The table of topics: each key expression of the bus, written once.
 
-Root: `zenostat/v1/{node}`. Chunks that begin with `@` are matched by no wildcard.
+Root: `zenostat/v2/{node}`. Chunks that begin with `@` are matched by no wildcard.
 """
 
 from __future__ import annotations
@@ -149,7 +149,7 @@ def wake(node: str) -> str:
 
 
 def root(node: str) -> str:
-    """`zenostat/v1/{node}`."""
+    """`zenostat/v2/{node}`."""
     return f"{PREFIX}/{node}"
 
 

@@ -1,7 +1,7 @@
 """Every message class of the bus.
 
 Each is frozen, refuses unknown fields and refuses NaN and infinities: a message that exists is
-valid. Arrays travel as raw little-endian float64 (`values`, `applied`), uint16 (`ruler`) or uint8 (`mask`)
+valid. Arrays travel as raw little-endian float64 (`values`, `effective`), uint16 (`source_index`) or uint8 (`operations`)
 bytes in C order with the shape `(slots, points)`, in the manifest's order.
 """
 
@@ -71,7 +71,7 @@ class Policy(StrEnum):
 
     WAIT = "wait"
     HOLD = "hold"
-    RELINQUISH = "release"
+    RELINQUISH = "relinquish"
     ABORT = "abort"
 
 
@@ -94,9 +94,9 @@ class EngineStart(StrEnum):
     """
 
     NONE = ""
-    REUSED = "ready"
+    REUSED = "reused"
     FORKED = "forked"
-    PREFETCHED = "ahead"
+    PREFETCHED = "prefetched"
     STARTED = "started"
     SNAPSHOT = "snapshot"
 
@@ -239,7 +239,7 @@ class Statistics(Message):
 
     `step`: from the begin of a timestep to its sample. `cycle`: from sample to sample. `overruns`: paced timesteps
     whose sample came after the next one was due, `behind_s` by how much at worst. `missed`: timesteps that went on
-    without a required controller. `late`, `rejected`, `duplicate`, `flooded`: messages that changed nothing.
+    without a required controller. `late`, `rejected`, `duplicate`, `rate_limited`: messages that changed nothing.
     `accepted_late`: commands that were taken although the deadline was over.
     """
 
@@ -304,10 +304,10 @@ class Manifest(Message):
 class Sample(Message):
     """One frame a step. Lists have an entry a slot; slot 0 is the only one of a plain node.
 
-    `values` are the sensors, then the meters. `applied` says what each actuator really was in the
-    timestep that this sample closes; NaN where EnergyPlus has no variable that tells. `ruler` is an
-    index into `rulers`: who set it, with `rulers[0]` the building's own control. `baseline`, like `values`, is the
-    same building left to its own control since sample 0, and `baseline_applied`, like `applied`, what that control set
+    `values` are the sensors, then the meters. `effective` says what each actuator really was in the
+    timestep that this sample closes; NaN where EnergyPlus has no variable that tells. `source_index` is an
+    index into `sources`: who set it, with `rulers[0]` the building's own control. `baseline`, like `values`, is the
+    same building left to its own control since sample 0, and `baseline_applied`, like `effective`, what that control set
     its actuators to; empty unless the manifest says so. `undisturbed`, like `values`, is what EnergyPlus said, where
     faults are injected into `values`.
     """
@@ -333,7 +333,7 @@ class Command(Message):
 
     A slot whose step is None is not answered: it stands still while the others go on.
 
-    `values` has all actuators of all slots. `mask` (one `Mask` byte each) says which of them are
+    `values` has all actuators of all slots. `operations` (one `CommandOp` byte each) says which of them are
     set, kept as they are, or released; without it all are set. `values` stands last, so that a command's
     bytes are a head that the node can foresee and the values: it needs no decoding (`codec.command_head`).
     """
@@ -397,14 +397,14 @@ class EventKind(StrEnum):
     DUPLICATE = "duplicate"
     WRITTEN = "written"
     EXPIRED = "expired"
-    CONNECTED = "joined"
-    DISCONNECTED = "left"
+    CONNECTED = "connected"
+    DISCONNECTED = "disconnected"
     WARNING = "warning"
     FALLBACK = "fallback"
     PACE = "pace"
     FAULT = "fault"
     SNAPSHOT = "snapshot"
-    BRANCH_CREATED = "branched"
+    BRANCH_CREATED = "branch_created"
 
 
 class Event(Message):
@@ -557,8 +557,8 @@ class Query(Message):
 class EpisodeStart(Message):
     """How an episode begins.
 
-    `start` says how its engine came to its first sample, `weather` is the weather file, `drawn` the parameters of its
-    variability, by column (`dry_bulb_temperature.sigma`), and `outputs` the folder of EnergyPlus's own files, if they
+    `start` says how its engine came to its first sample, `weather` is the weather file, `noise_parameters` the parameters of its
+    variability, by column (`dry_bulb_temperature.sigma`), and `output_dir` the folder of EnergyPlus's own files, if they
     are kept.
     """
 
@@ -571,7 +571,7 @@ class EpisodeStart(Message):
 class Ack(Message):
     """The node took a request. `episode` is the one that is running or starting now, of each slot.
 
-    After a reset, `begun` has an entry for each slot that was reset.
+    After a reset, `episode_starts` has an entry for each slot that was reset.
     """
 
     episode: list[Count]
@@ -589,9 +589,9 @@ class ControllerStatus(Message):
     """One controller that has claimed something.
 
     `accepted_late`: of the accepted commands, those that came after the deadline; `late`: those that were refused
-    because their step was over. `missed`: timesteps that went on without its command. `waived`: it has gone, and the
+    because their step was over. `missed`: timesteps that went on without its command. `bypassed`: it has gone, and the
     policy goes on without it.
-    `silent`: it gave no command by the deadline, and none since. `response`: from a sample to its answer.
+    `unresponsive`: it gave no command by the deadline, and none since. `response`: from a sample to its answer.
     """
 
     controller: str

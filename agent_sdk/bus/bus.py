@@ -105,7 +105,7 @@ def connect(
         certificate: the name of another certificate of that role.
 
     Raises:
-        NothingThere: nobody listens there, or no session over TLS came about.
+        NodeNotFound: nobody listens there, or no session over TLS came about.
         InvalidConfig: no such form of an endpoint, or keys that cannot be used.
     """
     with _placed(Affinity(affinity), core):
@@ -167,11 +167,11 @@ class Bus:
         return sorted({(keys.node_of(key), keys.last_chunk(key)) for key in found})
 
     def manifest(self, node: str) -> Manifest:
-        """All that is to know of a node; `NothingThere` if it is not on the bus."""
+        """All that is to know of a node; `NodeNotFound` if it is not on the bus."""
         return self._ask(keys.MANIFEST, node, None, Manifest)
 
     def status(self, node: str, *, memory: bool = False) -> Status:
-        """Where a node stands; `NothingThere` if it is not on the bus.
+        """Where a node stands; `NodeNotFound` if it is not on the bus.
 
         Args:
             node: its name.
@@ -194,7 +194,7 @@ class Bus:
 
         Raises:
             InvalidConfig: no such mode, or a speed that cannot be.
-            Refused: `paced` without a speed, or another mode with one.
+            RequestRejected: `paced` without a speed, or another mode with one.
         """
         self._ask(keys.PACE, node, _made(SetPace, mode=mode, speed=speed, source=source), Ack)
 
@@ -211,7 +211,7 @@ class Bus:
 
         Raises:
             InvalidConfig: not 1 to 1,000,000 timesteps.
-            Refused: the node is not paused.
+            RequestRejected: the node is not paused.
         """
         self._ask(keys.STEP, node, _made(StepRequest, steps=steps, source=source), Ack)
 
@@ -238,7 +238,7 @@ class Bus:
         return self._ask(keys.SAMPLE, node, None, Sample)
 
     def claim(self, node: str, claim: Claim) -> Ack:
-        """Claims actuators of a node; `Refused` says who holds them."""
+        """Claims actuators of a node; `RequestRejected` says who holds them."""
         return self._ask(keys.CLAIM, node, claim, Ack)
 
     def reset(self, node: str, reset: Reset) -> Ack:
@@ -249,20 +249,20 @@ class Bus:
         """Has a node keep where it stands, to go back there by a `Reset`; it is dropped when `controller` leaves.
 
         Raises:
-            Refused: no episode runs, or there are as many snapshots and branches as the node allows.
+            RequestRejected: no episode runs, or there are as many snapshots and branches as the node allows.
             ForkFailed: the system cannot fork the engine.
         """
         return self._ask(keys.SNAPSHOT, node, TakeSnapshot(controller=controller), SnapshotTaken)
 
     def drop(self, node: str, snapshot: str) -> None:
-        """Gives a snapshot's memory back; `Refused` if there is none of that name."""
+        """Gives a snapshot's memory back; `RequestRejected` if there is none of that name."""
         self._ask(keys.DROP, node, DropSnapshot(snapshot=snapshot), Ack)
 
     def branch(self, node: str, branch: CreateBranch) -> str:
         """Has a node go on twice from where it stands: the name of the new one, which is a node like any other.
 
         Raises:
-            Refused, ForkFailed: as for `snapshot`; a branch has no branches.
+            RequestRejected, ForkFailed: as for `snapshot`; a branch has no branches.
         """
         return self._ask(keys.BRANCH, node, branch, BranchCreated).node
 
@@ -275,7 +275,7 @@ class Bus:
         return self._ask(keys.SCENARIO, node, Query(), ScenarioText).text
 
     def read(self, node: str, *, slot: int = 0) -> SampleView:
-        """The sample that a node stands at, without controlling it; `NothingThere` if it is not on the bus.
+        """The sample that a node stands at, without controlling it; `NodeNotFound` if it is not on the bus.
 
         Raises:
             UnknownName: the node has no such slot.
@@ -292,7 +292,7 @@ class Bus:
         value: float | None,
         *,
         priority: int = 8,
-        for_s: float | None = None,
+        duration_s: float | None = None,
         source: str = "anonymous",
     ) -> Event:
         """Writes one actuator, as a person or a device; it rules from the next timestep on. Gives the node's answer.
@@ -302,14 +302,14 @@ class Bus:
             point: the actuator's name.
             value: in its unit; None releases it at this priority.
             priority: 1 (highest) to 16; 8 is a person's.
-            for_s: seconds of simulated time after which it is released by itself; None: until somebody does.
+            duration_s: seconds of simulated time after which it is released by itself; None: until somebody does.
             source: who writes; made unique on the bus, since that tells the node's answer from others.
 
         Raises:
-            NothingThere: no such node.
+            NodeNotFound: no such node.
             UnknownName: no such actuator; the text lists near ones.
             InvalidAction: a value, priority or time that cannot be.
-            Refused: the node did not take it, with its reason.
+            RequestRejected: the node did not take it, with its reason.
         """
         manifest = self.manifest(node)
         known = [actuator.name for actuator in manifest.actuators]
@@ -317,7 +317,7 @@ class Bus:
             raise UnknownName(f"node {node!r} has no actuator {point!r}; {did_you_mean(point, known)}")
         unique = f"{source}-{os.getpid()}-{next(_numbers)}"
         try:
-            write = Write(value=value, priority=priority, duration_s=for_s, source=unique)
+            write = Write(value=value, priority=priority, duration_s=duration_s, source=unique)
         except ValidationError as error:
             raise InvalidAction(f"{point}: {codec.describe_validation_errors(error)}") from None
         event = self._put_write(manifest, point, write)
@@ -400,7 +400,7 @@ class Bus:
         A listener that falls behind by more than some ten thousand samples misses the oldest.
 
         Raises:
-            NothingThere: no such node.
+            NodeNotFound: no such node.
             NodeLost: (from the iterator) the node is gone.
         """
         manifest = self.manifest(node)
@@ -438,7 +438,7 @@ class Bus:
         node: str,
         *,
         name: str = "controller",
-        level: int = 10,
+        priority: int = 10,
         actuators: list[str] | None = None,
         required: bool = True,
     ) -> ControllerLink:
@@ -447,16 +447,16 @@ class Bus:
         Args:
             node: the node's name.
             name: of this controller; made unique on the bus.
-            level: 1 (highest) to 16; 8 is a person's.
+            priority: 1 (highest) to 16; 8 is a person's.
             actuators: names; None is all.
             required: the node waits for this controller in lockstep.
 
         Raises:
-            NothingThere: no such node.
-            Refused: somebody else holds that level.
+            NodeNotFound: no such node.
+            RequestRejected: somebody else holds that level.
         """
         identity = f"{keys.check_name(name, 'the controller')}-{os.getpid()}-{next(_numbers)}"
-        claim = Claim(controller=identity, priority=level, actuators=actuators, required=required)
+        claim = Claim(controller=identity, priority=priority, actuators=actuators, required=required)
         link = ControllerLink(self, node, claim, self._affinity)
         self._links.add(link)
         return link

@@ -144,7 +144,7 @@ class ControllerLink:
         """Joins the node after a lost link, in which it may have forgotten this controller, or was restarted.
 
         Raises:
-            NothingThere: it is not on the bus.
+            NodeNotFound: it is not on the bus.
             NodeLost: a node of its name is there that has other points.
         """
         manifest = self.bus.manifest(self.manifest.node)
@@ -257,7 +257,7 @@ class ControllerLink:
         Raises:
             NodeLost: the node is gone.
             SimulatorError: EnergyPlus failed, with its words.
-            Refused: the node did not take this controller's last command.
+            RequestRejected: the node did not take this controller's last command.
             EpisodeChanged: somebody else reset the episode, or another thread closed the link.
             UsageError: another thread is in `receive` or `reset`.
         """
@@ -346,7 +346,7 @@ class ControllerLink:
             values: by actuator name, None releasing it to the building's own control and the others kept
                 as they are; or an array of all actuators in manifest order, shape (actuators,), of several slots
                 (slots, actuators); or None to keep all.
-            mask: with an array, a `Mask` byte for each of its values; None sets all.
+            mask: with an array, a `CommandOp` byte for each of its values; None sets all.
             still: slots that are to stand still while the others go on.
 
         Raises:

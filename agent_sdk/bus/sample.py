@@ -67,12 +67,12 @@ class SampleView:
     def fault_free_values(self) -> NDArray[np.float64]:
         """What EnergyPlus said: `values`, but for the faults that the node injects into them."""
         raw = self.message.fault_free_values
-        return self._points(raw, "undisturbed") if raw else self.values
+        return self._points(raw, "fault_free_values") if raw else self.values
 
     @property
     def effective(self) -> NDArray[np.float64]:
         """What each actuator really was, shape (actuators,); NaN where EnergyPlus does not tell."""
-        return self._actuators(self.message.effective, "applied")
+        return self._actuators(self.message.effective, "effective")
 
     @property
     def baseline(self) -> NDArray[np.float64] | None:
@@ -81,8 +81,10 @@ class SampleView:
 
     @property
     def baseline_effective(self) -> NDArray[np.float64] | None:
-        """Like `applied`, what the building's own control sets its actuators to in `baseline`."""
-        return self._actuators(self.message.baseline_effective, "baseline_applied") if self.manifest.baseline else None
+        """Like `effective`, what the building's own control sets its actuators to in `baseline`."""
+        return (
+            self._actuators(self.message.baseline_effective, "baseline_effective") if self.manifest.baseline else None
+        )
 
     def _points(self, raw: bytes, what: str) -> NDArray[np.float64]:
         return codec.row(raw, self.slot, self.manifest.slots, len(self._index), what)
@@ -94,7 +96,7 @@ class SampleView:
     def value_source(self) -> dict[str, str]:
         """Actuator to who set it; `""` is the building's own control."""
         shape = (self.manifest.slots, len(self.manifest.actuators))
-        who = codec.indices(self.message.source_index, shape, "ruler")[self.slot]
+        who = codec.indices(self.message.source_index, shape, "source_index")[self.slot]
         return {a.name: self.message.sources[i] for a, i in zip(self.manifest.actuators, who.tolist(), strict=True)}
 
     def __getitem__(self, name: str) -> float:
@@ -109,7 +111,7 @@ class SampleView:
         return dict(zip(self._index, self.values.tolist(), strict=True))
 
     def send(self, values: Mapping[str, float | None] | NDArray[np.float64] | None = None) -> None:
-        """Answers this sample; see `ControlLink.send`."""
+        """Answers this sample; see `ControllerLink.send`."""
         if self._link is None:
             raise UnknownName("this sample belongs to a listener; only a controller can answer")
         self._link.send(values)

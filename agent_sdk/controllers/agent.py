@@ -19,7 +19,7 @@ from topics.units import with_unit
 class Agent:
     """Drives a controller through episodes: begins it at each, and gives its answers as values or as actions.
 
-        agent = Agent(ComfortBandRules(env.unwrapped.manifest))
+        agent = Agent(RuleBasedController(env.unwrapped.manifest))
         env.reset(seed=0)
         env.step(agent.action(env.unwrapped.sample))
 

@@ -22,7 +22,7 @@ class Actions:
     """The actions of a node's task.
 
     Attributes:
-        space: `Box`, float32, shape (actions,), or `Discrete`, or `MultiDiscrete`.
+        space: `Box`, float32, shape (actions,), or `DiscreteSpec`, or `MultiDiscrete`.
         mask: what a command does to each actuator, raw; None if they set all.
     """
 

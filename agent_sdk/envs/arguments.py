@@ -19,8 +19,8 @@ FROM_SCENARIO = "scenario"
 
 NODE_ARGUMENTS = (
     "building", "weather", "scenario", "file", "config", "variant", "sensors", "meters", "actuators", "begin", "end",
-    "steps_per_hour", "weather_order", "variability", "sizing", "changes", "time", "reading", "actions", "control",
-    "discrete", "terminate", "keep", "keep_last", "baseline", "branches", "faults",
+    "steps_per_hour", "weather_order", "weather_noise", "sizing", "edits", "time", "aggregation", "actions", "control",
+    "discrete", "terminate", "output_dir", "keep_last", "baseline", "branches", "faults",
     "unresponsive_s",
 )  # fmt: skip
 """The arguments that a node decides by."""
@@ -69,9 +69,9 @@ def for_node(given: Mapping[str, Any], name: str, slots: int = 1) -> dict[str, A
     if "file" in settings:
         settings["scenario"] = settings.pop("file")
     # A relative path is the caller's, who may be elsewhere than the node.
-    for key in ("building", "config", "faults", "keep", "scenario", "weather"):
+    for key in ("building", "config", "faults", "output_dir", "scenario", "weather"):
         if key in settings:
-            settings[key] = _absolute(settings[key], always=key in ("config", "faults", "keep"))
+            settings[key] = _absolute(settings[key], always=key in ("config", "faults", "output_dir"))
     return settings | {"name": name} | ({"slots": slots} if slots > 1 else {})
 
 

@@ -76,8 +76,8 @@ class BuildingEnv(SpaceNames, gym.Env[Observation, Any]):
         connect: endpoint of a bus.
         keys: for a bus over TLS, the folder of certificates that `zenostat keys init` made.
         node: the node's name there.
-        level: priority level that this agent commands at, 1 to 16.
-        keep: folder in which EnergyPlus's own output files are kept, one folder an episode.
+        priority: priority level that this agent commands at, 1 to 16.
+        output_dir: folder in which EnergyPlus's own output files are kept, one folder an episode.
         keep_last: how many finished episodes' files are kept there beside the running one's; None is all.
         baseline: run the building under its own control beside the episode: `info["baseline"]` has its points,
             `info["baseline_applied"]` what that control set the actuators to.
@@ -115,11 +115,11 @@ class BuildingEnv(SpaceNames, gym.Env[Observation, Any]):
         end: str | None = None,
         steps_per_hour: int | None = None,
         weather_order: str | None = None,
-        variability: Mapping[str, Any] | None = None,
+        weather_noise: Mapping[str, Any] | None = None,
         sizing: str | None = None,
-        changes: Mapping[str, Any] | None = None,
+        edits: Mapping[str, Any] | None = None,
         time: Sequence[str] | None = None,
-        reading: str | None = None,
+        aggregation: str | None = None,
         actions: Mapping[str, Any] | None = None,
         control: str | None = None,
         discrete: int | Sequence[Any] | None = None,
@@ -127,8 +127,8 @@ class BuildingEnv(SpaceNames, gym.Env[Observation, Any]):
         reward: AnyReward | None = arguments.FROM_SCENARIO,
         connect: str | None = None,
         node: str | None = None,
-        level: int = 10,
-        keep: str | Path | None = None,
+        priority: int = 10,
+        output_dir: str | Path | None = None,
         keep_last: int | None = None,
         baseline: bool | None = None,
         branches: int | None = None,
@@ -146,7 +146,7 @@ class BuildingEnv(SpaceNames, gym.Env[Observation, Any]):
             reward=reward,
             connect=connect,
             node=node,
-            level=level,
+            priority=priority,
             affinity=affinity,
             render_mode=render_mode,
             keys=keys,
@@ -169,16 +169,16 @@ class BuildingEnv(SpaceNames, gym.Env[Observation, Any]):
             if render_mode == "rerun":
                 self._hold.open_monitor()
             undo.pop_all()
-        self.render_mode, self._level = render_mode, level
+        self.render_mode, self._priority = render_mode, priority
         self._timestep = timedelta(hours=1 / manifest.steps_per_hour)
         self._time = manifest.task.time
         self._values = self._actions.values
         self._sample: SampleView | None = None
         self._ended = self._busy = False
-        self._begun: dict[str, Any] = {"weather": "", "weather_noise": {}, "start": ""}
-        self._outputs = ""
-        self._rulers: tuple[bytes, list[str]] = (b"", [])
-        self._ruled_by: tuple[str, ...] = ()
+        self._begun: dict[str, Any] = {"weather": "", "weather_noise": {}, "engine_start": ""}
+        self._output_dir = ""
+        self._sources: tuple[bytes, list[str]] = (b"", [])
+        self._value_source: tuple[str, ...] = ()
         self._hold.warn(stacklevel=3)
 
     @property
@@ -190,7 +190,7 @@ class BuildingEnv(SpaceNames, gym.Env[Observation, Any]):
     @property
     def local_node(self) -> LocalNode | None:
         """The node that was started; None if it runs elsewhere."""
-        return self._hold.own_node
+        return self._hold.local_node
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -213,7 +213,7 @@ class BuildingEnv(SpaceNames, gym.Env[Observation, Any]):
             InvalidConfig: an unknown option; a snapshot that is closed, of another node, or of a node that has ended;
                 a seed that is no whole number from 0 to 2**64 - 1.
             EngineDied, ForkFailed: the snapshot's engine; the running episode goes on.
-            NothingThere: a node that runs elsewhere is gone.
+            NodeNotFound: a node that runs elsewhere is gone.
             NodeLost: that node was restarted with other points.
             UsageError: another thread is in `step` or `reset`.
 
@@ -245,8 +245,12 @@ class BuildingEnv(SpaceNames, gym.Env[Observation, Any]):
             self._memory.restore(snapshot.env_state)
         self.manifest, self._ended = self._hold.manifest, False
         (begun,) = self.link.accepted.episode_starts
-        self._outputs = begun.output_dir
-        self._begun = {"weather": begun.weather, "weather_noise": begun.noise_parameters, "start": begun.engine_start}
+        self._output_dir = begun.output_dir
+        self._begun = {
+            "weather": begun.weather,
+            "weather_noise": begun.noise_parameters,
+            "engine_start": begun.engine_start,
+        }
         values, now, info = sample.values, sample.time, self._info(sample)
         info["action"] = np.full(len(self.manifest.actuators), np.nan)
         info |= self._memory.unrewarded(sample.fault_free_values, now)
@@ -266,12 +270,12 @@ class BuildingEnv(SpaceNames, gym.Env[Observation, Any]):
 
         Raises:
             EpisodeChanged: no episode runs.
-            Refused: there are as many snapshots and branches as the node allows, or this is a branch.
+            RequestRejected: there are as many snapshots and branches as the node allows, or this is a branch.
             ForkFailed: the system has no memory for a fork; the episode goes on.
         """
         return take(self._forking(), self._running(), self._memory)
 
-    def branch(self, *, snapshot: Snapshot | None = None, released: bool = False) -> BuildingEnv:
+    def branch(self, *, snapshot: Snapshot | None = None, relinquished: bool = False) -> BuildingEnv:
         """Another environment that goes on from this very step on its own, while this one goes on.
 
         It is a node of its own on the bus and ends with `close()`, or with this environment. It has one episode: it
@@ -279,7 +283,7 @@ class BuildingEnv(SpaceNames, gym.Env[Observation, Any]):
 
         Args:
             snapshot: begin there instead.
-            released: what was commanded up to now holds no more; until a step commands it, the building's own control
+            relinquished: what was commanded up to now holds no more; until a step commands it, the building's own control
                 goes on.
 
         Raises:
@@ -290,11 +294,11 @@ class BuildingEnv(SpaceNames, gym.Env[Observation, Any]):
             snapshot.check(self.manifest)
         with ExitStack() as undo:
             asked = CreateBranch(
-                controller=link.name, snapshot=snapshot.name if snapshot is not None else "", relinquished=released
+                controller=link.name, snapshot=snapshot.name if snapshot is not None else "", relinquished=relinquished
             )
             name = link.bus.branch(link.manifest.node, asked)
             undo.callback(_stop, link.bus, name)
-            hold = undo.enter_context(link.bus.controller(name, name="env", level=self._level))
+            hold = undo.enter_context(link.bus.controller(name, name="env", priority=self._priority))
             branch = BuildingEnv(link=hold, reward=copy.deepcopy(self.reward))  # it may be an object with a memory
             branch._sample = hold.set_current(sample.message)
             branch._begun = self._begun
@@ -314,15 +318,15 @@ class BuildingEnv(SpaceNames, gym.Env[Observation, Any]):
     def step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Simulates one timestep under `action`.
 
-        `info` has `time` and `step` of the sample; `action`: the value commanded for each actuator; `applied`: what
-        each really was (NaN where EnergyPlus does not tell); `ruled_by`: who set it ("agent" is this environment, ""
+        `info` has `time` and `step` of the sample; `action`: the value commanded for each actuator; `effective`: what
+        each really was (NaN where EnergyPlus does not tell); `value_source`: who set it ("agent" is this environment, ""
         the building's own control); `reward_terms`, whose sum is the reward, and `reward_measures`; the node's counts
-        of `late` and `rejected` messages; and at the episode's end `outputs`, the folder of EnergyPlus's files, if
+        of `late` and `rejected` messages; and at the episode's end `output_dir`, the folder of EnergyPlus's files, if
         they are kept.
 
         Raises:
             InvalidAction: wrong shape, out of bounds, not finite, or no such choice; nothing was simulated.
-            NodeLost, SimulatorError, Refused, EpisodeChanged: see `ControlLink.receive`.
+            NodeLost, SimulatorError, RequestRejected, EpisodeChanged: see `ControllerLink.receive`.
             UsageError: another thread is in `step` or `reset`.
         """
         busy, self._busy = self._busy, True  # one statement without a call: CPython switches no threads within it
@@ -359,8 +363,8 @@ class BuildingEnv(SpaceNames, gym.Env[Observation, Any]):
             info["terminated_by"] = broken
         truncated = sample.truncated
         self._ended = truncated or bool(broken)
-        if self._ended and self._outputs:
-            info["outputs"] = self._outputs
+        if self._ended and self._output_dir:
+            info["output_dir"] = self._output_dir
         if self._history is not None:
             self._history.add(end, values)
         return self._observed(values, begin, end), reward, bool(broken), truncated, info
@@ -414,15 +418,15 @@ class BuildingEnv(SpaceNames, gym.Env[Observation, Any]):
 
     def _info(self, sample: SampleView) -> dict[str, Any]:
         wire = sample.message
-        if (wire.source_index, wire.sources) != self._rulers:
+        if (wire.source_index, wire.sources) != self._sources:
             me = self.link.name
-            self._rulers = (wire.source_index, wire.sources)
-            self._ruled_by = tuple(AGENT if who == me else who for who in sample.value_source.values())
+            self._sources = (wire.source_index, wire.sources)
+            self._value_source = tuple(AGENT if who == me else who for who in sample.value_source.values())
         info = {
             "time": wire.time[0],
             "step": wire.step[0],
-            "applied": sample.effective,
-            "ruled_by": self._ruled_by,
+            "effective": sample.effective,
+            "value_source": self._value_source,
             "late": wire.late,
             "rejected": wire.rejected,
             **self._begun,
@@ -430,12 +434,12 @@ class BuildingEnv(SpaceNames, gym.Env[Observation, Any]):
         }
         if self._memory.limits is not None:
             info["terminated_by"] = ""
-        if self._outputs:
-            info["outputs"] = ""
+        if self._output_dir:
+            info["output_dir"] = ""
         if wire.fault_free_values:
-            info["undisturbed"] = sample.fault_free_values
+            info["fault_free_values"] = sample.fault_free_values
         if wire.baseline:
-            info |= {"baseline": sample.baseline, "baseline_applied": sample.baseline_effective}
+            info |= {"baseline": sample.baseline, "baseline_effective": sample.baseline_effective}
         return info
 
     def close(self) -> None:

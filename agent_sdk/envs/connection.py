@@ -11,7 +11,7 @@ from typing import Any
 
 from agent_sdk.bus.bus import Bus
 from agent_sdk.bus.bus import connect as join
-from agent_sdk.bus.local_node import LocalNode, Monitor, undisturbed
+from agent_sdk.bus.local_node import LocalNode, Monitor, fault_free_values
 from agent_sdk.bus.sample import SampleView
 from agent_sdk.envs import arguments
 from agent_sdk.rewards import AnyReward, Reward, read_reward
@@ -52,7 +52,7 @@ class NodeConnection:
         reward: AnyReward | None,
         connect: str | None,
         node: str | None,
-        level: int,
+        priority: int,
         affinity: Affinity | str,
         render_mode: str | None,
         keys: str | Path | None = None,
@@ -60,7 +60,7 @@ class NodeConnection:
         slots: int = 1,
     ) -> None:
         self._close, self.closed, self._watched = ExitStack(), False, False
-        self.own_node: LocalNode | None = None
+        self.local_node: LocalNode | None = None
         self._link, self._slots = link, slots
         self._keys = None if keys is None else Path(keys)
         self._bus: Bus | None = None
@@ -78,7 +78,7 @@ class NodeConnection:
                 self._close.callback(link.close)
                 self.manifest: Manifest = link.manifest
             else:
-                self._find_node(given, reward, connect, node, level, Affinity(affinity))
+                self._find_node(given, reward, connect, node, priority, Affinity(affinity))
             self._check_slots()
             wanted = self.manifest.task.reward if reward == arguments.FROM_SCENARIO else reward
             self.reward: Reward | None = None if wanted is None else read_reward(wanted)
@@ -90,7 +90,7 @@ class NodeConnection:
         reward: AnyReward | None,
         endpoint: str | None,
         node: str | None,
-        level: int,
+        priority: int,
         placement: Affinity,
     ) -> None:
         if endpoint is None:
@@ -98,30 +98,30 @@ class NodeConnection:
             if reward != arguments.FROM_SCENARIO:
                 wanted["own_reward"] = True
             arguments.check_reward(reward, wanted, placement)
-            self._start(wanted, node or NAME, level, placement)
+            self._start(wanted, node or NAME, priority, placement)
             return
         if given:
             raise InvalidConfig(f"{', '.join(given)}: the node at {endpoint} has its own; leave out what it decides")
         if node is None:
             raise InvalidConfig(f"connect={endpoint!r} needs the node's name: node='office'")
-        self._way = (endpoint, node, level, placement, None)
+        self._way = (endpoint, node, priority, placement, None)
         self.manifest = self._joined().manifest(node)
         self._check_slots()  # before anything is claimed
         self.manifest = self.link.manifest
 
-    def _start(self, wanted: dict[str, Any], node: str, level: int, placement: Affinity) -> None:
+    def _start(self, wanted: dict[str, Any], node: str, priority: int, placement: Affinity) -> None:
         own = LocalNode(wanted, placement)
         self._close.callback(own.close)
         assert own.manifest is not None
-        self.own_node, self.manifest, self._wanted = own, own.manifest, wanted
-        self._way = (own.endpoint, node, level, placement, own.core)
+        self.local_node, self.manifest, self._wanted = own, own.manifest, wanted
+        self._way = (own.endpoint, node, priority, placement, own.core)
 
     def reset(self, *, seed: int | None) -> SampleView:
-        """Starts an episode, on another node if the environment's own ends just now; see `ControlLink.reset`."""
+        """Starts an episode, on another node if the environment's own ends just now; see `ControllerLink.reset`."""
         try:
             sample: SampleView = self.link.reset(seed=seed)
         except BusError:
-            if self.own_node is None or not self._has_ended(self.own_node) or not self.renew():
+            if self.local_node is None or not self._has_ended(self.local_node) or not self.renew():
                 raise
             sample = self.link.reset(seed=seed)
         self.manifest = self.link.manifest
@@ -139,13 +139,13 @@ class NodeConnection:
         Raises:
             UsageError, BusError, SimulatorError: as when the environment was made; it can be tried again.
         """
-        how = self.own_node.end if self.own_node is not None else ""
+        how = self.local_node.end if self.local_node is not None else ""
         if not how or self.closed:
             return False
-        _, node, level, placement, _ = self._way
+        _, node, priority, placement, _ = self._way
         self._close.close()
         self._link = self._bus = None
-        self._start(self._wanted, node, level, placement)
+        self._start(self._wanted, node, priority, placement)
         if self._watched:
             self.open_monitor()
         warnings.warn(
@@ -173,8 +173,8 @@ class NodeConnection:
         be forked, as Gymnasium's asynchronous vector environments do it.
         """
         if self._link is None:
-            _, node, level, _, _ = self._way
-            self._link = self._close.enter_context(self._joined().controller(node, name="env", level=level))
+            _, node, priority, _, _ = self._way
+            self._link = self._close.enter_context(self._joined().controller(node, name="env", priority=priority))
         return self._link
 
     def _joined(self) -> Bus:
@@ -204,7 +204,7 @@ class NodeConnection:
 
     def abandon(self) -> None:
         """Closes what an error or Ctrl-C left half made; a second Ctrl-C does not disturb it."""
-        with undisturbed():
+        with fault_free_values():
             self.close()
 
     def close(self) -> None:

@@ -21,7 +21,7 @@ def observation_space(manifest: Manifest) -> Box[np.float32]:
 
 
 def action_space(manifest: Manifest) -> Space[Any]:
-    """A number for each choice, `Discrete` or `MultiDiscrete`; without choices float32, shape (actions,)."""
+    """A number for each choice, `DiscreteSpec` or `MultiDiscrete`; without choices float32, shape (actions,)."""
     counts = [len(choice.values) for choice in manifest.task.discrete_actions]
     if len(counts) == 1:
         return Discrete(counts[0])

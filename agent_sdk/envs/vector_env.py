@@ -70,7 +70,7 @@ class BuildingVectorEnv(SpaceNames, VectorEnv[Observations, Any, NDArray[Any]]):
         reward: AnyReward | None = arguments.FROM_SCENARIO,
         connect: str | None = None,
         node: str | None = None,
-        level: int = 10,
+        priority: int = 10,
         affinity: Affinity | str = Affinity.SEPARATE_CORES,
         render_mode: str | None = None,
         keys: str | Path | None = None,
@@ -80,7 +80,7 @@ class BuildingVectorEnv(SpaceNames, VectorEnv[Observations, Any, NDArray[Any]]):
         self.num_envs, self.autoreset_mode = _count(num_envs), _mode(autoreset_mode)
         self._hold = NodeConnection(
             {name: value for name, value in _known(given).items() if value is not None},
-            reward=reward, connect=connect, node=node, level=level, affinity=affinity, render_mode=render_mode,
+            reward=reward, connect=connect, node=node, priority=priority, affinity=affinity, render_mode=render_mode,
             keys=keys, link=link, slots=self.num_envs,
         )  # fmt: skip
         with ExitStack() as undo:
@@ -112,9 +112,9 @@ class BuildingVectorEnv(SpaceNames, VectorEnv[Observations, Any, NDArray[Any]]):
         self._seen = np.zeros(self.observation_space.shape or (), np.float32)
         self._over, self._every = np.zeros(num_envs, np.bool_), np.ones(num_envs, np.bool_)
         self._begun: Infos = {}
-        self._outputs = [""] * num_envs
-        self._rulers: tuple[bytes, list[str]] = (b"", [])
-        self._ruled_by: NDArray[np.object_] = np.empty(num_envs, object)
+        self._output_dir = [""] * num_envs
+        self._sources: tuple[bytes, list[str]] = (b"", [])
+        self._value_source: NDArray[np.object_] = np.empty(num_envs, object)
         self.closed = False
         self._hold.warn(stacklevel=3)
 
@@ -131,7 +131,7 @@ class BuildingVectorEnv(SpaceNames, VectorEnv[Observations, Any, NDArray[Any]]):
             InvalidConfig: other options, no such mask, no such seeds; a snapshot that is closed, of another node, or of
                 a node that has ended.
             EngineDied, ForkFailed: an engine of the snapshot; the running episodes go on.
-            NothingThere, NodeLost, UsageError: as of `BuildingEnv.reset`.
+            NodeNotFound, NodeLost, UsageError: as of `BuildingEnv.reset`.
 
         Warns:
             UserWarning: the environment's own node had ended, and another one was started; why it had.
@@ -189,8 +189,8 @@ class BuildingVectorEnv(SpaceNames, VectorEnv[Observations, Any, NDArray[Any]]):
         self._frame = frame
         begun: Infos = {}
         for slot, how in zip(slots, link.accepted.episode_starts, strict=True):
-            self._outputs[slot] = how.output_dir
-            told = {"weather": how.weather, "weather_noise": how.noise_parameters, "start": how.engine_start}
+            self._output_dir[slot] = how.output_dir
+            told = {"weather": how.weather, "weather_noise": how.noise_parameters, "engine_start": how.engine_start}
             begun = self._add_info(begun, told, slot)
         these = np.zeros(self.num_envs, np.bool_)
         these[slots] = True
@@ -204,7 +204,7 @@ class BuildingVectorEnv(SpaceNames, VectorEnv[Observations, Any, NDArray[Any]]):
 
         Raises:
             EpisodeChanged: an episode is over, or none has begun.
-            Refused: there are as many snapshots and branches as the node allows.
+            RequestRejected: there are as many snapshots and branches as the node allows.
             ForkFailed: the system has no memory for a fork; the episodes go on.
         """
         self._hold.check_open()
@@ -222,7 +222,7 @@ class BuildingVectorEnv(SpaceNames, VectorEnv[Observations, Any, NDArray[Any]]):
 
         Raises:
             InvalidAction: wrong shape, out of bounds, not finite, or no such choice; nothing was simulated.
-            NodeLost, SimulatorError, Refused, EpisodeChanged: see `ControlLink.receive`.
+            NodeLost, SimulatorError, RequestRejected, EpisodeChanged: see `ControllerLink.receive`.
             UsageError: another thread is in `step` or `reset`.
         """
         busy, self._busy = self._busy, True  # one statement without a call: CPython switches no threads within it
@@ -316,33 +316,33 @@ class BuildingVectorEnv(SpaceNames, VectorEnv[Observations, Any, NDArray[Any]]):
     def _of_sample(self, frame: VectorSample) -> Infos:
         """What a frame says of all slots."""
         wire = frame.message
-        if (wire.source_index, wire.sources) != self._rulers:
+        if (wire.source_index, wire.sources) != self._sources:
             me = self.link.name
-            self._rulers = (wire.source_index, wire.sources)
-            self._ruled_by = frame.value_source([AGENT if who == me else who for who in wire.sources])
+            self._sources = (wire.source_index, wire.sources)
+            self._value_source = frame.value_source([AGENT if who == me else who for who in wire.sources])
         told = {
             "time": np.array(wire.time, object),
             "step": np.array(wire.step),
-            "applied": frame.effective,
-            "ruled_by": self._ruled_by.copy(),
+            "effective": frame.effective,
+            "value_source": self._value_source.copy(),
             "late": wire.late,
             "rejected": wire.rejected,
             **frame.baseline,
         }
         if wire.fault_free_values:
-            told["undisturbed"] = frame.fault_free_values
+            told["fault_free_values"] = frame.fault_free_values
         if self._memory.limits is not None:
             told["terminated_by"] = np.full(self.num_envs, "", object)
-        if any(self._outputs):
-            told["outputs"] = np.full(self.num_envs, "", object)
+        if any(self._output_dir):
+            told["output_dir"] = np.full(self.num_envs, "", object)
         return told
 
     def _tell_ends(self, told: Infos, broken: Mapping[int, str], truncated: Flags) -> None:
         for slot, words in broken.items():
             told["terminated_by"][slot] = words
-        if any(self._outputs):
+        if any(self._output_dir):
             for slot in {*broken, *np.flatnonzero(truncated).tolist()}:
-                told["outputs"][slot] = self._outputs[slot]
+                told["output_dir"][slot] = self._output_dir[slot]
 
     # Commands
 
@@ -379,7 +379,7 @@ class BuildingVectorEnv(SpaceNames, VectorEnv[Observations, Any, NDArray[Any]]):
     @property
     def local_node(self) -> LocalNode | None:
         """The node that was started; None if it runs elsewhere."""
-        return self._hold.own_node
+        return self._hold.local_node
 
     def slot_weather(self, slot: int, columns: Sequence[str]) -> WeatherSeries:
         """See `BuildingEnv.weather`."""

@@ -85,13 +85,13 @@ class VectorSample:
         shape = manifest.slots, len(manifest.sensors) + len(manifest.meters)
         self.values = self.fault_free_values = codec.floats(wire.values, shape, "values")
         if wire.fault_free_values:
-            self.fault_free_values = codec.floats(wire.fault_free_values, shape, "undisturbed")
+            self.fault_free_values = codec.floats(wire.fault_free_values, shape, "fault_free_values")
         self.truncated = np.array([flag & _TRUNCATED for flag in wire.flags], np.bool_)
 
     @property
     def effective(self) -> Floats:
         """What each actuator really was, shape (slots, actuators); NaN where EnergyPlus does not tell."""
-        return self._of_actuators(self.message.effective, "applied")
+        return self._of_actuators(self.message.effective, "effective")
 
     @property
     def baseline(self) -> dict[str, Floats]:
@@ -103,8 +103,8 @@ class VectorSample:
         if not wire.baseline:
             return {}
         points = codec.floats(wire.baseline, self.values.shape, "baseline")
-        own = self._of_actuators(wire.baseline_effective, "baseline_applied")
-        return {"baseline": points, "baseline_applied": own}
+        own = self._of_actuators(wire.baseline_effective, "baseline_effective")
+        return {"baseline": points, "baseline_effective": own}
 
     def _of_actuators(self, raw: bytes, what: str) -> Floats:
         return codec.floats(raw, (self._manifest.slots, len(self._manifest.actuators)), what)
@@ -119,10 +119,10 @@ class VectorSample:
         return [known[text] for text in told]
 
     def value_source(self, names: Sequence[str]) -> NDArray[np.object_]:
-        """Who set each actuator of each slot: a tuple for each slot, of these names in the order of `rulers`."""
+        """Who set each actuator of each slot: a tuple for each slot, of these names in the order of `sources`."""
         shape = (self._manifest.slots, len(self._manifest.actuators))
         told = np.empty(shape[0], object)
-        for slot, row in enumerate(codec.indices(self.message.source_index, shape, "ruler").tolist()):
+        for slot, row in enumerate(codec.indices(self.message.source_index, shape, "source_index").tolist()):
             told[slot] = tuple(names[i] for i in row)
         return told
 

@@ -184,7 +184,7 @@ class ZonesEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo has no types
     ) -> tuple[dict[str, Observation], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
         """Simulates one timestep under the actions of all agents.
 
-        `infos` has for each agent what `BuildingEnv.step` gives, with `applied`, `action` and `ruled_by` (its own name
+        `infos` has for each agent what `BuildingEnv.step` gives, with `effective`, `action` and `value_source` (its own name
         where it ruled) for its own actuators alone, and the terms of its own reward as `reward_terms`.
 
         Raises:
@@ -266,15 +266,15 @@ class ZonesEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo has no types
         return {name: whole[agent.observed] for name, agent in self._agents.items()}
 
     def _infos(self, info: dict[str, Any]) -> dict[str, dict[str, Any]]:
-        common = {key: value for key, value in info.items() if key not in ("applied", "action", "ruled_by")}
+        common = {key: value for key, value in info.items() if key not in ("effective", "action", "value_source")}
         infos = {}
         for name, agent in self._agents.items():
-            own = {"applied": info["applied"][agent.actuators]}
+            own = {"effective": info["effective"][agent.actuators]}
             if "action" in info:
                 own["action"] = info["action"][agent.actuators]
-            rulers = [info["ruled_by"][place] for place in agent.actuators]
+            sources = [info["value_source"][place] for place in agent.actuators]
             # The name on the bus has numbers in it that no seed rules.
-            infos[name] = {**common, **own, "ruled_by": tuple(name if who == AGENT else who for who in rulers)}
+            infos[name] = {**common, **own, "value_source": tuple(name if who == AGENT else who for who in sources)}
         return infos
 
     def state(self) -> Observation:

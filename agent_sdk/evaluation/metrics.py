@@ -41,7 +41,7 @@ class EpisodeMetrics:
         terms: of these, the sum of each term.
         energy_kwh: by fuel (the keys of `FUELS`) that the scenario measures.
         hvac_electricity_kwh: what heating, cooling and ventilation have of it.
-        mean_power_w: of electricity; the facility's, else the HVAC's. `Tally.sources` says which.
+        mean_power_w: of electricity; the facility's, else the HVAC's. `MetricsAccumulator.sources` says which.
         peak_kw: the greatest of the timesteps' mean powers, of the same.
         mean_deviation_k: degrees outside the comfort band, the mean over its zones and all timesteps.
         outside_percent: timesteps at whose end one zone at least is outside.

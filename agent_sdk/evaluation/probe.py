@@ -60,7 +60,7 @@ class _Run:
     """What came of a branch; shorter, and with the reason, where EnergyPlus gave up."""
 
     points: NDArray[np.float64]
-    applied: NDArray[np.float64]
+    effective: NDArray[np.float64]
     failure: str
 
 
@@ -242,7 +242,7 @@ class _Branches:
 
     def _run(self, sample: SampleView, hold: Mapping[str, float]) -> _Run:
         manifest, failure = self._parent.manifest, ""
-        points, applied = (
+        points, effective = (
             np.empty((self._length, len(manifest.names))),
             np.empty((self._length, len(manifest.actuators))),
         )
@@ -252,11 +252,11 @@ class _Branches:
                 while done < self._length and not self._stop.is_set():
                     link.send(None if done else hold)
                     came = link.receive()
-                    points[done], applied[done] = came.values, came.effective
+                    points[done], effective[done] = came.values, came.effective
                     done += 1
             except SimulatorError as error:
                 failure = str(error)
-        return _Run(points[:done], applied[:done], failure)
+        return _Run(points[:done], effective[:done], failure)
 
     @contextmanager
     def _branch(self, sample: SampleView) -> Iterator[ControllerLink]:
@@ -318,7 +318,7 @@ class _Episode:
         for (place, side, value), run in zip(sides, runs, strict=True):
             self._take(run)
             held = HoldExperiment(
-                side, value, sample.time, run.points, alone.points, run.applied[:, place], run.failure
+                side, value, sample.time, run.points, alone.points, run.effective[:, place], run.failure
             )
             self._held[self._actuators[place].name].append(held)
 

@@ -41,7 +41,7 @@ class HoldExperiment:
     time: datetime
     points: NDArray[np.float64]
     reference: NDArray[np.float64]
-    applied: NDArray[np.float64]
+    effective: NDArray[np.float64]
     failure: str = ""
 
 
@@ -207,10 +207,10 @@ def _repeats(sensor: Sensor, index: int, actuator: Actuator, held: Iterable[Hold
 
 
 def _obeyed(held: Iterable[HoldExperiment]) -> bool | None:
-    told = [(one.applied, one.value) for one in held if len(one.applied)]
-    if not told or any(np.isnan(applied).any() for applied, _ in told):
+    told = [(one.effective, one.value) for one in held if len(one.effective)]
+    if not told or any(np.isnan(effective).any() for effective, _ in told):
         return None
-    return all(np.allclose(applied, value, rtol=_REPEATED, atol=_REPEATED) for applied, value in told)
+    return all(np.allclose(effective, value, rtol=_REPEATED, atol=_REPEATED) for effective, value in told)
 
 
 def _notes(manifest: Manifest, actuator: Actuator, held: Sequence[HoldExperiment]) -> Iterable[str]:

@@ -50,7 +50,7 @@ REWARDS: dict[str, type[RewardConfig]] = {
     "linear": LinearReward,
     "exponential": ExponentialReward,
     "hourly": HourlyReward,
-    "normalised": NormalizedReward,
+    "normalized": NormalizedReward,
     "multi_zone": MultiZoneReward,
     "energy_cost": EnergyCostReward,
     "tariff": TariffReward,

@@ -39,7 +39,7 @@ class NormalizedReward(ComfortBand):
         power: name or names of the sensors for P, W; None is the HVAC's electricity demand.
     """
 
-    kind: Literal["normalised"] = "normalised"
+    kind: Literal["normalized"] = "normalized"
     weight: float = Field(0.5, ge=0.0, le=1.0)
     max_power_w: float | None = Field(None, gt=0.0)
     max_degrees: float | None = Field(None, gt=0.0)

@@ -20,8 +20,8 @@ from topics.messages import Manifest
 Env = gym.Env[Any, Any]
 
 _AMID = 30
-_RESET_KEYS = ("time", "step", "applied", "late", "rejected", "weather", "weather_noise")
-_STEP_KEYS = ("time", "step", "applied", "late", "rejected")
+_RESET_KEYS = ("time", "step", "effective", "late", "rejected", "weather", "weather_noise")
+_STEP_KEYS = ("time", "step", "effective", "late", "rejected")
 _ROUNDING = 1e-9
 
 

@@ -30,7 +30,7 @@ _WEEK_H = 168
 class FakeBuilding:
     """A few rooms with thermostats, for tests: no EnergyPlus, no other process, deterministic.
 
-    Each zone is a heat capacity behind a thermal resistance (`Rooms`) in a sinusoidal climate. Its gains are people
+    Each zone is a heat capacity behind a thermal resistance (`RCZones`) in a sinusoidal climate. Its gains are people
     (100 W each), equipment and sunlight. HVAC power is heat divided by `cop`. While nobody sets them, thermostats
     keep 20 to 25 degC while the building is open (weekdays, 8 to 18 o'clock) and 16 to 28 degC else; equipment is on
     while it is open and at a tenth else. All zones begin at 21 degC.
@@ -128,20 +128,20 @@ class FakeBuilding:
             Values, shape (points,), and what each actuator really was, shape (actuators,).
 
         Raises:
-            ModelRefused: a heating setpoint above the cooling setpoint; EnergyPlus ends a run on that, too.
+            ModelError: a heating setpoint above the cooling setpoint; EnergyPlus ends a run on that, too.
         """
         began = self.now
-        applied = np.where(np.isnan(commanded), self.own_control, commanded)
-        setpoints = applied[: 2 * len(self.zones)].reshape(-1, 2)
+        effective = np.where(np.isnan(commanded), self.own_control, commanded)
+        setpoints = effective[: 2 * len(self.zones)].reshape(-1, 2)
         self._check(setpoints)
         self._step += 1
-        equipment_w = float(applied[-1] if self._dimming else _used(began)) * self._equipment_w
+        equipment_w = float(effective[-1] if self._dimming else _used(began)) * self._equipment_w
         people_w = _PERSON_W * self._people * _is_open(began)
         self.gains_w = people_w + equipment_w + self._aperture_m2 * self._sun[self._step]
         outdoor = float(self._outdoor[self._step])
         heating, cooling = setpoints.T
         self.flow = self._rooms.step(self.flow.end_degc, outdoor, self.gains_w, heating, cooling, self.run.step_s)
-        return self._values(float(equipment_w.sum()), began), applied
+        return self._values(float(equipment_w.sum()), began), effective
 
     def weather(self, columns: Sequence[str]) -> WeatherSeries:
         """Columns of the episode's weather and of a week after it.

@@ -1,4 +1,4 @@
-"""A controller's hold on a fake building: the interface of `ControlLink`, in this process."""
+"""A controller's hold on a fake building: the interface of `ControllerLink`, in this process."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class FakeLink:
 
     Args:
         building: a default one if left out.
-        name: of the controller, as `ruled_by` has it.
+        name: of the controller, as `value_source` has it.
 
     Attributes:
         manifest: the building's.
@@ -67,8 +67,8 @@ class FakeLink:
         """The next sample.
 
         Raises:
-            Refused: a value out of its actuator's bounds; the building waits for another command.
-            ModelRefused: a heating setpoint above the cooling setpoint.
+            RequestRejected: a value out of its actuator's bounds; the building waits for another command.
+            ModelError: a heating setpoint above the cooling setpoint.
             EpisodeChanged: the episode is over.
             PeerError: nothing was sent, for which a real node would wait for ever.
         """
@@ -84,7 +84,7 @@ class FakeLink:
         return self._sample(*self.building.advance(self._held))
 
     def send(self, values: Mapping[str, float | None] | Floats | None = None, mask: bytes | None = None) -> None:
-        """Answers the present sample, as `ControlLink.send` does.
+        """Answers the present sample, as `ControllerLink.send` does.
 
         Raises:
             InvalidAction: an unknown actuator, a wrong shape, or a value that is not finite.
@@ -139,7 +139,7 @@ class FakeLink:
             said = f"{actuator.name} = {value}; its bounds are {actuator.low} to {actuator.high}"
             raise RequestRejected(f"node 'fake' did not take the command: {said}")
 
-    def _sample(self, values: Floats, applied: Floats) -> SampleView:
+    def _sample(self, values: Floats, effective: Floats) -> SampleView:
         building = self.building
         last = building.step == self.manifest.steps
         wire = Sample(
@@ -149,7 +149,7 @@ class FakeLink:
             elapsed_s=[building.step * building.run.step_s],
             flags=[(Flag.NONE if building.step else Flag.FIRST) | (Flag.TRUNCATED if last else Flag.NONE)],
             values=values.astype("<f8").tobytes(),
-            effective=applied.astype("<f8").tobytes(),
+            effective=effective.astype("<f8").tobytes(),
             source_index=np.where(np.isnan(self._held), 0, 1).astype("<u2").tobytes(),
             sources=["", self.name],
         )

@@ -165,7 +165,7 @@ def _task(
     terminate: Sequence[Mapping[str, Any]],
 ) -> Task:
     limits = [
-        {**{k: v for k, v in limit.items() if k != "for_h"}, "for_s": 3600.0 * limit.get("for_h", 0.0)}
+        {**{k: v for k, v in limit.items() if k != "duration_h"}, "duration_s": 3600.0 * limit.get("duration_h", 0.0)}
         for limit in terminate
     ]
     try:
@@ -173,7 +173,7 @@ def _task(
             {
                 "time": time,
                 "actions": actions,
-                "choices": choices,
+                "discrete_actions": choices,
                 "reward": None if reward is None else dict(reward),
                 "terminate": [TerminationLimit.model_validate(limit) for limit in limits],
             }

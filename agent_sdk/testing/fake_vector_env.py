@@ -22,11 +22,11 @@ Floats = NDArray[np.float64]
 
 
 class FakeSlots:
-    """A hold on several fake buildings that step together, as `ControlLink` is one on a node with slots.
+    """A hold on several fake buildings that step together, as `ControllerLink` is one on a node with slots.
 
     Args:
         buildings: with the same points.
-        name: of the controller, as `ruled_by` has it.
+        name: of the controller, as `value_source` has it.
 
     Attributes:
         manifest: that of the first, with the number of slots.

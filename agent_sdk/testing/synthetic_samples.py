@@ -46,7 +46,7 @@ def episode_starts(manifest: Manifest, count: int, shift_h: float = 0.0) -> list
 def samples(manifest: Manifest, count: int, seed: int) -> list[SampleView]:
     """The samples 0 to `count` - 1 of an episode that ends with the last of them. Each call makes new ones."""
     rows = np.repeat(values(manifest, count, seed)[:, None, :], manifest.slots, axis=1)
-    applied = np.full((manifest.slots, len(manifest.actuators)), np.nan)
+    effective = np.full((manifest.slots, len(manifest.actuators)), np.nan)
     index = {name: i for i, name in enumerate(manifest.names)}
     made = []
     for step, (row, time) in enumerate(zip(rows, episode_starts(manifest, count), strict=True)):
@@ -58,8 +58,8 @@ def samples(manifest: Manifest, count: int, seed: int) -> list[SampleView]:
             elapsed_s=[step * 3600.0 / manifest.steps_per_hour] * manifest.slots,
             flags=[flag] * manifest.slots,
             values=row.astype("<f8").tobytes(),
-            effective=applied.astype("<f8").tobytes(),
-            source_index=bytes(2 * applied.size),
+            effective=effective.astype("<f8").tobytes(),
+            source_index=bytes(2 * effective.size),
             sources=[""],
         )
         made.append(SampleView(wire, manifest, index))

@@ -1,4 +1,4 @@
-"""A `Core` around one environment, and around a vector of them."""
+"""A `WrapperLogic` around one environment, and around a vector of them."""
 
 from __future__ import annotations
 

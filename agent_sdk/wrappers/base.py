@@ -202,11 +202,11 @@ class ObservationLogic(WrapperLogic):
     """A wrapper that does the same to each observation."""
 
     def start(self, start: ResetBatch) -> Values:
-        """See `Core`."""
+        """See `WrapperLogic`."""
         return self.observe(start, begins=True)
 
     def step(self, step: StepBatch) -> tuple[Values, Values]:
-        """See `Core`."""
+        """See `WrapperLogic`."""
         return self.observe(step, begins=False), step.rewards
 
     def observe(self, seen: ResetBatch | StepBatch, *, begins: bool) -> Values:

@@ -38,7 +38,7 @@ class ChangingContext(WrapperLogic):
         self._set: list[dict[str, float | None]] = [{} for _ in range(view.slots)]
 
     def start(self, start: ResetBatch) -> Values:
-        """See `Core`."""
+        """See `WrapperLogic`."""
         self._randoms.seed(start.slots, start.seeds)
         for row, slot in enumerate(start.slots):
             self._now[slot], self._set[slot] = start.infos.time(row), {}
@@ -68,7 +68,7 @@ class ChangingContext(WrapperLogic):
         return self._schedule(self._now[slot], self._randoms[slot])
 
     def step(self, step: StepBatch) -> tuple[Values, Values]:
-        """See `Core`."""
+        """See `WrapperLogic`."""
         for row, slot in enumerate(step.slots):
             self._now[slot] = step.infos.time(row)
         return step.observations, step.rewards
@@ -78,5 +78,5 @@ class ChangingContext(WrapperLogic):
         return self._randoms.get_state()
 
     def set_state(self, slots: Sequence[Mapping[str, Any]]) -> None:
-        """See `Core`."""
+        """See `WrapperLogic`."""
         self._randoms.set_state(slots)

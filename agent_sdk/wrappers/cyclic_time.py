@@ -66,7 +66,7 @@ class CyclicTime(ObservationLogic):
         self.extend(added, -ones, ones, self._kept)
 
     def observe(self, seen: ResetBatch | StepBatch, *, begins: bool) -> Values:
-        """See `Observing`."""
+        """See `ObservationLogic`."""
         infos = seen.infos
         times = [
             infos.time(row) - (timedelta(0) if begins and not infos.step(row) else self._timestep)

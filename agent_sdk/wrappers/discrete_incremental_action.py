@@ -14,7 +14,7 @@ from topics.errors import InvalidConfig
 
 
 class DiscreteIncrementalAction(IncrementalLogic):
-    """`Discrete`: 0 changes nothing, all other numbers move one action by a step.
+    """`DiscreteSpec`: 0 changes nothing, all other numbers move one action by a step.
 
     The numbers from 1 on move the first action of `steps` up by each of its steps, then down by each; then come those
     of the other actions. The values start from `initial` in each episode and stay within the actions' bounds.
@@ -49,7 +49,7 @@ class DiscreteIncrementalAction(IncrementalLogic):
         self.action_names = tuple(steps)
 
     def act(self, slots: list[int], actions: Values) -> Values:
-        """See `Core`."""
+        """See `WrapperLogic`."""
         fits = actions.ndim == 1 and np.issubdtype(actions.dtype, np.integer)
         if not fits or not ((actions >= 0) & (actions < len(self._table))).all():
             raise refused(self.view.who, actions if self.view.vector else actions[0], self.action_space)

@@ -51,13 +51,13 @@ class EpisodeLog(WrapperLogic):
         self._applied = [f"applied.{actuator.name}" for actuator in view.manifest.actuators]
 
     def start(self, start: ResetBatch) -> Values:
-        """See `Core`."""
+        """See `WrapperLogic`."""
         for slot in start.slots:
             self._finish(slot, "-left")
         return start.observations
 
     def step(self, step: StepBatch) -> tuple[Values, Values]:
-        """See `Core`."""
+        """See `WrapperLogic`."""
         for row, slot in enumerate(step.slots):
             terms = step.infos.get(row, "reward_terms") or {}
             measures = step.infos.get(row, "reward_measures") or {}
@@ -71,13 +71,13 @@ class EpisodeLog(WrapperLogic):
     def _cells(
         self, row: int, slot: int, step: StepBatch, terms: Mapping[str, float], measures: Mapping[str, float]
     ) -> list[Cell]:
-        applied = np.asarray(step.infos.get(row, "applied"), np.float64).tolist()
+        effective = np.asarray(step.infos.get(row, "effective"), np.float64).tolist()
         named_terms, named_measures = self._rewards[slot]
         return [
             step.infos.get(row, "time"),
             *np.ravel(step.observations[row]).tolist(),
             *np.ravel(step.actions[row]).tolist(),
-            *applied,
+            *effective,
             float(step.rewards[row]),
             *(_number(terms.get(name)) for name in named_terms),
             *(_number(measures.get(name)) for name in named_measures),
@@ -105,7 +105,7 @@ class EpisodeLog(WrapperLogic):
             writer.finish(self._folder / f"{name}{how}.{self._format}")
 
     def close(self) -> None:
-        """See `Core`."""
+        """See `WrapperLogic`."""
         for slot in list(self._open):
             self._finish(slot, "-left")
 

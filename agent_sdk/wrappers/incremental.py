@@ -75,11 +75,11 @@ class IncrementalLogic(WrapperLogic):
         return np.clip(told, self.inner.low[self.at], self.inner.high[self.at])
 
     def get_state(self) -> list[dict[str, Any]]:
-        """See `Core`."""
+        """See `WrapperLogic`."""
         return [{"values": row} for row in self._values.tolist()]
 
     def set_state(self, slots: Sequence[Mapping[str, Any]]) -> None:
-        """See `Core`."""
+        """See `WrapperLogic`."""
         rows = np.array([state["values"] for state in slots], np.float64)
         self._values[:] = rows.reshape(self._values.shape)
 

@@ -44,7 +44,7 @@ class IncrementalAction(IncrementalLogic):
         self.action_names = self.names
 
     def act(self, slots: list[int], actions: Values) -> Values:
-        """See `Core`."""
+        """See `WrapperLogic`."""
         told = actions.astype(np.float32)
         low, high = self._space.low, self._space.high
         if told.shape[1:] != low.shape or not ((told >= low) & (told <= high) & np.isfinite(told)).all():

@@ -57,13 +57,13 @@ class MeansLog(WrapperLogic):
         raise NotImplementedError
 
     def start(self, start: ResetBatch) -> Values:
-        """See `Core`."""
+        """See `WrapperLogic`."""
         for slot in start.slots:
             self._episodes[slot] = _Mean()
         return start.observations
 
     def step(self, step: StepBatch) -> tuple[Values, Values]:
-        """See `Core`."""
+        """See `WrapperLogic`."""
         for row, slot in enumerate(step.slots):
             values = self.values(row, step)
             self.steps += 1
@@ -97,7 +97,7 @@ class MeansLog(WrapperLogic):
         return [{"steps": self.steps} for _ in range(self.view.slots)]
 
     def set_state(self, slots: Any) -> None:
-        """See `Core`."""
+        """See `WrapperLogic`."""
         self.steps = int(slots[0]["steps"])
 
 
@@ -126,7 +126,7 @@ class TensorBoardLog(MeansLog):
             self._writer.add_scalar(name, value, step)
 
     def close(self) -> None:
-        """See `Core`."""
+        """See `WrapperLogic`."""
         if self._writer is not None:
             self._writer.close()
             self._writer = None
@@ -177,7 +177,7 @@ class WeightsAndBiasesLog(MeansLog):
         self._run.log(dict(values), step=step)
 
     def close(self) -> None:
-        """See `Core`."""
+        """See `WrapperLogic`."""
         if self._run is not None:
             self._log_artifacts()
             self._run.finish()

@@ -31,17 +31,17 @@ class PreviousObservation(ObservationLogic):
         self._before = np.zeros((view.slots, len(self._at)), np.float32)
 
     def observe(self, seen: ResetBatch | StepBatch, *, begins: bool) -> Values:
-        """See `Observing`."""
+        """See `ObservationLogic`."""
         now = seen.observations[:, self._at]
         before = now if begins else self._before[seen.slots]
         self._before[seen.slots] = now
         return append(seen.observations, before)
 
     def get_state(self) -> list[dict[str, Any]]:
-        """See `Core`."""
+        """See `WrapperLogic`."""
         return [{"before": row} for row in self._before.tolist()]
 
     def set_state(self, slots: Sequence[Mapping[str, Any]]) -> None:
-        """See `Core`."""
+        """See `WrapperLogic`."""
         rows = np.array([state["before"] for state in slots], np.float32)
         self._before[:] = rows.reshape(self._before.shape)

@@ -16,7 +16,7 @@ class ReducedObservation(ObservationLogic):
     """Keeps named observations, in the order asked; the others stand in `info["dropped"]` by name.
 
     Args:
-        keep: names of observations.
+        output_dir: names of observations.
 
     Raises:
         InvalidConfig: a name that the observation does not have, or none at all.
@@ -34,6 +34,6 @@ class ReducedObservation(ObservationLogic):
         self.observation_space = Box(low, high, dtype=np.float32)
 
     def observe(self, seen: ResetBatch | StepBatch, *, begins: bool) -> Values:  # noqa: ARG002  # the same at sample 0
-        """See `Observing`."""
+        """See `ObservationLogic`."""
         self.added = {"dropped": {name: seen.observations[:, at] for name, at in self._dropped.items()}}
         return seen.observations[:, self._kept].astype(np.float32)

@@ -35,7 +35,7 @@ class RewardVector(WrapperLogic):
         self.reward_space = Box(-np.inf, np.inf, (len(self._terms),), np.float64)
 
     def step(self, step: StepBatch) -> tuple[Values, Values]:
-        """See `Core`."""
+        """See `WrapperLogic`."""
         rows = [self._row(step.infos.get(row, "reward_terms")) for row in range(len(step.slots))]
         return step.observations, np.array(rows, np.float64)
 

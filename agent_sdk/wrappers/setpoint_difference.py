@@ -35,6 +35,6 @@ class SetpointDifference(ObservationLogic):
         self.extend(list(pairs), low, box.high[self._of] - box.low[self._from])
 
     def observe(self, seen: ResetBatch | StepBatch, *, begins: bool) -> Values:  # noqa: ARG002  # the same at sample 0
-        """See `Observing`."""
+        """See `ObservationLogic`."""
         values = seen.observations.astype(np.float32, copy=False)
         return append(values, values[..., self._of] - values[..., self._from])

@@ -83,7 +83,7 @@ class TimeSeriesObservation(ObservationLogic):
         self.extend(added, -infinite, infinite)
 
     def observe(self, seen: ResetBatch | StepBatch, *, begins: bool) -> Values:  # noqa: ARG002  # the same at sample 0
-        """See `Observing`."""
+        """See `ObservationLogic`."""
         times = [seen.infos.time(row) for row in range(len(seen.slots))]
         rows = [[signal.at(time + by) for signal in self._signals for by in self._ahead] for time in times]
         return append(seen.observations, np.array(rows, np.float64).reshape(len(times), -1))

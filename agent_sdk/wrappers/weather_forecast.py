@@ -165,7 +165,7 @@ class WeatherForecast(ObservationLogic):
         self.extend([f"{column}_in_{hour:g}h" for column in columns for hour in self._horizons_h], low, high)
 
     def observe(self, seen: ResetBatch | StepBatch, *, begins: bool) -> Values:
-        """See `Observing`."""
+        """See `ObservationLogic`."""
         if begins:
             assert isinstance(seen, ResetBatch)
             self._fetch(seen)
@@ -216,7 +216,7 @@ class WeatherForecast(ObservationLogic):
         return [{**state, "errors": errors} for state, errors in zip(self._randoms.get_state(), drawn, strict=True)]
 
     def set_state(self, slots: Sequence[Mapping[str, Any]]) -> None:
-        """See `Core`."""
+        """See `WrapperLogic`."""
         self._randoms.set_state(slots)
         for slot, state in enumerate(slots):
             self._drawn[slot] = {name: ErrorModel(**drawn) for name, drawn in state.get("errors", {}).items()}

@@ -132,7 +132,7 @@ class ActuatorCommands:
         if command.operations is None:
             mask = np.full(self._shape, CommandOp.SET, np.uint8)
         else:
-            mask = codec.uint8s(command.operations, self._shape, "mask")
+            mask = codec.uint8s(command.operations, self._shape, "operations")
         if mask.size and mask.max() > CommandOp.RELINQUISH:
             raise BadMessage(f"mask has {int(mask.max())}; 0 keeps, 1 sets, 2 releases")
         if (mask[:, ~claimant.mask] != CommandOp.KEEP).any():
@@ -176,16 +176,16 @@ class ActuatorCommands:
         self._expiries = [e for e in self._expiries if (e.priority, e.actuator) != (write.priority, index)]
         actuator = self._actuators[index]
         if write.value is None:
-            level = f"at priority {write.priority}"
-            return f"{actuator.name} {'released' if occupied else 'had nothing to release'} {level}"
+            priority = f"at priority {write.priority}"
+            return f"{actuator.name} {'released' if occupied else 'had nothing to release'} {priority}"
         if write.duration_s is not None:
             self._expiries.append(Expiry(elapsed_s + write.duration_s, write.priority, index, write.source))
         return f"{actuator.name} = {with_unit(f'{write.value:g}', actuator.unit)} at priority {write.priority}"
 
     def drop_superseded_expiries(self, claimant: ClaimHolder) -> None:
         """What was written for a time where somebody claims holds no longer than the claim says."""
-        level, allowed = claimant.priority, claimant.mask
-        self._expiries = [e for e in self._expiries if not (e.priority == level and allowed[e.actuator])]
+        priority, allowed = claimant.priority, claimant.mask
+        self._expiries = [e for e in self._expiries if not (e.priority == priority and allowed[e.actuator])]
 
     @property
     def has_expiries(self) -> bool:

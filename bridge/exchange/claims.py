@@ -38,7 +38,7 @@ class ControllerStats:
 class ClaimHolder:
     """A controller's claim: its level, which actuators, and how it is doing.
 
-    `waived`: it has gone, and the policy goes on without it. `silent`: it missed the deadline, and has not answered
+    `bypassed`: it has gone, and the policy goes on without it. `unresponsive`: it missed the deadline, and has not answered
     since. `joined_s`, `left_s`: when it claimed, and when it had gone (wall time).
     """
 
@@ -77,7 +77,7 @@ class Claims:
         """Takes or renews a claim; also returns the absent controllers that it replaces.
 
         Raises:
-            Refused: unknown actuators, another present controller holds the level on one of them, or too many claims.
+            RequestRejected: unknown actuators, another present controller holds the level on one of them, or too many claims.
         """
         allowed = self._select(claim.actuators)
         self._refuse_held(claim, allowed)
@@ -109,9 +109,9 @@ class Claims:
         """The claimants' places among the sources."""
         return [claimant.source for claimant in self.by_name.values()]
 
-    def holder(self, level: int, actuator: int) -> ClaimHolder | None:
+    def holder(self, priority: int, actuator: int) -> ClaimHolder | None:
         """Who has claimed a level of an actuator."""
-        return next((c for c in self.by_name.values() if c.priority == level and c.mask[actuator]), None)
+        return next((c for c in self.by_name.values() if c.priority == priority and c.mask[actuator]), None)
 
     def begin_episode(self) -> None:
         """Forgets controllers that have gone; call it after the array was cleared."""

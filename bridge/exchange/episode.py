@@ -178,7 +178,7 @@ class StepExchange:
         """Moves on by the table.
 
         Raises:
-            IllegalInput: there is no row for it.
+            IllegalTransition: there is no row for it.
         """
         try:
             self.state = TRANSITIONS[self.state, what]
@@ -188,7 +188,7 @@ class StepExchange:
     # The engine's side
 
     def ready(self, begun: Mapping[int, int] | None = None) -> None:
-        """The engines wait: those of `begun` (slot to sample; None: all, at sample 0) at an episode's first sample."""
+        """The engines wait: those of `episode_starts` (slot to sample; None: all, at sample 0) at an episode's first sample."""
         self.transition(Trigger.READY)
         self.step, self.modified, self.done = [*self.step], [*self.modified], [*self.done]
         for slot, step in (begun if begun is not None else dict.fromkeys(self._all, 0)).items():
@@ -303,7 +303,7 @@ class StepExchange:
         """Takes or renews a claim; a renewed one answers the present sample again.
 
         Raises:
-            Refused: unknown actuators, or another present controller holds the level on one of them.
+            RequestRejected: unknown actuators, or another present controller holds the level on one of them.
         """
         renewed = claim.controller in self.claims.by_name
         claimant, gone = self.claims.claim(claim, self.now_s)

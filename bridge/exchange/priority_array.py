@@ -48,15 +48,15 @@ class PriorityArray:
     def clear(self) -> None:
         """Releases everything and forgets the sources, for a new episode."""
         self._rows: dict[int, _Row] = {}
-        self._released = (np.full(self._size, np.nan).tobytes(), bytes(INDEX.itemsize * self._size))
+        self._relinquished = (np.full(self._size, np.nan).tobytes(), bytes(INDEX.itemsize * self._size))
         self.names: list[str] = [BASELINE_SOURCE]
 
     def relinquish_slots(self, slots: Sequence[int]) -> None:
         """Releases everything in some slots, for a new episode there."""
         where = np.zeros(self.shape, np.bool_)
         where[list(slots)] = True
-        for level in [*self._rows]:
-            self.put(level, 0, np.full(self.shape, np.nan), where)
+        for priority in [*self._rows]:
+            self.put(priority, 0, np.full(self.shape, np.nan), where)
 
     def copy(self) -> PriorityArray:
         """The same again, on its own."""
@@ -66,7 +66,7 @@ class PriorityArray:
 
     def restore(self, other: PriorityArray) -> None:
         """Becomes as another one of the same shape is; what changes in one later does not change the other."""
-        self._rows = {level: replace(row) for level, row in other._rows.items()}
+        self._rows = {priority: replace(row) for priority, row in other._rows.items()}
         self.names = [*other.names]
 
     def of_slot(self, slot: int, slots: int) -> PriorityArray:
@@ -74,11 +74,11 @@ class PriorityArray:
         other = PriorityArray(slots, self.shape[1])
         other.names = [*self.names]
         width = self.shape[1]
-        for level, row in self._rows.items():
+        for priority, row in self._rows.items():
             values = row.values[8 * width * slot : 8 * width * (slot + 1)] * slots
             sources = row.sources[2 * width * slot : 2 * width * (slot + 1)] * slots
             if not np.isnan(np.frombuffer(values)).all():
-                other._rows[level] = _Row(values, sources, row.full)
+                other._rows[priority] = _Row(values, sources, row.full)
         return other
 
     def source(self, name: str, keeping: Collection[int] = ()) -> int:
@@ -106,37 +106,37 @@ class PriorityArray:
             used[np.frombuffer(row.sources, INDEX)] = True
         return int(used.argmin())
 
-    def put_all(self, level: int, source: int, values: bytes) -> None:
+    def put_all(self, priority: int, source: int, values: bytes) -> None:
         """Sets all actuators of a level to finite values."""
-        row = self._rows.get(level)
+        row = self._rows.get(priority)
         index = source.to_bytes(2, "little")
         if row is not None and row.full and row.sources[:2] == index:
             row.values = values
         else:
-            self._rows[level] = _Row(values, index * self._size, full=True)
+            self._rows[priority] = _Row(values, index * self._size, full=True)
 
-    def put(self, level: int, source: int, values: NDArray[np.float64], where: NDArray[np.bool_]) -> None:
+    def put(self, priority: int, source: int, values: NDArray[np.float64], where: NDArray[np.bool_]) -> None:
         """Sets those of a level that `where` says; NaN releases."""
-        row = self._rows.get(level)
-        old, sources = (row.values, row.sources) if row else self._released
+        row = self._rows.get(priority)
+        old, sources = (row.values, row.sources) if row else self._relinquished
         new_values = np.frombuffer(old).reshape(self.shape).copy()
         new_sources = np.frombuffer(sources, INDEX).reshape(self.shape).copy()
         new_values[where] = values[where]
         new_sources[where] = source
-        self._rows[level] = _Row(new_values.tobytes(), new_sources.tobytes(), full=False)
+        self._rows[priority] = _Row(new_values.tobytes(), new_sources.tobytes(), full=False)
         if np.isnan(new_values).all():
-            del self._rows[level]
+            del self._rows[priority]
 
-    def occupied(self, level: int, actuator: int) -> bool:
+    def occupied(self, priority: int, actuator: int) -> bool:
         """Return whether an actuator has a value at a level, in any slot."""
-        row = self._rows.get(level)
+        row = self._rows.get(priority)
         return row is not None and not np.isnan(np.frombuffer(row.values).reshape(self.shape)[:, actuator]).all()
 
-    def put_one(self, level: int, source: int, actuator: int, value: float) -> None:
+    def put_one(self, priority: int, source: int, actuator: int, value: float) -> None:
         """Sets one actuator of all slots at a level; NaN releases."""
         where = np.zeros(self.shape, np.bool_)
         where[:, actuator] = True
-        self.put(level, source, np.full(self.shape, value), where)
+        self.put(priority, source, np.full(self.shape, value), where)
 
     def resolve(self) -> tuple[bytes, bytes]:
         """The ruling values (float64, NaN where nobody rules) and the index of who rules (uint16)."""
@@ -146,12 +146,12 @@ class PriorityArray:
             if row.full:
                 return row.values, row.sources
         if not rows:
-            return self._released
+            return self._relinquished
         values = np.full(self._size, np.nan)
         sources = np.zeros(self._size, INDEX)
-        for level in sorted(rows):
+        for priority in sorted(rows):
             free = np.isnan(values)
-            values[free] = np.frombuffer(rows[level].values)[free]
-            sources[free] = np.frombuffer(rows[level].sources, INDEX)[free]
+            values[free] = np.frombuffer(rows[priority].values)[free]
+            sources[free] = np.frombuffer(rows[priority].sources, INDEX)[free]
         sources[np.isnan(values)] = 0
         return values.tobytes(), sources.tobytes()

@@ -287,9 +287,9 @@ class RerunStream:
         simulated = rr.TimeColumn("simulated", timestamp=[np.datetime64(s.time[0], "ns") for s in samples])
         step = rr.TimeColumn("step", sequence=[s.step[0] for s in samples])
         values = _rows(b"".join(s.values for s in samples), len(samples))
-        applied = _rows(b"".join(s.effective for s in samples), len(samples))
+        effective = _rows(b"".join(s.effective for s in samples), len(samples))
         for quantity in node.quantities:
-            table = (applied if quantity.of_actuators else values)[:, quantity.places]
+            table = (effective if quantity.of_actuators else values)[:, quantity.places]
             columns = rr.Scalars.columns(scalars=table.ravel()).partition([table.shape[1]] * len(samples))
             rr.send_columns(self._entity(node, quantity), [simulated, step], columns, recording=self.recording)
 

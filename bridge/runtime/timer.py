@@ -1,6 +1,6 @@
 """Calls at a later time: one thread, and an agenda of what is due when.
 
-What is called should be short, and hand long work to the thread that it belongs to (`Inlets.shelve`).
+What is called should be short, and hand long work to the thread that it belongs to (`Subscriptions.shelve`).
 """
 
 from __future__ import annotations

@@ -104,8 +104,8 @@ def open_session(
     Raises:
         InvalidConfig: an endpoint of no known form, or beyond loopback without `expose`, keys without `tls/` or the
             other way round, a certificate that is missing, expired or of another authority; all faults at once.
-        EndpointTaken: another program listens there.
-        NothingThere: nobody listens at any of `connect`, or no session over TLS; the text says why.
+        AddressInUse: another program listens there.
+        NodeNotFound: nobody listens at any of `connect`, or no session over TLS; the text says why.
         BusError: in a process forked from one that was on a bus; Zenoh's threads do not survive a fork.
     """
     global _used

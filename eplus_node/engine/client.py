@@ -397,19 +397,19 @@ class EngineClient:
         """The latest sensors and meters, raw."""
         return bytes(self._values_bytes)
 
-    def applied_bytes(self, commanded: bytes) -> bytes:
+    def effective_bytes(self, commanded: bytes) -> bytes:
         """What each actuator really was, raw: as EnergyPlus tells, else as `commanded`."""
         if len(self._told) * 8 == len(commanded):
             return bytes(self._feedback_bytes)
-        applied = np.frombuffer(commanded).copy()
-        applied[self._told] = np.frombuffer(self._feedback_bytes)
-        return applied.tobytes()
+        effective = np.frombuffer(commanded).copy()
+        effective[self._told] = np.frombuffer(self._feedback_bytes)
+        return effective.tobytes()
 
     def receive(self) -> None:
         """Waits for the next frame.
 
         Raises:
-            ModelRefused: EnergyPlus gave up; with its own words.
+            ModelError: EnergyPlus gave up; with its own words.
             EngineDied: the process ended without a word.
             EngineUnresponsive: it did not answer, used no processor time, and was killed.
         """

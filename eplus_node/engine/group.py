@@ -26,22 +26,22 @@ class EngineGroup:
         self._width = 8 * len(links[0].run.points.actuators)
         self._ruler_width = self._width // 4  # uint16 beside float64
         self._nobody = np.full(self._width // 8, np.nan).tobytes()
-        self.applied = b""
-        self.ruler = b""
+        self.effective = b""
+        self.source_index = b""
 
     def begin(self, slots: Sequence[int]) -> None:
         """What holds at an episode's first sample: nobody rules."""
-        rows, who = self._rows(self.applied), self._parts(self.ruler, self._ruler_width)
+        rows, who = self._rows(self.effective), self._parts(self.source_index, self._ruler_width)
         for slot in slots:
-            rows[slot], who[slot] = self.links[slot].applied_bytes(self._nobody), bytes(self._ruler_width)
-        self.applied, self.ruler = b"".join(rows), b"".join(who)
+            rows[slot], who[slot] = self.links[slot].effective_bytes(self._nobody), bytes(self._ruler_width)
+        self.effective, self.source_index = b"".join(rows), b"".join(who)
 
-    def step(self, values: bytes, ruler: bytes, moving: Sequence[int]) -> list[bool]:
+    def step(self, values: bytes, source_index: bytes, moving: Sequence[int]) -> list[bool]:
         """Simulates a timestep in the slots that move.
 
         Args:
             values: for each actuator, NaN releasing it; shape (slots, actuators).
-            ruler: who set them, uint16 of that shape.
+            source_index: who set them, uint16 of that shape.
             moving: slots.
 
         Returns:
@@ -55,11 +55,11 @@ class EngineGroup:
             (link,) = links
             link.send(values)
             link.receive()
-            self.applied, self.ruler = link.applied_bytes(values), ruler
+            self.effective, self.source_index = link.effective_bytes(values), source_index
             return [link.last]
-        return self._step_all(values, ruler, moving)
+        return self._step_all(values, source_index, moving)
 
-    def _step_all(self, values: bytes, ruler: bytes, moving: Sequence[int]) -> list[bool]:
+    def _step_all(self, values: bytes, source_index: bytes, moving: Sequence[int]) -> list[bool]:
         links, wanted = self.links, self._rows(values)
         for slot in moving:
             links[slot].send(wanted[slot])
@@ -71,19 +71,25 @@ class EngineGroup:
         for slot in moving:
             links[slot].receive()
         if len(moving) == len(links):
-            applied = [link.applied_bytes(row) for link, row in zip(links, wanted, strict=True)]
+            effective = [link.effective_bytes(row) for link, row in zip(links, wanted, strict=True)]
         else:
-            applied, ruler = self._of_those(wanted, ruler, moving)
-        self.applied, self.ruler = b"".join(applied), ruler
+            effective, source_index = self._of_those(wanted, source_index, moving)
+        self.effective, self.source_index = b"".join(effective), source_index
         return [links[slot].last for slot in moving]
 
-    def _of_those(self, wanted: Sequence[bytes], ruler: bytes, moving: Sequence[int]) -> tuple[list[bytes], bytes]:
+    def _of_those(
+        self, wanted: Sequence[bytes], source_index: bytes, moving: Sequence[int]
+    ) -> tuple[list[bytes], bytes]:
         """What was applied and who rules, by slot, where only some have gone on."""
         width = self._ruler_width
-        applied, who, whose = self._rows(self.applied), self._parts(self.ruler, width), self._parts(ruler, width)
+        effective, who, whose = (
+            self._rows(self.effective),
+            self._parts(self.source_index, width),
+            self._parts(source_index, width),
+        )
         for slot in moving:
-            applied[slot], who[slot] = self.links[slot].applied_bytes(wanted[slot]), whose[slot]
-        return applied, b"".join(who)
+            effective[slot], who[slot] = self.links[slot].effective_bytes(wanted[slot]), whose[slot]
+        return effective, b"".join(who)
 
     def _rows(self, raw: bytes) -> list[bytes]:
         return self._parts(raw, self._width)
@@ -101,9 +107,9 @@ class EngineGroup:
         """The baseline's latest sensors and meters, shape (slots, points); empty if there is none."""
         return b"".join([link.values_bytes() for link in self.baselines])
 
-    def baseline_applied(self) -> bytes:
+    def baseline_effective(self) -> bytes:
         """What the building's own control set the baseline's actuators to, shape (slots, actuators); NaN: not told."""
-        return b"".join([link.applied_bytes(self._nobody) for link in self.baselines])
+        return b"".join([link.effective_bytes(self._nobody) for link in self.baselines])
 
     @property
     def all(self) -> list[EngineClient]:
@@ -139,14 +145,14 @@ class EngineGroup:
         """
         made, slots = start_all(self.all, child), len(self.links)
         copy = EngineGroup(made[:slots], made[slots:])
-        copy.applied, copy.ruler = self.applied, self.ruler
+        copy.effective, copy.source_index = self.effective, self.source_index
         return copy
 
     def of_slot(self, slot: int, made: Sequence[EngineClient]) -> EngineGroup:
         """Engines forked from those of one slot: each stands where that one does."""
         copy = EngineGroup(made)
-        copy.applied = self._rows(self.applied)[slot] * len(made)
-        copy.ruler = self._parts(self.ruler, self._ruler_width)[slot] * len(made)
+        copy.effective = self._rows(self.effective)[slot] * len(made)
+        copy.source_index = self._parts(self.source_index, self._ruler_width)[slot] * len(made)
         return copy
 
     def interrupt(self) -> None:

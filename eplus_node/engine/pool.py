@@ -108,12 +108,12 @@ class EnginePool:
         poll: bool = False,
         registry: EngineRegistry | None = None,
     ) -> None:
-        scenario, keep = plan.scenario, plan.config.keep
+        scenario, output_dir = plan.scenario, plan.config.output_dir
         self._plan, self._cpus, self._spare, self._poll = plan, tuple(cpus), tuple(spare), poll
         self._registry = registry or EngineRegistry()
-        self._keep, self._scratch = keep is not None, folder / place
+        self._keep, self._scratch = output_dir is not None, folder / place
         self._keep_last, self._kept_folders = kept_episodes(plan.config), deque[Path]()
-        self._folder = keep.absolute() / place if keep else self._scratch
+        self._folder = output_dir.absolute() / place if output_dir else self._scratch
         self._draws = WeatherSampler(len(plan.sources), scenario.weather_order, noisy=bool(scenario.weather_noise))
         self._episodes = EpisodeFactory(
             plan.building, plan.period, plan.sources, scenario.weather_noise, outputs=self._keep
@@ -314,7 +314,7 @@ class EnginePool:
     def _child(self, of: EngineTemplate | EngineClient, episode: int) -> EngineClient:
         folder = made(self._scratch / f"episode-{episode:04}-fork")
         try:
-            engine = of.fork(self._run(self.files, folder, self._cpus, keep=False, branch=self._branches))
+            engine = of.fork(self._run(self.files, folder, self._cpus, output_dir=False, branch=self._branches))
         except BaseException:
             shutil.rmtree(folder, ignore_errors=True)
             raise
@@ -322,7 +322,7 @@ class EnginePool:
 
     def _started(self, files: EpisodeFiles, cpus: Sequence[int]) -> EngineClient:
         try:
-            run = self._run(files, files.model.parent, cpus, keep=self._keep)
+            run = self._run(files, files.model.parent, cpus, output_dir=self._keep)
             return EngineClient(run, registry=self._registry)
         except OSError as error:
             raise EngineDied(f"no engine could be started: {error}") from None
@@ -360,7 +360,7 @@ class EnginePool:
             self._let_go(ahead.files, keeping=self.files)
 
     def _run(
-        self, files: EpisodeFiles, folder: Path, cpus: Sequence[int], *, keep: bool, branch: bool = False
+        self, files: EpisodeFiles, folder: Path, cpus: Sequence[int], *, output_dir: bool, branch: bool = False
     ) -> EngineSpec:
         plan = self._plan
         return EngineSpec(
@@ -370,7 +370,7 @@ class EnginePool:
             plan.period.steps,
             plan.period.steps_per_hour,
             plan.points,
-            keep_output=keep,
+            keep_output=output_dir,
             cpus=tuple(cpus),
             poll=self._poll,
             branch=branch,

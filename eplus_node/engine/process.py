@@ -5,8 +5,8 @@ NumPy, no threads: a process like this can be forked while it waits. Orders come
 another: on a shared one, whoever sleeps for the next order would be woken when the node reads a frame. Each frame is
 an array of native doubles of one fixed length:
 
-    to the node:    [kind, step, sensors…, meters…, feedback…]      kind is one of `Said`
-    from the node:  [order, step, actuators…]                       order is one of `Order`; NaN releases
+    to the node:    [kind, step, sensors…, meters…, feedback…]      kind is one of `BusMessage`
+    from the node:  [order, step, actuators…]                       order is one of `OrderKind`; NaN releases
 
 A `FORK` order has the length of a JSON text in place of the step; the text follows, and with it the child's
 sockets. The engine says the child's process id (a native 64-bit integer), or the negative number of the error where
@@ -98,9 +98,9 @@ class Engine:
         self.descriptor, self.frames_descriptor = link.fileno(), frames.fileno()
         self.polling = Polling(enabled=spec["poll"])
         self.out_size = len(self.out) * self.out.itemsize
-        how = [(reading, system) for _, _, reading, system in spec["sensors"]]
+        how = [(aggregation, system) for _, _, aggregation, system in spec["sensors"]]
         # Variables of the zone kind have one value a zone timestep; only the others are gathered.
-        self.averaged = [i for i, (reading, system) in enumerate(how) if system and reading != "instant"]
+        self.averaged = [i for i, (aggregation, system) in enumerate(how) if system and aggregation != "instant"]
         self.summed = [how[i][0] == "sum" for i in self.averaged]
         self.totals: list[float] = []
         self.warmup_totals: list[float] = []

@@ -19,8 +19,8 @@ is replaced as a whole.
 EVERY = "*"
 
 
-def apply_edits(objects: Mapping[str, Mapping[str, Any]], changes: Changes) -> dict[str, dict[str, Any]]:
-    """`objects` with `changes`; the input is not touched, and what did not change is shared with it.
+def apply_edits(objects: Mapping[str, Mapping[str, Any]], edits: Changes) -> dict[str, dict[str, Any]]:
+    """`objects` with `edits`; the input is not touched, and what did not change is shared with it.
 
     Object types, object names and allowed words may be written in any case; field names are those of epJSON.
 
@@ -29,7 +29,7 @@ def apply_edits(objects: Mapping[str, Mapping[str, Any]], changes: Changes) -> d
     """
     result: dict[str, Any] = dict(objects)
     found: list[str] = []
-    for said, wanted in changes.items():
+    for said, wanted in edits.items():
         kind = schema.canonical_type(said)
         if kind is None:
             found.append(schema.unknown_type(said))

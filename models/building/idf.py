@@ -27,7 +27,7 @@ def convert(path: Path, target: Path) -> None:
 
     Raises:
         InvalidConfig: it holds nothing that EnergyPlus knows.
-        ModelRefused: an object of it is unknown, broken or was left out; all of them are named.
+        ModelError: an object of it is unknown, broken or was left out; all of them are named.
     """
     energyplus.call("convert", path, target)
     read = Counter(kind.casefold() for kind, _ in idf_objects(path.read_text(encoding="latin-1")))

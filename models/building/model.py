@@ -127,7 +127,7 @@ def read_building(entry: Entry) -> Building:
 
     Raises:
         InvalidConfig: an epJSON that is no JSON object of objects, or a model of a version that cannot be converted.
-        ModelRefused: an IDF that EnergyPlus cannot read.
+        ModelError: an IDF that EnergyPlus cannot read.
     """
     raw = entry.path.read_bytes()
     content = digest(raw, energyplus.version())
@@ -169,18 +169,18 @@ def check_runnable(building: Building) -> None:
     if found:
         raise InvalidConfig(
             f"{file} has {', '.join(found)}: FMUs, co-simulation and Python plugins are not "
-            "supported; remove these objects (in a scenario: `changes`, with null for the object)"
+            "supported; remove these objects (in a scenario: `edits`, with null for the object)"
         )
 
 
-def with_edits(building: Building, changes: Changes) -> Building:
+def with_edits(building: Building, edits: Changes) -> Building:
     """The building with a scenario's changes; `InvalidConfig` names all that the model or the schema lacks."""
-    if not changes:
+    if not edits:
         return building
     return Building(
         building.name,
-        apply_edits(building.objects, changes),
-        digest(building.content, json.dumps(changes, sort_keys=True)),
+        apply_edits(building.objects, edits),
+        digest(building.content, json.dumps(edits, sort_keys=True)),
         building.notes,
         building.file,
     )
@@ -189,7 +189,7 @@ def with_edits(building: Building, changes: Changes) -> Building:
 def for_episode(building: Building, period: Period, *, outputs: bool = False) -> dict[str, Objects]:
     """The objects of one episode: its run period and timestep, no design-day environments.
 
-    `outputs`: keep the output objects of the model; else EnergyPlus writes nothing but its errors.
+    `output_dir`: keep the output objects of the model; else EnergyPlus writes nothing but its errors.
     No object that acts on the building is touched.
     """
     objects = {kind: copy(items) for kind, items in building.objects.items()}

@@ -92,7 +92,7 @@ def listed_summaries(entry: Entry) -> BuildingSummary:
 
     Raises:
         InvalidConfig: an epJSON that is no JSON object of objects.
-        ModelRefused: an IDF that EnergyPlus cannot read.
+        ModelError: an IDF that EnergyPlus cannot read.
     """
 
     def make(target: Path) -> None:

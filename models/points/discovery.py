@@ -94,7 +94,7 @@ def discover(building: Building, weather: Path) -> PointCatalog:
 
     Raises:
         InvalidConfig: it has other programs run within the simulation.
-        ModelRefused: EnergyPlus cannot start it.
+        ModelError: EnergyPlus cannot start it.
     """
     check_runnable(building)
 

@@ -156,13 +156,13 @@ def _sensor(survey: PointCatalog, name: str, spec: Sequence[object]) -> tuple[Se
     found = find_variable(survey, name, variable, key)
     if asked and asked not in list(Aggregation):
         raise InvalidConfig(f"sensor {name!r}: reading {asked!r}; there are: {', '.join(Aggregation)}")
-    reading = Aggregation(asked) if asked else default_aggregation(found)
-    if (reading is Aggregation.SUM) != found.summed and reading is not Aggregation.INSTANT:
+    aggregation = Aggregation(asked) if asked else default_aggregation(found)
+    if (aggregation is Aggregation.SUM) != found.summed and aggregation is not Aggregation.INSTANT:
         right = "sum" if found.summed else "mean"
-        raise InvalidConfig(f"sensor {name!r}: EnergyPlus reports {variable!r} as a {right}, not as a {reading}")
+        raise InvalidConfig(f"sensor {name!r}: EnergyPlus reports {variable!r} as a {right}, not as a {aggregation}")
     low, high = sensor_bounds(found)
     sensor = Sensor(
-        name=name, variable=found.name, key=found.key, unit=found.unit, aggregation=reading, low=low, high=high
+        name=name, variable=found.name, key=found.key, unit=found.unit, aggregation=aggregation, low=low, high=high
     )
     return sensor, found
 

@@ -90,18 +90,18 @@ class EpisodeFactory:
         building: Building,
         period: Period,
         sources: Sequence[WeatherSource],
-        variability: Variability,
+        weather_noise: Variability,
         *,
         outputs: bool,
     ) -> None:
         self._building, self._period, self._sources = building, period, sources
-        self._variability, self._outputs = variability, outputs
+        self._variability, self._output_dir = weather_noise, outputs
         self._read: dict[int, epw.Weather] = {}
 
     def prepare(self, draw: WeatherDraw, folder: Path, disturbed_weather: Path) -> EpisodeFiles:
         """Writes the model of an episode into `folder`, and its weather, if there is noise, to the other path."""
         source = self._sources[draw.source]
-        objects = for_episode(self._building, self._period, outputs=self._outputs)
+        objects = for_episode(self._building, self._period, outputs=self._output_dir)
         if source.site is not None:
             objects = design_days.apply(objects, source.site)
         model = write(objects, folder)

@@ -21,7 +21,7 @@ _ID = re.compile(
 )
 
 
-def default_variability() -> Variability:
+def default_weather_noise() -> Variability:
     """The weather noise of the paper's stochastic scenarios: temperature in K, humidity in percent."""
     return {
         "dry_bulb_temperature": ColumnNoise(sigma=1.0, mu=0.0, tau_h=24.0),
@@ -57,7 +57,7 @@ def find_scenario(text: str) -> Scenario:
         + (", weather with noise" if stochastic else ""),
         building=building,
         weather=(weather,),
-        weather_noise=default_variability() if stochastic else {},
+        weather_noise=default_weather_noise() if stochastic else {},
         control="building",
         discrete=STEPS if form == "discrete" else None,
     )
@@ -85,8 +85,8 @@ def expanded(scenario: Scenario, building: Building, points: Points, task: Task)
 
 
 def _sensor(sensor: Sensor, scenario: Scenario) -> SensorSpec:
-    reading = sensor.aggregation if scenario.aggregation is None else None
-    return SensorSpec(variable=sensor.variable, key=sensor.key, aggregation=reading)
+    aggregation = sensor.aggregation if scenario.aggregation is None else None
+    return SensorSpec(variable=sensor.variable, key=sensor.key, aggregation=aggregation)
 
 
 def _actuator(actuator: Actuator) -> ActuatorSpec:

@@ -45,7 +45,7 @@ class _Part(BaseModel):
 
 
 class SensorSpec(_Part):
-    """An output variable of EnergyPlus. Without `reading`, the scenario's."""
+    """An output variable of EnergyPlus. Without `aggregation`, the scenario's."""
 
     variable: str
     key: str
@@ -155,14 +155,14 @@ class Scenario(_Part):
         building: short name or path of a model.
         weather: short names or paths of weather files; one is drawn for each episode.
         weather_order: `random`, or `sequence`: one after the other, an episode each.
-        variability: noise on the weather, by column of the weather file.
+        weather_noise: noise on the weather, by column of the weather file.
         sizing: `weather`: location and design days follow the weather file; `model`: the model's own stay.
         begin, end: first and last day, MM-DD or YYYY-MM-DD; the model's own run period if left out.
         steps_per_hour: timesteps an hour; the model's own if left out.
-        changes: objects of the model, field by field.
+        edits: objects of the model, field by field.
         time: fields of the clock that are observed, before the sensors.
         sensors, meters, actuators: by the name that they get; a sensible set found in the model if left out.
-        reading: how sensors read that do not say: `instant`; `mean`: what EnergyPlus reports, the mean or sum over
+        aggregation: how sensors read that do not say: `instant`; `mean`: what EnergyPlus reports, the mean or sum over
             the timestep; left out: `mean` for rates and energies, `instant` for states.
         actions: the action's dimensions, by name; found by `control` if left out.
         control: `point`: a dimension for each actuator; `zone`: the same, with zones choosing on their own where

@@ -14,7 +14,7 @@ _Values = tuple[tuple[float, ...], ...]
 def choice_specs(
     discrete: DiscreteSpec | MultiDiscrete, table: Table, actuators: Mapping[str, ActuatorSpec]
 ) -> tuple[DiscreteActionSpec, ...]:
-    """One `ChoiceSpec` over all actuators for a `Discrete`, one for each of them for a `MultiDiscrete`.
+    """One `DiscreteActionSpec` over all actuators for a `DiscreteSpec`, one for each of them for a `MultiDiscrete`.
 
     Raises:
         InvalidConfig: the table does not fit the space or the actuators, or leaves their bounds; all faults, joined

@@ -46,7 +46,7 @@ OVERRIDDEN_BY = {
     "meters": ("meters",),
     "actuators": ("actuators", "action_space", "context", "initial_context"),
     "discrete": ("action_space_discrete",),
-    "variability": ("weather_variability",),
+    "weather_noise": ("weather_variability",),
     "reward": ("reward", "reward_kwargs"),
 }
 """What arguments of an environment replace, and the required settings that may be missing then; mistakes there do not
@@ -109,12 +109,12 @@ class Reader(SectionReader):
             "time": self._unless("time", self._time),
             "sensors": self._unless("sensors", self._sensors),
             "meters": self._unless("meters", self._meters),
-            "reading": Aggregation.INSTANT,
+            "aggregation": Aggregation.INSTANT,
             "control": "point",
             **self._unless("actuators", lambda: self._with_context(decided)),
             "reward": self._unless("reward", self._reward),
         }
-        noise = self._unless("variability", self._variability)
+        noise = self._unless("weather_noise", self._variability)
         choices, reason = self._unless("discrete", lambda: self._choices(base, decided))
         self.kept_episodes()
         if self.faults:

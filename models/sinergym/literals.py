@@ -85,7 +85,7 @@ def text_of(path: Path) -> str:
 
 
 def space(text: str) -> Space:
-    """The space that `text` describes: `Box(low=…, high=…)`, `Discrete(n)` or `MultiDiscrete([…])`."""
+    """The space that `text` describes: `Box(low=…, high=…)`, `DiscreteSpec(n)` or `MultiDiscrete([…])`."""
     body = tree(text.strip(), "the text of a space").body
     if len(body) != 1 or not isinstance(body[0], ast.Expr):
         raise _refused(text, "a space: Box(low=…, high=…), Discrete(n) or MultiDiscrete([…])")

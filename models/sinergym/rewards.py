@@ -73,7 +73,7 @@ class RewardReader:
 
     def _normalised(self) -> dict[str, Any]:
         self._known("energy_weight", "energy_variables", "max_energy_penalty", "max_comfort_penalty", *_ZONES)
-        found = {"kind": "normalised", "weight": self._share("energy_weight", 0.5)}
+        found = {"kind": "normalized", "weight": self._share("energy_weight", 0.5)}
         for name, ours, usual in (
             ("max_energy_penalty", "max_power_w", 8.0),
             ("max_comfort_penalty", "max_degrees", 12.0),

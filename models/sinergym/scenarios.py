@@ -117,7 +117,7 @@ def _variants(parsed: SinergymConfig, path: Path) -> Configuration:
             about += (", discrete" if discrete else "") + (", weather with noise" if noisy else "")
             update: dict[str, Any] = {"id": name, "about": about, "weather": weather}
             update |= {"discrete": parsed.choices} if discrete else {}
-            update |= {"variability": parsed.noise} if noisy else {}
+            update |= {"weather_noise": parsed.noise} if noisy else {}
             found[name] = parsed.scenario.model_copy(update=update)
     return Configuration(found, tuple(lacking), f"{path}: {parsed.reason}")
 

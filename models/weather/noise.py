@@ -175,7 +175,7 @@ _NO_NOISE = {
 _CONTRADICTIONS = ((_DEW, (_HUMIDITY,)), (_GLOBAL, (_DIRECT, _DIFFUSE)))
 
 
-def checked(variability: Mapping[str, ColumnNoise]) -> list[tuple[Column, ColumnNoise]]:
+def checked(weather_noise: Mapping[str, ColumnNoise]) -> list[tuple[Column, ColumnNoise]]:
     """The columns with their noise, in the order of the file.
 
     Raises:
@@ -184,7 +184,7 @@ def checked(variability: Mapping[str, ColumnNoise]) -> list[tuple[Column, Column
             that leave nothing of the physical range.
     """
     found: dict[str, ColumnNoise] = {}
-    for text, noise in variability.items():
+    for text, noise in weather_noise.items():
         column = find_column(text)
         if column.name in found:
             raise InvalidConfig(f"variability names the column {column.name} twice, the second time as {text!r}")
@@ -216,8 +216,8 @@ def _drawn(rng: np.random.Generator, value: float | tuple[float, float]) -> floa
     return float(rng.uniform(*value)) if isinstance(value, tuple) else float(value)
 
 
-def with_noise(weather: Weather, variability: Mapping[str, ColumnNoise], rng: np.random.Generator) -> NoisyWeather:
-    """`weather` with noise on the columns of `variability`, and what follows from it in others.
+def with_noise(weather: Weather, weather_noise: Mapping[str, ColumnNoise], rng: np.random.Generator) -> NoisyWeather:
+    """`weather` with noise on the columns of `weather_noise`, and what follows from it in others.
 
     One number is taken of `rng`. Each column has a generator of its own, made of that number and the column's
     place: the same settings give the same weather in whatever order they are written, and noise on one more
@@ -230,7 +230,7 @@ def with_noise(weather: Weather, variability: Mapping[str, ColumnNoise], rng: np
     seed = int(rng.integers(2**63))
     drawn: dict[str, dict[str, float]] = {}
     hour = _Hours(weather)
-    for column, noise in checked(variability):
+    for column, noise in checked(weather_noise):
         own = np.random.default_rng([seed, column.index])
         sigma, mu, tau_h = (_drawn(own, value) for value in (noise.sigma, noise.mu, noise.tau_h))
         drawn[column.name] = {"sigma": sigma, "mu": mu, "tau_h": tau_h}

@@ -140,17 +140,17 @@ class Account:
         return [next((row[i] for row in ordered if row[i][0] is not None), _FREE) for i in range(len(self._none))]
 
     def _contradiction(self, sample: Sample, rows: Rows) -> str:
-        rulers, applied = (
+        sources, effective = (
             [sample.sources[i] for i in np.frombuffer(sample.source_index, "<u2")],
             np.frombuffer(sample.effective).tolist(),
         )
         wrong = []
         for name, index in self._index.items():
             value, who = self._resolved(rows)[index]
-            if who != rulers[index]:
-                wrong.append(f"{name} is ruled by {rulers[index] or _OWN!r}, {who or _OWN!r} expected")
-            elif value is not None and value != applied[index]:
-                wrong.append(f"{name} is {applied[index]!r}, and {who} sent {value!r}")
+            if who != sources[index]:
+                wrong.append(f"{name} is ruled by {sources[index] or _OWN!r}, {who or _OWN!r} expected")
+            elif value is not None and value != effective[index]:
+                wrong.append(f"{name} is {effective[index]!r}, and {who} sent {value!r}")
         return "; ".join(wrong)
 
     def _fault(self, sample: Sample, text: str) -> None:

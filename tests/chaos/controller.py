@@ -68,10 +68,10 @@ class Controller:
 
     def _link(self) -> ControllerLink:
         settings = self._settings
-        names, level = settings["actuators"], settings["level"]
+        names, priority = settings["actuators"], settings["priority"]
         while True:
             try:
-                return self._bus.controller(settings["node"], name=settings["name"], level=level, actuators=names)
+                return self._bus.controller(settings["node"], name=settings["name"], priority=priority, actuators=names)
             except RequestRejected:  # the one before is still there, for all that the node knows
                 threading.Event().wait(0.05)
 

@@ -103,9 +103,9 @@ class Flooder:
         actuator = rng.choice(self._manifest.actuators)
         value = round(rng.uniform(actuator.low or 0.0, actuator.high or 1.0), 3)
         free = rng.random() < 0.3
-        for_s = None if free or rng.random() < 0.2 else float(rng.randrange(900, 14400))
+        duration_s = None if free or rng.random() < 0.2 else float(rng.randrange(900, 14400))
         source = f"person-{rng.randrange(PERSONS)}"
-        write = Write(value=None if free else value, duration_s=for_s, priority=PERSON_LEVEL, source=source)
+        write = Write(value=None if free else value, duration_s=duration_s, priority=PERSON_LEVEL, source=source)
         return keys.ACTUATOR.at(self._node, name=actuator.name), codec.encode(write)
 
     def _bad_write(self, rng: random.Random) -> tuple[str, bytes]:
@@ -129,7 +129,7 @@ class Flooder:
                 (keys.CLAIM, whole),
                 (keys.CLAIM, b""),
                 (keys.CLAIM, rng.randbytes(50)),
-                (keys.CLAIM, codec.pack(controller="a/b*c#d", level=10)),
+                (keys.CLAIM, codec.pack(controller="a/b*c#d", priority=10)),
                 (keys.RESET, codec.encode(Reset(slots=[7]))),
                 (keys.RESET, codec.encode(Reset(snapshot="none-such"))),
                 (keys.PACE, b"\x91" * 1000),

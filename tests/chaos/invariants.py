@@ -112,15 +112,15 @@ def _counts(outcome: Outcome, sent: dict[str, list[journal.Sent]], events: list[
     messages = sum(command.times for command in commands) + sum(
         count for act, count in floods.items() if act != Act.BAD_REQUESTS.name
     )
-    flooded = status.statistics.rate_limited
-    refused = status.rejected + status.late + status.duplicate + flooded
+    rate_limited = status.statistics.rate_limited
+    refused = status.rejected + status.late + status.duplicate + rate_limited
     written = sum(event.kind is EventKind.WRITTEN for event in events)
     counted = status.accepted + refused + written
     if not messages - doubtful <= counted <= messages:
         faults.append(f"{messages} messages were sent ({doubtful} perhaps not), {counted} are counted")
     bad = sum(floods[act.name] for act in CHANGED_NOTHING)
-    if status.rejected + flooded < bad:
-        faults.append(f"{bad} bad messages were sent, {status.rejected} rejected and {flooded} flooded")
+    if status.rejected + rate_limited < bad:
+        faults.append(f"{bad} bad messages were sent, {status.rejected} rejected and {rate_limited} flooded")
     told = Counter(event.kind for event in events if event.kind in _REFUSALS)
     for kind, name in _REFUSALS.items():
         if told[kind] > getattr(status, name) or (getattr(status, name) and not told[kind]):
@@ -134,7 +134,7 @@ def _written(outcome: Outcome, events: Iterable[Event]) -> list[str]:
     sent = Counter[tuple[str, str]]()
     for line in journal.lines(outcome.floods):
         for point, write in line.get("writes", []):
-            how = "released" if write["value"] is None else f"= {write['value']:g}"
+            how = "relinquished" if write["value"] is None else f"= {write['value']:g}"
             sent[write["source"], f"{point} {how}"] += 1
     for event in events:
         if event.kind is EventKind.WRITTEN:

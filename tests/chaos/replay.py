@@ -40,9 +40,9 @@ def _compared(link: ControllerLink, episode: Episode) -> str:
         if ruling is None:
             break
         values = np.array([np.nan if value is None else value for value in ruling]).reshape(shape)
-        released = np.isnan(values)
-        mask = np.where(released, np.uint8(CommandOp.RELINQUISH), np.uint8(CommandOp.SET)).tobytes()
-        link.send(np.where(released, 0.0, values), mask)
+        relinquished = np.isnan(values)
+        mask = np.where(relinquished, np.uint8(CommandOp.RELINQUISH), np.uint8(CommandOp.SET)).tobytes()
+        link.send(np.where(relinquished, 0.0, values), mask)
         again = link.receive()
     return ""
 

@@ -136,7 +136,7 @@ class Chaos:
         return member
 
     def _controller(self, role: str, where: dict[str, Any]) -> Member:
-        own = {"name": role, "level": LEVELS[role], "actuators": actuators_of(role)}
+        own = {"name": role, "priority": LEVELS[role], "actuators": actuators_of(role)}
         return self._member("controller", role, where | own | {"journal": str(self.outcome.journal(role))})
 
     def _on_event(self, message: zenoh.Sample) -> None:
@@ -250,11 +250,11 @@ class Chaos:
                         engines[-1].kill()
         return True
 
-    def _freeze(self, pid: int, for_s: float) -> None:
+    def _freeze(self, pid: int, duration_s: float) -> None:
         with suppress(ProcessLookupError):
             os.kill(pid, signal.SIGSTOP)
             self._frozen.append(pid)
-            self.timer.at(monotonic() + for_s, lambda: self._thaw(pid))
+            self.timer.at(monotonic() + duration_s, lambda: self._thaw(pid))
 
     def _thaw(self, pid: int) -> None:
         with suppress(ProcessLookupError):

@@ -68,8 +68,8 @@ class Gateway:
 
     Raises:
         InvalidConfig: an endpoint or a lease that cannot be.
-        EndpointTaken: another program listens there.
-        NothingThere: the node that was named is not on the bus.
+        AddressInUse: another program listens there.
+        NodeNotFound: the node that was named is not on the bus.
 
     Attributes:
         counts: what went through.

@@ -54,7 +54,7 @@ class Sockets:
         lease_s: a peer that is silent for so long, heartbeats included, is gone.
 
     Raises:
-        EndpointTaken: another program listens there.
+        AddressInUse: another program listens there.
         InvalidConfig: there is no such address on this machine.
 
     Attributes:

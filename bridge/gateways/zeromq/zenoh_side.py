@@ -87,7 +87,7 @@ class BusSide:
         """Names of the nodes that are there; waits for the answer.
 
         Raises:
-            NothingThere: a node is `wanted` by name, and is not among them.
+            NodeNotFound: a node is `wanted` by name, and is not among them.
         """
         replies = self._session.liveliness().get(keys.NODE_TOKEN.at("*", name="*"))
         found = sorted({keys.node_of(str(reply.ok.key_expr)) for reply in replies if reply.ok})
