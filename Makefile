@@ -29,8 +29,8 @@ test: $(READY)-dev  ## All tests
 	$(BIN)/python -m pytest -n $(WORKERS)
 
 LOWEST := .venv-lowest
-LOWEST_TESTS := tests/test_lowest_versions.py tests/test_actions.py tests/test_wrappers__named_values.py \
-	tests/test_environment__other_libraries.py
+LOWEST_TESTS := tests/agent_sdk/test_lowest_versions.py tests/agent_sdk/test_actions.py \
+	tests/agent_sdk/test_wrappers__named_values.py tests/system/test_environment__other_libraries.py
 
 $(LOWEST)/.ready: pyproject.toml constraints-lowest.txt
 	$(PYTHON) -m venv $(LOWEST)
@@ -50,7 +50,7 @@ bench: $(READY)-dev  ## What a step costs, as ratios within one run; results in 
 	$(BIN)/python -m bench
 
 chaos: $(READY)-dev  ## A building troubled at random for SECONDS; SEED=… has the same again, TABLE=… puts the table into a page
-	PYTHONPATH=tests $(BIN)/python -P -m chaos --seconds $(SECONDS) $(if $(SEED),--seed $(SEED)) $(if $(TABLE),--table $(TABLE))
+	PYTHONPATH=.:tests $(BIN)/python -P -m chaos --seconds $(SECONDS) $(if $(SEED),--seed $(SEED)) $(if $(TABLE),--table $(TABLE))
 
 docs: $(READY)-dev  ## The documentation as a web site, in site/; any warning is an error
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict

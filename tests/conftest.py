@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from hypothesis import settings
-from nodes import SMALL, NodeProgram, nothing_left
+from support.nodes import SMALL, NodeProgram, nothing_left
 
 import agent_sdk
 

@@ -134,7 +134,7 @@ class ActuatorCommands:
         else:
             mask = codec.uint8s(command.operations, self._shape, "operations")
         if mask.size and mask.max() > CommandOp.RELINQUISH:
-            raise BadMessage(f"mask has {int(mask.max())}; 0 keeps, 1 sets, 2 releases")
+            raise BadMessage(f"operations has {int(mask.max())}; 0 keeps, 1 sets, 2 releases")
         if (mask[:, ~claimant.mask] != CommandOp.KEEP).any():
             _, index = np.argwhere((mask != CommandOp.KEEP) & ~claimant.mask)[0]
             raise BadMessage(f"{self._actuators[index].name!r} is not among the actuators it claimed")

@@ -14,13 +14,14 @@ from typing import Any
 
 from chaos.controller import LOST
 
-_TESTS = str(Path(__file__).parent.parent)
+_TESTS = str(Path(__file__).parents[1])
+_ROOT = str(Path(__file__).parents[2])
 _PATIENCE_S = 60.0
 
 
 def environment() -> dict[str, str]:
     """Of programs of this package."""
-    return os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, [_TESTS, os.environ.get("PYTHONPATH", "")]))}
+    return os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, [_ROOT, _TESTS, os.environ.get("PYTHONPATH", "")]))}
 
 
 class Member:

@@ -77,7 +77,7 @@ class Flooder:
 
     def _command(self, at: Sample, episodes: int, steps: int) -> bytes:
         return codec.pack(
-            episode=[at.episode[0] + episodes], step=[at.step[0] + steps], mask=None, values=self._values()
+            episode=[at.episode[0] + episodes], step=[at.step[0] + steps], operations=None, values=self._values()
         )
 
     def _future(self, rng: random.Random, at: Sample) -> bytes:

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from statistics import median
 
-from nodes import programs_of, remains, until
+from support.nodes import programs_of, remains, until
 
 from chaos import journal
 from chaos.account import Account, Episode

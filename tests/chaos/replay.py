@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from nodes import NodeProgram
+from support.nodes import NodeProgram
 
 import agent_sdk
 from agent_sdk.bus.controller_link import ControllerLink

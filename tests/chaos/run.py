@@ -17,7 +17,7 @@ from typing import Any
 
 import psutil
 import zenoh
-from nodes import SMALL, ZONES, NodeProgram, engines_of, until
+from support.nodes import SMALL, ZONES, NodeProgram, engines_of, until
 from zenoh.handlers import Callback
 
 import agent_sdk

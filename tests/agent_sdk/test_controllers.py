@@ -1,0 +1,813 @@
+"""The controllers' rules, on manifests and samples made by hand."""
+
+from __future__ import annotations
+
+import importlib
+import math
+import random
+import sys
+from collections.abc import Iterator
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from support.builders import actuator, manifest, sensor
+
+from agent_sdk.bus.sample import SampleView
+from agent_sdk.controllers import (
+    CONTROLLERS,
+    Agent,
+    BaselineController,
+    Controller,
+    FixedSetpoints,
+    IncrementalRules,
+    PIDController,
+    RandomController,
+    RuleBasedController,
+    ScheduledSetback,
+    action_of,
+    load_controller,
+    make_controller,
+)
+from agent_sdk.controllers.action_roles import Role, bind_actions
+from agent_sdk.controllers.loader import _beside
+from agent_sdk.controllers.setback import weekdays
+from agent_sdk.envs.spaces import action_space
+from topics.errors import InvalidAction, InvalidConfig, UnknownName
+from topics.messages import Action, Actuator, DiscreteAction, Manifest, Sample, Task
+
+WINTER = datetime(2017, 1, 16, 12)  # a Monday
+SUMMER = datetime(2017, 7, 17, 12)
+HEAT, COOL = actuator("heating_setpoint", 15.0, 22.5), actuator("cooling_setpoint", 22.5, 30.0)
+ROOM = sensor("air", key="ROOM")
+PEOPLE = sensor("people", "Zone People Occupant Count", "ROOM", "1")
+QUARTER = timedelta(minutes=15)
+
+
+def view(of: Manifest, at: datetime = WINTER, *, step: int = 0, episode: int = 0, **values: float) -> SampleView:
+    """A sample with these values by name, and 21 for all others."""
+    row = np.array([values.get(name, 21.0) for name in of.names], "<f8")
+    wire = Sample(
+        episode=[episode],
+        step=[step],
+        time=[at.isoformat()],
+        elapsed_s=[0.0],
+        flags=[0],
+        values=row.tobytes(),
+        effective=np.full(len(of.actuators), np.nan).tobytes(),
+        source_index=bytes(2 * len(of.actuators)),
+        sources=[""],
+    )
+    return SampleView(wire, of, {name: i for i, name in enumerate(of.names)})
+
+
+def node(*actuators: Actuator, sensors: tuple[Any, ...] = (ROOM,), task: Task | None = None) -> Manifest:
+    return manifest(sensors=sensors, actuators=actuators or (HEAT, COOL), task=task)
+
+
+def thermostat(name: str, zone: str, what: str, low: float, high: float) -> Actuator:
+    return Actuator(
+        name=name, component_type="Zone Temperature Control", control_type=what, key=zone, unit="degC",
+        low=low, high=high,
+    )  # fmt: skip
+
+
+def single(name: str, low: float | None, high: float | None) -> Manifest:
+    return node(actuator(name, low, high))
+
+
+# What an action is
+
+
+@pytest.mark.parametrize(
+    ("name", "low", "high", "role"),
+    [
+        ("Heating_Setpoint_RL", 15.0, 22.5, Role.HEATING),
+        ("htgsetp", None, None, Role.HEATING),
+        ("office_cooling_setpoint", 22.5, 35.0, Role.COOLING),
+        ("chws_supply_temperature", 5.0, 10.0, Role.COLD_WATER),
+        ("water_temperature", 25.0, 45.0, Role.HOT_WATER),
+        ("radiant_bed1_availability", 0.0, 1.0, Role.AVAILABILITY),
+        ("battery_discharge_rate", 0.0, 1.0, Role.STORAGE),
+        ("cooling_coil_fraction", 0.0, 1.0, Role.OTHER),
+        ("cooling_flow", 0.0, 5.0, Role.OTHER),
+        ("fan", 0.0, 1.0, Role.OTHER),
+    ],
+)
+def test_what_an_action_is(name: str, low: float | None, high: float | None, role: Role) -> None:
+    assert bind_actions(single(name, low, high))[0].role is role
+
+
+def test_thermostats_have_their_own_zone_and_switches_the_room_of_their_name() -> None:
+    sensors = (
+        sensor("bedroom01_air", key="BED1"),
+        sensor("bedroom02_air", key="BED2"),
+        sensor("livingroom_air", key="LIVING"),
+        sensor("people_b2", "Zone People Occupant Count", "BED2", "1"),
+    )
+    of = node(
+        thermostat("b2_heating", "Bed2", "Heating Setpoint", 15.0, 22.5),
+        actuator("radiant_bed1_availability", 0.0, 1.0),
+        actuator("radiant_living_availability", 0.0, 1.0),
+        actuator("radiant_water", 25.0, 45.0),
+        sensors=sensors,
+    )
+    rooms = [part.temperatures for part in bind_actions(of)]
+    assert rooms == [(1,), (0,), (2,), (0, 1, 2)]
+    assert [part.people for part in bind_actions(of)] == [(3,)] * 4  # what is not measured follows what is
+
+
+# Rules on comfort bands
+
+
+def test_rules_keep_the_seasons_band_while_people_are_in_and_set_back_else() -> None:
+    of = node(sensors=(ROOM, PEOPLE))
+    rules = RuleBasedController(of)
+    assert rules.act(view(of, WINTER, people=2.0)) == pytest.approx({HEAT.name: 21.0, COOL.name: 22.5})
+    assert rules.act(view(of, WINTER, people=0.0)) == pytest.approx({HEAT.name: 19.0, COOL.name: 24.5})
+    assert rules.act(view(of, SUMMER, people=2.0)) == pytest.approx({HEAT.name: 22.5, COOL.name: 25.0})
+
+
+def test_rules_set_back_far_where_the_reward_counts_occupied_hours_only() -> None:
+    of = node(HEAT, COOL, sensors=(ROOM, PEOPLE))
+    of = of.model_copy(update={"task": of.task.model_copy(update={"reward": {"kind": "occupied"}})})
+    night = WINTER.replace(hour=3)
+    assert RuleBasedController(of).act(view(of, night, people=0.0)) == pytest.approx({HEAT.name: 15.0, COOL.name: 29.5})
+    closed = ScheduledSetback(of).act(view(of, night))
+    assert closed == pytest.approx({HEAT.name: 15.0, COOL.name: 29.5})
+
+
+def test_rules_bring_a_zone_back_an_hour_before_people_came_the_day_before() -> None:
+    of = node(sensors=(ROOM, PEOPLE))
+    rules = RuleBasedController(of)
+    came = datetime(2017, 1, 16, 8)  # the first sample that counts them closes the quarter that began at 7:45
+    rules.act(view(of, came, people=1.0))
+    back = {}
+    for minutes in range(0, 24 * 60, 15):
+        at = datetime(2017, 1, 17) + timedelta(minutes=minutes)
+        back[at.time().isoformat("minutes")] = rules.act(view(of, at, people=0.0))[HEAT.name] == pytest.approx(21.0)
+    assert [at for at, comfortable in back.items() if comfortable] == ["06:45", "07:00", "07:15", "07:30", "07:45"]
+
+
+def test_rules_forget_at_an_episodes_begin() -> None:
+    of = node(sensors=(ROOM, PEOPLE))
+    rules = RuleBasedController(of)
+    rules.act(view(of, datetime(2017, 1, 16, 8), people=1.0))
+    noon = view(of, datetime(2017, 1, 17, 12), people=0.0)
+    assert rules.act(noon)[HEAT.name] == 19.0
+    rules.begin(noon)
+    assert rules.act(noon)[HEAT.name] == pytest.approx(21.0)  # nobody has been seen yet
+
+
+def test_where_nobody_is_counted_zones_are_in_use_at_night_too() -> None:
+    of = node()
+    assert RuleBasedController(of).act(view(of, datetime(2017, 1, 16, 3)))[HEAT.name] == pytest.approx(21.0)
+
+
+def test_the_band_is_the_rewards_or_the_users() -> None:
+    reward = {"kind": "linear", "winter": (18.0, 27.0), "summer": (18.0, 27.0)}
+    cooling = actuator("cooling_setpoint", 20.0, 30.0)
+    action = Action(name="cooling_setpoint", unit="degC", low=20.0, high=30.0, actuators=("cooling_setpoint",))
+    of = node(cooling, task=Task(actions=(action,), reward=reward))
+    assert RuleBasedController(of).act(view(of)) == pytest.approx({"cooling_setpoint": 26.0})
+    assert RuleBasedController(of, high=25.0, margin=0.0).act(view(of)) == {"cooling_setpoint": 25.0}
+    strange = node(cooling, task=Task(actions=(action,), reward={"kind": "somebody's"}))
+    assert RuleBasedController(strange).act(view(strange, SUMMER)) == pytest.approx({"cooling_setpoint": 25.0})
+
+
+def test_july_is_winter_in_the_south() -> None:
+    of = node().model_copy(update={"latitude_deg": -33.9})
+    assert RuleBasedController(of).act(view(of, SUMMER)) == pytest.approx({HEAT.name: 21.0, COOL.name: 22.5})
+
+
+def test_a_margin_wider_than_the_band_meets_in_its_middle() -> None:
+    of = node(actuator("heating_setpoint", 10.0, 30.0), actuator("cooling_setpoint", 10.0, 30.0))
+    assert set(RuleBasedController(of, low=20.0, high=21.0, margin=5.0).act(view(of)).values()) == {20.5}
+
+
+def test_one_action_that_sets_several_thermostats_is_ruled_by_any_of_their_zones() -> None:
+    sensors = [sensor(f"air_{z}", key=z) for z in "AB"]
+    sensors += [sensor(f"people_{z}", "Zone People Occupant Count", z, "1") for z in "AB"]
+    pair = tuple(thermostat(f"heat_{z}", z, "Heating Setpoint", 15.0, 22.5) for z in "AB")
+    together = Action(name="heating", unit="degC", low=15.0, high=22.5, actuators=("heat_A", "heat_B"))
+    of = node(*pair, sensors=tuple(sensors), task=Task(actions=(together,)))
+    said = RuleBasedController(of).act(view(of, people_A=0.0, people_B=1.0))
+    assert said == pytest.approx({"heat_A": 21.0, "heat_B": 21.0})
+    assert action_of(of, said).tolist() == pytest.approx([21.0], rel=1e-6)
+    each = node(*pair, sensors=tuple(sensors))
+    apart = RuleBasedController(each).act(view(each, WINTER.replace(hour=3), people_A=0.0, people_B=1.0))
+    assert apart == pytest.approx({"heat_A": 19.0, "heat_B": 21.0})
+
+
+@pytest.mark.parametrize(("air", "hot"), [(18.0, 45.0), (20.0, 45.0), (20.5, 35.0), (21.0, 25.0), (30.0, 25.0)])
+def test_heating_water_is_hottest_at_the_bands_lower_end(air: float, hot: float) -> None:
+    of = single("water_temperature", 25.0, 45.0)
+    assert RuleBasedController(of).act(view(of, air=air)) == {"water_temperature": hot}
+
+
+@pytest.mark.parametrize(("air", "cold"), [(22.5, 10.0), (23.0, 7.5), (23.5, 5.0), (30.0, 5.0)])
+def test_chilled_water_is_coldest_at_the_bands_upper_end(air: float, cold: float) -> None:
+    of = single("chw_temperature", 5.0, 10.0)
+    assert RuleBasedController(of).act(view(of, air=air)) == {"chw_temperature": cold}
+
+
+def test_a_switch_goes_on_below_the_band_and_off_above_its_middle() -> None:
+    of = single("radiant_availability", 0.0, 1.0)
+    rules = RuleBasedController(of, margin=0.3)
+    airs = [21.8, 21.0, 20.4, 20.2, 21.0, 21.7, 21.8, 21.0]
+    assert [rules.act(view(of, air=air))["radiant_availability"] for air in airs] == [0, 0, 0, 1, 1, 1, 0, 0]
+    rules.begin(view(of))
+    assert rules.act(view(of, air=21.0)) == {"radiant_availability": 1.0}  # below the middle, nothing is known
+
+
+def test_storage_stands_idle() -> None:
+    of = node(HEAT, actuator("battery_charge_rate", 0.0, 1.0))
+    assert RuleBasedController(of).act(view(of))["battery_charge_rate"] == 0.0
+
+
+SITE = node(
+    HEAT,
+    COOL,
+    actuator("chw_temperature", 5.0, 10.0),
+    actuator("hot_water", 25.0, 45.0),
+    actuator("availability", 0.0, 1.0),
+    actuator("battery_charge", 0.0, 1.0),
+    sensors=(ROOM, PEOPLE),
+)
+
+
+@pytest.mark.parametrize("name", sorted(set(CONTROLLERS) - {"building", "pid"}))
+@given(
+    samples=st.lists(
+        st.tuples(
+            st.floats(-60.0, 60.0), st.floats(0.0, 50.0), st.datetimes(datetime(2016, 1, 1), datetime(2020, 12, 31))
+        ),
+        min_size=1,
+        max_size=8,
+    )
+)
+def test_what_is_set_lies_within_the_bounds(name: str, samples: list[tuple[float, float, datetime]]) -> None:
+    controller, space = CONTROLLERS[name](SITE), action_space(SITE)
+    for air, people, at in samples:
+        values = controller.act(view(SITE, at, air=air, people=people))
+        assert set(values) == {a.name for a in SITE.actuators}
+        assert values[HEAT.name] <= values[COOL.name]
+        assert space.contains(action_of(SITE, values))
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ({"margin": -1}, "margin = -1; a number of at least 0 expected"),
+        ({"lead": 24}, "lead = 24; a number from 0 to 23 expected"),
+        ({"setback": "much"}, "setback = 'much'; a number of at least 0 expected"),
+        ({"low": 24.0}, r"the comfort band 24 to 23.5 degC is upside down"),
+        ({"marign": 1}, "RuleBasedController takes no parameter 'marign'; near names: 'margin'"),
+    ],
+)
+def test_parameters_that_cannot_be(given: dict[str, Any], says: str) -> None:
+    with pytest.raises(InvalidConfig, match=says):
+        make_controller(RuleBasedController, node(), given)
+
+
+def test_rules_need_something_to_rule() -> None:
+    for of in (single("fan", 0.0, 1.0), manifest()):
+        with pytest.raises(InvalidConfig, match="the rule-based controller needs an action that sets a heating"):
+            RuleBasedController(of)
+
+
+# Random
+
+
+def test_random_is_uniform_repeats_by_its_seed_and_goes_on_after_a_begin() -> None:
+    of = node()
+    first, second = RandomController(of, seed=1), RandomController(of, seed=1)
+    drawn = [first.act(view(of)) for _ in range(2000)]
+    assert [second.act(view(of)) for _ in range(2000)] == drawn
+    assert RandomController(of, seed=2).act(view(of)) != drawn[0]
+    heat = np.array([values[HEAT.name] for values in drawn])
+    # Uniform on 15 to 22.5: mean 18.75, standard deviation 7.5 / sqrt(12); of the mean of 2000, a 45th of that.
+    assert abs(heat.mean() - 18.75) < 5 * 7.5 / math.sqrt(12 * 2000)
+    assert heat.min() < 15.1
+    assert heat.max() > 22.4
+    first.begin(view(of))
+    assert first.act(view(of)) not in drawn
+
+
+def test_random_draws_rows_of_choices() -> None:
+    rows = ((15.0, 30.0), (20.0, 25.0), (22.0, 23.0))
+    of = node(task=discrete(DiscreteAction(actions=(HEAT.name, COOL.name), values=rows)))
+    control = RandomController(of, seed=0)
+    drawn = {(values[HEAT.name], values[COOL.name]) for values in (control.act(view(of)) for _ in range(100))}
+    assert drawn == set(rows)
+
+
+def test_random_needs_bounds_and_a_seed_that_is_one() -> None:
+    with pytest.raises(InvalidConfig, match="nothing can be drawn for 'heating_setpoint': give the action bounds"):
+        RandomController(single("heating_setpoint", None, 22.5))
+    with pytest.raises(InvalidConfig, match="seed = -1"):
+        RandomController(node(), seed=-1)
+
+
+# Fixed
+
+
+def test_fixed_values_by_name_and_the_bands_ends_for_the_rest() -> None:
+    of = node()
+    assert FixedSetpoints(of, heating_setpoint=21.5).act(view(of)) == {HEAT.name: 21.5, COOL.name: 22.5}
+    assert FixedSetpoints(of).act(view(of, SUMMER)) == {HEAT.name: 22.5, COOL.name: 25.0}  # 24 is out of bounds
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ({"heating_setpoint": 25}, "heating_setpoint = 25; its bounds are 15 to 22.5 degC"),
+        ({"heatng_setpoint": 20}, "node 'office' has no action or actuator 'heatng_setpoint'; near names: 'heating"),
+        ({"heating_setpoint": "warm"}, "heating_setpoint = 'warm'; a number expected"),
+    ],
+)
+def test_fixed_values_that_cannot_be(given: dict[str, Any], says: str) -> None:
+    with pytest.raises(InvalidConfig, match=says):
+        make_controller(FixedSetpoints, node(), given)
+
+
+@pytest.mark.parametrize(
+    ("of", "given"),
+    [
+        (FixedSetpoints, {"heating_setpoint": 27}),
+        (FixedSetpoints, {"cooling_setpoint": 19}),
+        (ScheduledSetback, {"heating": 27}),
+        (ScheduledSetback, {"cooling": 19}),
+        (ScheduledSetback, {"heating_setback": 34}),
+    ],
+)
+def test_a_setpoint_that_crosses_the_bands_end_is_refused(of: Any, given: dict[str, float]) -> None:
+    """Where one of a pair is named, the other is the comfort band's: 20 to 23.5 degC in winter, 23 to 26 in summer."""
+    there = node(actuator("heating_setpoint", 10.0, 35.0), actuator("cooling_setpoint", 10.0, 35.0))
+    with pytest.raises(InvalidConfig, match="lies above cooling_setpoint"):
+        of(there, **given)
+
+
+def test_fixed_heating_above_cooling_is_refused() -> None:
+    of = node(actuator("heating_setpoint", 15.0, 25.0), actuator("cooling_setpoint", 20.0, 30.0))
+    with pytest.raises(InvalidConfig, match=r"heating_setpoint = 24 lies above cooling_setpoint = 22; EnergyPlus ends"):
+        FixedSetpoints(of, heating_setpoint=24.0, cooling_setpoint=22.0)
+
+
+# Setback
+
+
+@pytest.mark.parametrize(
+    ("at", "is_open"),
+    [
+        (datetime(2017, 1, 16, 6, 45), False),  # Monday
+        (datetime(2017, 1, 16, 7), True),
+        (datetime(2017, 1, 16, 18, 45), True),
+        (datetime(2017, 1, 16, 19), False),
+        (datetime(2017, 1, 20, 12), True),  # Friday
+        (datetime(2017, 1, 21, 12), False),  # Saturday
+    ],
+)
+def test_setback_at_the_boundaries_of_hours_and_days(at: datetime, is_open: bool) -> None:
+    of = node()
+    control = ScheduledSetback(
+        of, opens=7, closes=19, days="mon-fri", heating=21, cooling=24, heating_setback=16, cooling_setback=29
+    )
+    expected = {HEAT.name: 21.0, COOL.name: 24.0} if is_open else {HEAT.name: 16.0, COOL.name: 29.0}
+    assert control.act(view(of, at)) == expected
+
+
+@pytest.mark.parametrize(
+    ("at", "is_open"),
+    [
+        (datetime(2017, 1, 20, 21, 45), False),
+        (datetime(2017, 1, 20, 22), True),  # Friday night, which ends on Saturday
+        (datetime(2017, 1, 21, 5, 45), True),
+        (datetime(2017, 1, 21, 6), False),
+        (datetime(2017, 1, 21, 23), False),
+    ],
+)
+def test_setback_over_midnight_belongs_to_the_day_on_which_it_opened(at: datetime, is_open: bool) -> None:
+    of = node()
+    control = ScheduledSetback(of, opens=22, closes=6, days="fri", heating=21, heating_setback=15)
+    assert control.act(view(of, at))[HEAT.name] == (21.0 if is_open else 15.0)
+
+
+def test_setback_by_default_is_inside_the_band_and_at_night_outside_where_people_are_counted() -> None:
+    of, night = node(sensors=(ROOM, PEOPLE)), WINTER.replace(hour=3)
+    assert ScheduledSetback(of).act(view(of)) == {HEAT.name: 21.0, COOL.name: 22.5}
+    assert ScheduledSetback(of).act(view(of, night)) == {HEAT.name: 19.0, COOL.name: 24.5}
+    assert ScheduledSetback(of, heating=22).act(view(of, night)) == {HEAT.name: 21.0, COOL.name: 24.5}
+    uncounted = node()
+    assert ScheduledSetback(uncounted).act(view(uncounted, night)) == {HEAT.name: 21.0, COOL.name: 22.5}
+
+
+def test_weekdays() -> None:
+    assert weekdays("mon-fri") == {0, 1, 2, 3, 4}
+    assert weekdays("Sat-Mon, wed") == {5, 6, 0, 2}
+    assert weekdays("sun") == {6}
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ({"days": "monday"}, "days = 'monday'; weekdays expected, as 'mon-fri'"),
+        ({"opens": 7, "closes": 7}, "opens = closes = 7"),
+        ({"closes": 25}, "closes = 25; a number from 0 to 24 expected"),
+        ({"heating": 40}, "heating = 40; its bounds are 15 to 22.5"),
+        ({"cooling_setback": 20}, "cooling_setback = 20; its bounds are 22.5 to 30"),
+    ],
+)
+def test_setbacks_that_cannot_be(given: dict[str, Any], says: str) -> None:
+    with pytest.raises(InvalidConfig, match=says):
+        make_controller(ScheduledSetback, node(), given)
+
+
+def test_setback_needs_setpoints_and_heating_below_cooling() -> None:
+    with pytest.raises(InvalidConfig, match="setback needs an action that sets a heating or cooling setpoint"):
+        ScheduledSetback(single("fan", 0.0, 1.0))
+    wide = node(actuator("heating_setpoint", 10.0, 30.0), actuator("cooling_setpoint", 10.0, 30.0))
+    with pytest.raises(InvalidConfig, match="heating, cooling = 25, 22; the first has to be below the second"):
+        ScheduledSetback(wide, heating=25, cooling=22)
+
+
+# Incremental
+
+
+def test_incremental_moves_by_its_step_to_the_middle_and_back_to_the_end() -> None:
+    of = node(actuator("heating_setpoint", 10.0, 30.0), actuator("cooling_setpoint", 10.0, 30.0))
+    control = IncrementalRules(of, step=0.5, margin=0.2)  # winter: 20 to 23.5, middle 21.75
+    hot = [control.act(view(of, air=25.0))["cooling_setpoint"] for _ in range(5)]
+    assert hot == [23.0, 22.5, 22.0, 21.75, 21.75]
+    fine = [control.act(view(of, air=22.0))["cooling_setpoint"] for _ in range(5)]
+    assert fine == [22.25, 22.75, 23.25, 23.5, 23.5]
+    cold = [control.act(view(of, air=20.1))["heating_setpoint"] for _ in range(5)]
+    assert cold == [20.5, 21.0, 21.5, 21.75, 21.75]
+    assert control.act(view(of, air=20.2))["heating_setpoint"] == 21.25  # the margin is reached
+
+
+def test_incremental_forgets_at_an_episodes_begin() -> None:
+    of = node()
+    agent = Agent(IncrementalRules(of, step=0.25))
+    moved = [agent.values(view(of, air=30.0, step=k))[COOL.name] for k in range(3)]
+    assert moved == [23.25, 23.0, 22.75]
+    assert agent.values(view(of, air=30.0, episode=1))[COOL.name] == 23.25
+    assert agent.values(view(of, air=30.0, episode=1, step=1))[COOL.name] == 23.0
+
+
+def test_incremental_reads_the_mean_of_its_zones() -> None:
+    of = node(COOL, sensors=(sensor("a"), sensor("b")))
+    control = IncrementalRules(of, margin=0.0)
+    assert control.act(view(of, a=25.0, b=22.0))[COOL.name] == 23.5  # a mean of 23.5 is comfortable
+    assert control.act(view(of, a=25.1, b=22.0))[COOL.name] == 23.0
+
+
+def test_incremental_needs_a_setpoint_and_a_temperature() -> None:
+    for of in (single("fan", 0.0, 1.0), node(sensors=())):
+        with pytest.raises(InvalidConfig, match="need an action that sets a heating or cooling setpoint and a sensor"):
+            IncrementalRules(of)
+
+
+# PID. A timestep is a quarter of an hour.
+
+
+def outputs(control: PIDController, airs: list[float], name: str = "valve") -> list[float]:
+    return [control.act(view(control.manifest, air=air))[name] for air in airs]
+
+
+def test_pid_against_a_sequence_by_hand() -> None:
+    """kp 2, ki 4 (1 a K and step), kd 0.5 (2 a K of change), about 50.
+
+    T    e     P    I    D                      u
+    20   1     2    1    0                      53
+    20.5 0.5   1    1.5  -0.5 * 0.5 / 0.25 = -1 51.5
+    21.5 -0.5  -1   1    -0.5 * 1 / 0.25 = -2   48
+    21   0     0    1    +1                     52
+    """
+    control = PIDController(single("valve", 0.0, 100.0), setpoint=21.0, kp=2.0, ki=4.0, kd=0.5)
+    assert outputs(control, [20.0, 20.5, 21.5, 21.0]) == pytest.approx([53.0, 51.5, 48.0, 52.0])
+
+
+def test_pid_direct_acting_is_the_mirror_image() -> None:
+    of = single("valve", 0.0, 100.0)
+    heats = PIDController(of, setpoint=21.0, kp=2.0, ki=4.0, kd=0.5)
+    cools = PIDController(of, setpoint=21.0, kp=2.0, ki=4.0, kd=0.5, reverse=False)
+    airs = [20.0, 20.5, 21.5, 21.0]
+    assert outputs(cools, airs) == pytest.approx([100.0 - u for u in outputs(heats, airs)])
+
+
+def test_pid_takes_no_integral_on_while_it_is_at_a_limit() -> None:
+    """ki 4 is 1 a K and step. At -1 K the output stands at 51 after a step, then at its limit of 52."""
+    of = single("valve", 0.0, 52.0)
+    control = PIDController(of, setpoint=21.0, kp=0.0, ki=4.0, bias=50.0)
+    assert outputs(control, [20.0] * 100) == [51.0] + [52.0] * 99
+    # It leaves the limit at once; a wound up integral would hold it there for ninety steps more.
+    assert outputs(control, [22.0, 22.0]) == [51.0, 50.0]
+    low = PIDController(single("valve", 48.0, 100.0), setpoint=21.0, kp=0.0, ki=4.0, bias=50.0)
+    assert outputs(low, [22.0] * 100) == [49.0] + [48.0] * 99
+    assert outputs(low, [20.0, 20.0]) == [49.0, 50.0]
+
+
+def test_pid_forgets_at_an_episodes_begin() -> None:
+    control = PIDController(single("valve", 0.0, 100.0), setpoint=21.0, kp=2.0, ki=4.0, kd=0.5)
+    first = outputs(control, [20.0, 20.5])
+    control.begin(view(control.manifest))
+    assert outputs(control, [20.0, 20.5]) == first
+
+
+@given(st.lists(st.floats(-80.0, 80.0), min_size=1, max_size=30), st.booleans())
+def test_pid_stays_within_its_limits(airs: list[float], reverse: bool) -> None:
+    control = PIDController(single("valve", 0.0, 1.0), setpoint=21.0, kp=3.0, ki=9.0, kd=2.0, low=0.2, reverse=reverse)
+    assert all(0.2 <= u <= 1.0 for u in outputs(control, airs))
+
+
+def test_pid_holds_a_room_without_offset() -> None:
+    """A room that loses 1 K an hour for each K to 0 degC outside and is heated by up to 40 K an hour: 21 needs 21."""
+    control = PIDController(single("valve", 0.0, 40.0), setpoint=21.0, kp=2.0, ki=2.0, bias=0.0)
+    air = 15.0
+    for _ in range(400):
+        (heat,) = outputs(control, [air])
+        air += (heat - air) * 0.25
+    assert air == pytest.approx(21.0, abs=1e-6)
+    assert heat == pytest.approx(21.0, abs=1e-6)
+
+
+def test_pid_drives_a_named_actuator_and_holds_others() -> None:
+    of = node(sensors=(sensor("a"), sensor("b")))
+    control = PIDController(of, setpoint=21.0, sensor="b", actuator=HEAT.name, kp=1.0, ki=0.0, cooling_setpoint=28.0)
+    assert control.act(view(of, a=0.0, b=20.0)) == {HEAT.name: 22.0, COOL.name: 28.0}  # the setpoint, and 1
+
+
+@pytest.mark.parametrize(
+    ("of", "given", "says"),
+    [
+        (node(sensors=(PEOPLE,)), {}, r"pid needs a sensor in degC, and node 'office' has none: name one"),
+        (node(), {}, r"pid takes one actuator: name it by actuator=...; there are: 'heating_setpoint', 'cooling"),
+        (
+            node(HEAT, sensors=(sensor("a"), sensor("b"))),
+            {},
+            r"pid takes one sensor: name it by sensor=...; there are: 'a'",
+        ),
+        (node(HEAT), {"sensor": "aire"}, "pid has no sensor 'aire' in degC to read; near names: 'air'"),
+        (node(HEAT), {"actuator": "heat"}, "pid has no actuator 'heat' to drive; near names: 'heating_setpoint'"),
+        (single("valve", 0.0, None), {}, "'valve' has no bounds of its own: name the output's limits by low="),
+        (node(HEAT), {"high": 30}, "high = 30; a number from 15 to 22.5 expected"),
+        (node(HEAT), {"low": 20, "high": 18}, "low = 20 is not below high = 18"),
+        (node(HEAT), {"kp": -1}, "kp = -1; a number of at least 0 expected"),
+        (node(HEAT), {"reverse": "yes"}, "reverse = 'yes'; true or false expected"),
+        (node(HEAT), {"heating_setpoint": 20}, "heating_setpoint: driven by the controller"),
+        (manifest(sensors=[ROOM]), {}, "pid needs an actuator to drive, and node 'office' has none"),
+    ],
+)
+def test_pids_that_cannot_be(of: Manifest, given: dict[str, Any], says: str) -> None:
+    with pytest.raises(InvalidConfig, match=says):
+        make_controller(PIDController, of, {"setpoint": 21.0, **given})
+
+
+def test_pid_needs_a_setpoint() -> None:
+    with pytest.raises(
+        InvalidConfig, match=r"PIDController needs setpoint: --set setpoint=\.\.\., or setpoint= in Python"
+    ):
+        make_controller(PIDController, node(HEAT), {})
+
+
+# As an agent
+
+
+def discrete(*choices: DiscreteAction) -> Task:
+    return Task(actions=node().task.actions, discrete_actions=choices)
+
+
+def test_values_as_an_action() -> None:
+    of = node()
+    action = action_of(of, {COOL.name: 26.0, HEAT.name: 21.0})
+    assert (action.dtype, action.tolist()) == (np.float32, [21.0, 26.0])
+
+
+@pytest.mark.parametrize(
+    ("values", "says"),
+    [
+        ({}, "leaves 'heating_setpoint' to the building, and an action sets it always"),
+        ({HEAT.name: None, COOL.name: 25.0}, "leaves 'heating_setpoint' to the building"),
+        ({HEAT.name: 20.0, COOL.name: 31.0}, "cooling_setpoint = 31; its bounds are 22.5 to 30 degC"),
+        ({HEAT.name: 20.0, COOL.name: math.nan}, "cooling_setpoint = nan; a finite number expected"),
+        ({HEAT.name: 20.0, COOL.name: 25.0, "fan": 1.0}, "no action sets 'fan'"),
+    ],
+)
+def test_values_that_no_action_can_say(values: dict[str, float | None], says: str) -> None:
+    with pytest.raises(InvalidAction, match=says):
+        action_of(node(), values)
+
+
+def test_one_action_says_one_value() -> None:
+    both = Action(name="both", unit="degC", actuators=(HEAT.name, COOL.name))
+    of = node(task=Task(actions=(both,)))
+    assert action_of(of, {HEAT.name: 22.5, COOL.name: 22.5}).tolist() == [22.5]
+    with pytest.raises(
+        InvalidAction, match="sets its actuators to one value, and here they differ: heating_setpoint = 20"
+    ):
+        action_of(of, {HEAT.name: 20.0, COOL.name: 25.0})
+
+
+def test_the_nearest_choice() -> None:
+    rows = ((15.0, 30.0), (20.0, 25.0), (22.0, 23.0))
+    one = node(task=discrete(DiscreteAction(actions=(HEAT.name, COOL.name), values=rows)))
+    assert action_of(one, {HEAT.name: 20.3, COOL.name: 24.0}) == 1  # 0.09 + 1 against 2.89 + 1
+    assert action_of(one, {HEAT.name: 21.0, COOL.name: 24.0}) == 1  # the first of equals
+    two = node(
+        task=discrete(
+            DiscreteAction(actions=(HEAT.name,), values=((16.0,), (20.0,))),
+            DiscreteAction(actions=(COOL.name,), values=((24.0,), (27.0,), (30.0,))),
+        )
+    )
+    action = action_of(two, {HEAT.name: 21.0, COOL.name: 28.0})
+    assert (action.dtype, action.tolist()) == (np.int64, [1, 1])
+
+
+def test_room_setpoints_go_first_among_choices() -> None:
+    cooling, water = actuator("cooling_setpoint", 20.0, 30.0), actuator("chw_temperature", 5.0, 10.0)
+    actions = node(cooling, water).task.actions
+    rows = ((27.0, 6.0), (27.0, 7.0), (29.0, 10.0))
+    of = node(
+        cooling,
+        water,
+        task=Task(actions=actions, discrete_actions=(DiscreteAction(actions=(cooling.name, water.name), values=rows),)),
+    )
+    assert action_of(of, {cooling.name: 26.7, water.name: 10.0}) == 1
+
+
+def test_an_agent_keeps_what_is_not_named_until_the_episode_ends() -> None:
+    class Once:
+        def __init__(self) -> None:
+            self.begun: list[int] = []
+
+        def begin(self, sample: SampleView) -> None:
+            self.begun.append(sample.episode)
+
+        def act(self, sample: SampleView) -> dict[str, float | None]:
+            return {HEAT.name: 20.0, COOL.name: 25.0} if sample.step == 0 else {COOL.name: 26.0}
+
+    of, once = node(), Once()
+    agent = Agent(once)
+    assert agent.action(view(of)).tolist() == [20.0, 25.0]
+    assert agent.action(view(of, step=1)).tolist() == [20.0, 26.0]
+    with pytest.raises(InvalidAction, match="leaves 'heating_setpoint'"):
+        agent.action(view(of, episode=1, step=5))  # joined amid an episode
+    assert once.begun == [0, 1]
+    agent.values(view(of, episode=1))  # a reset of a node that stands at sample 0 already
+    assert once.begun == [0, 1, 1]
+
+
+def test_the_buildings_own_control_as_an_agent() -> None:
+    empty = manifest(sensors=[ROOM])
+    assert Agent(BaselineController(empty)).action(view(empty)).shape == (0,)
+    with pytest.raises(InvalidAction, match="none at all are the building's own control"):
+        Agent(BaselineController(node())).action(view(node()))
+
+
+# Controllers by name
+
+
+@pytest.fixture
+def modules() -> Iterator[dict[str, Any]]:
+    """All modules are the same afterwards, but for new ones of the tests' own."""
+    before, finders = dict(sys.modules), list(sys.meta_path)
+    yield before
+    assert sys.meta_path == finders
+    changed = {name for name in before if sys.modules.get(name) is not before[name]}
+    for name in set(sys.modules) - set(before):
+        del sys.modules[name]
+    sys.modules.update(before)
+    assert changed == set()
+
+
+MINE = """
+class Mine:
+    def __init__(self, manifest, *, setpoint=25.0):
+        self.setpoint = setpoint
+
+    def act(self, sample):
+        return {"cooling_setpoint": self.setpoint}
+"""
+
+NO_CONTROLLERS = """
+from agent_sdk.controllers import Controller
+
+VALUE = 1
+
+class Idle:
+    pass
+
+class Bare:
+    def act(self, sample):
+        pass
+"""
+
+
+def test_short_names() -> None:
+    assert set(CONTROLLERS) == {"building", "rbc", "random", "fixed", "setback", "incremental", "pid"}
+    assert load_controller("rbc") is RuleBasedController
+    assert all(issubclass(found, Controller) for found in CONTROLLERS.values())
+
+
+def test_a_class_of_anybodys_in_a_file(tmp_path: Path, modules: dict[str, Any]) -> None:
+    (tmp_path / "mine.py").write_text(MINE)
+    made = make_controller(load_controller(f"{tmp_path}/mine.py:Mine"), node(), {"setpoint": 26.5})
+    assert made.act(view(node())) == {"cooling_setpoint": 26.5}
+    with pytest.raises(InvalidConfig, match="Mine takes no parameter 'setpint'; near names: 'setpoint'"):
+        make_controller(type(made), node(), {"setpint": 1})
+
+
+def test_a_module_in_the_present_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, modules: dict[str, Any]
+) -> None:
+    name = f"brains_{random.randrange(10**9)}"
+    (tmp_path / name).mkdir()
+    (tmp_path / name / "mine.py").write_text(MINE)
+    monkeypatch.chdir(tmp_path)
+    path = list(sys.path)
+    assert load_controller(f"{name}.mine:Mine").__name__ == "Mine"
+    assert sys.path == path
+    with pytest.raises(UnknownName, match=rf"there is no module '{name}\.other', neither installed nor in"):
+        load_controller(f"{name}.other:Mine")
+
+
+def test_a_file_beside_modules_that_are_called_like_ours(tmp_path: Path, modules: dict[str, Any]) -> None:
+    """Its `models` is its own while it is loaded, its `topics` is ours; afterwards each is what it was."""
+    import models.points
+    import topics.errors
+
+    (tmp_path / "models.py").write_text("SETPOINT = 27.5\n")
+    (tmp_path / "topics.py").write_text("raise RuntimeError('a file of the user was imported')\n")
+    (tmp_path / "help_of_mine.py").write_text("import models\nOFFSET = models.SETPOINT - 27.0\n")
+    (tmp_path / "mine.py").write_text(
+        "from help_of_mine import OFFSET\nfrom models import SETPOINT\nfrom topics.errors import InvalidConfig\n"
+        + MINE.replace("self.setpoint}", "SETPOINT + OFFSET}")
+    )
+    made = load_controller(f"{tmp_path / 'mine.py'}:Mine")(node())
+    assert made.act(view(node())) == {"cooling_setpoint": 28.0}
+    assert sys.modules["models"] is models
+    assert sys.modules["models.points.selection"] is models.points
+    assert sys.modules["topics"] is topics
+
+
+def test_our_own_rooms_beside_a_file_stay_the_same(modules: dict[str, Any]) -> None:
+    """As for a file that lies in the project's own folder."""
+    import models.points
+
+    with _beside(Path(models.__file__).parent.parent):
+        assert sys.modules["models"] is models
+        assert importlib.import_module("models.points.selection").Points is models.points.Points
+
+
+@pytest.mark.parametrize(
+    ("text", "error", "says"),
+    [
+        ("rcb", UnknownName, r"no controller 'rcb'; .*'rbc'.*path/to/file\.py:MyController"),
+        ("nowhere/mine.py:Mine", UnknownName, r"there is no file .*/nowhere/mine\.py"),
+        ("mine.py:Mien", UnknownName, r"there is no 'Mien' in mine\.py; near names: 'Mine'"),
+        ("mine.py:VALUE", InvalidConfig, r"VALUE of mine\.py is no controller; a class with a method act\(sample\)"),
+        ("mine.py:Idle", InvalidConfig, r"Idle of mine\.py is no controller; a class with a method act"),
+        ("mine.py:Bare", InvalidConfig, r"Bare of mine\.py is no controller: it has to take the node's manifest"),
+        (
+            "mine.py:Controller",
+            InvalidConfig,
+            r"Controller of mine\.py is no controller: its act\(sample\) is abstract",
+        ),
+        (
+            "broken.py:Mine",
+            InvalidConfig,
+            r"broken\.py fails while it is loaded: ZeroDivisionError: .*line 3 of broken",
+        ),
+        ("wrong.py:Mine", InvalidConfig, r"wrong\.py fails while it is loaded: SyntaxError"),
+        ("quits.py:Mine", InvalidConfig, r"quits\.py fails while it is loaded: SystemExit: 3"),
+        (
+            "needs.py:Mine",
+            InvalidConfig,
+            r"needs\.py fails .*cannot import name 'Net' .*bridge\.py has the name of a part of Zenostat",
+        ),
+        ("no.such.module:Mine", UnknownName, r"there is no module 'no\.such\.module'"),
+    ],
+)
+def test_what_is_no_controller(
+    text: str,
+    error: type[Exception],
+    says: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    modules: dict[str, Any],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.py").write_text(MINE + NO_CONTROLLERS)
+    (tmp_path / "broken.py").write_text("\n\n1 / 0\n")
+    (tmp_path / "wrong.py").write_text("class\n")
+    (tmp_path / "quits.py").write_text("import sys\nsys.exit(3)\n")
+    (tmp_path / "bridge.py").write_text("class Net: pass\n")
+    (tmp_path / "needs.py").write_text("from bridge import Net\n")
+    with pytest.raises(error, match=says) as caught:
+        load_controller(text)
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,68 @@
+"""constraints-lowest.txt has the lowest versions that pyproject.toml allows, and the packages import with them."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+import re
+import tomllib
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.vector import SyncVectorEnv
+
+import agent_sdk
+from agent_sdk import wrappers
+from agent_sdk.testing import FakeEnv
+from topics.errors import InvalidConfig
+
+ROOT = Path(__file__).parents[2]
+PACKAGES = ("topics", "models", "bridge", "eplus_node", "agent_sdk", "cli")
+
+
+def normal(name: str) -> str:
+    return name.lower().replace("_", "-")
+
+
+def test_the_constraints_are_the_lower_bounds() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    asked = [*project["dependencies"], *(one for extra in project["optional-dependencies"].values() for one in extra)]
+    bounds = dict(re.findall(r"^([\w-]+)(?:\[\w+\])?[>=]=([\d.]+)", "\n".join(asked), re.MULTILINE))
+    lines = re.findall(r"^([\w-]+)==([\d.]+)$", (ROOT / "constraints-lowest.txt").read_text(), re.MULTILINE)
+    pinned = {normal(name): version for name, version in lines}
+    assert sorted(pinned) == sorted(map(normal, bounds))
+    for name, bound in bounds.items():
+        assert f"{pinned[normal(name)]}.".startswith(f"{bound}."), name
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_every_module_imports(package: str) -> None:
+    for found in pkgutil.walk_packages([str(ROOT / package)], f"{package}."):
+        if found.name.endswith("__main__"):
+            continue
+        try:
+            importlib.import_module(found.name)
+        except (InvalidConfig, ModuleNotFoundError) as error:
+            if not re.search("pip install|No module named '(zmq|stable_baselines3|torch|pettingzoo)", str(error)):
+                raise  # else an extra that is not installed
+
+
+def test_wrappers_of_both_kinds_go_around_vectors() -> None:
+    chain = [
+        {"wrapper": "CyclicTime", "fields": ["hour"]},
+        {"wrapper": "RescaleAction", "min_action": -1.0, "max_action": 1.0},
+    ]
+    given = {"zones": 1, "steps_per_hour": 1, "time": ("hour",)}
+    for env in (SyncVectorEnv([lambda: FakeEnv(**given)] * 2), gym.make_vec("zenostat/Fake-v1", num_envs=2, **given)):
+        wrapped = wrappers.apply_wrappers(env, chain)
+        assert wrapped.reset(seed=0)[0].shape == wrapped.observation_space.shape
+        observations, *_ = wrapped.step(np.zeros(wrapped.action_space.shape, np.float32))
+        assert observations.shape == wrapped.observation_space.shape
+        wrapped.close()
+
+
+def test_the_command_line_imports() -> None:
+    assert agent_sdk.__name__ == "agent_sdk"
+    assert importlib.import_module("cli.main").main is not None

@@ -1,0 +1,127 @@
+"""Wrappers on a real node: what they tell of it, what they hand to it, what they keep of it."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from support.nodes import COOLING, SMALL
+
+from agent_sdk import wrappers as w
+
+N = 96
+DRY, HUMIDITY = "dry_bulb_temperature", "relative_humidity"
+NOISE = {DRY: {"sigma": 3.0, "tau_h": 12.0}}
+
+
+@pytest.fixture(scope="module")
+def building() -> Iterator[gym.Env[Any, Any]]:
+    """The cooling setpoint of the core is the agent's, that of another zone is context; the weather is noised."""
+    points = [COOLING[f"{zone}_cooling_setpoint"] for zone in ("core_zn", "perimeter_zn_1")]
+    made = gym.make(
+        "zenostat/Building-v1",
+        **SMALL,
+        affinity="off",
+        sensors={
+            "outdoor": ("Site Outdoor Air Drybulb Temperature", "Environment", "instant"),
+            "outdoor_humidity": ("Site Outdoor Air Relative Humidity", "Environment", "instant"),
+            "core": ("Zone Air Temperature", "Core_ZN"),
+            "core_setpoint": ("Zone Thermostat Cooling Setpoint Temperature", "Core_ZN"),
+            "power": ("Facility Total HVAC Electricity Demand Rate", "Whole Building"),
+        },
+        actuators={"core_cooling": (*points[0], 22.0, 30.0), "side_cooling": (*points[1], 22.0, 30.0)},
+        actions={"cooling": {"actuators": ["core_cooling"]}},
+        weather_noise=NOISE,
+    )
+    yield made
+    made.close()
+
+
+def episode(env: gym.Env[Any, Any], seed: int, action: Any) -> list[tuple[dict[str, float], dict[str, Any]]]:
+    """Each sample's observation by name, and its info."""
+    observation, info = env.reset(seed=seed)
+    names, truncated = w.names_of(env), False
+    said = [(dict(zip(names, observation.tolist(), strict=True)), info)]
+    while not truncated:
+        observation, _, _, truncated, info = env.step(action)
+        assert env.observation_space.contains(observation)
+        said.append((dict(zip(names, observation.tolist(), strict=True)), info))
+    assert len(said) == N + 1
+    return said
+
+
+def test_the_forecast_is_what_comes(building: gym.Env[Any, Any]) -> None:
+    """At whole hours, of the noised weather that this very episode reads, in two episodes of different weather."""
+    env = w.WeatherForecast(building, [DRY], n=3)
+    days = []
+    for seed in (1, 2):
+        seen = [values for values, _ in episode(env, seed, [26.0])]
+        for at in range(0, N + 1 - 12, 4):
+            for ahead in (1, 2, 3):
+                assert seen[at][f"{DRY}_in_{ahead}h"] == pytest.approx(seen[at + 4 * ahead]["outdoor"], abs=2e-5)
+        days.append([values["outdoor"] for values in seen])
+    assert np.abs(np.subtract(*days)).max() > 0.5, "the noise is another with another seed"
+
+
+def test_between_the_hours_the_forecast_is_what_comes_too(building: gym.Env[Any, Any]) -> None:
+    env = w.WeatherForecast(building, [DRY], n=2, spacing_h=0.25)
+    seen = [values for values, _ in episode(env, 1, [26.0])]
+    for at in range(4, N - 1):
+        for steps, hours in ((1, "0.25"), (2, "0.5")):
+            assert seen[at][f"{DRY}_in_{hours}h"] == pytest.approx(seen[at + steps]["outdoor"], abs=2e-5)
+
+
+def test_context_is_what_the_building_gets(building: gym.Env[Any, Any]) -> None:
+    schedule = {"00:00": {"side_cooling": 29.0}, "09:00": {"side_cooling": 24.5}, "18:00": {"side_cooling": 29.0}}
+    env = w.ChangingContext(building, schedule)
+    for seed in (1, 1):
+        effective = [info["effective"].tolist() for _, info in episode(env, seed, [26.0])[1:]]
+        assert effective == [[26.0, 29.0]] * 36 + [[26.0, 24.5]] * 36 + [[26.0, 29.0]] * 24
+
+
+def test_increments_are_what_the_building_gets(building: gym.Env[Any, Any]) -> None:
+    env = w.SetpointDifference(
+        w.IncrementalAction(building, {"cooling": [1.0, 0.5]}, {"cooling": 26.0}), {"excess": ["core", "core_setpoint"]}
+    )
+    for _ in range(2):
+        seen = episode(env, 1, [0.4])
+        assert [info["effective"][0] for _, info in seen[1:10]] == [26.5, 27, 27.5, 28, 28.5, 29, 29.5, 30, 30]
+        values = seen[5][0]
+        assert values["core_setpoint"] == 28.5
+        assert values["excess"] == np.float32(values["core"]) - np.float32(28.5)
+
+
+def test_a_log_has_n_rows_with_n_steps(building: gym.Env[Any, Any], tmp_path: Path) -> None:
+    env = w.EpisodeLog(w.CyclicTime(building), tmp_path)
+    seen = episode(env, 1, [26.0])[1:]
+    (file,) = tmp_path.iterdir()
+    with file.open(newline="") as table:
+        rows = list(csv.DictReader(table))
+    assert len(rows) == N
+    assert [row["time"] for row in rows] == [info["time"] for _, info in seen]
+    for row, (values, info) in zip(rows, seen, strict=True):
+        assert {name: float(row[f"observation.{name}"]) for name in values} == values
+        assert float(row["applied.core_cooling"]) == info["effective"][0] == 26.0
+        terms = {name: float(row[f"reward.{name}"]) for name in info["reward_terms"]}
+        assert terms == info["reward_terms"]
+        assert float(row["reward"]) == pytest.approx(sum(terms.values()))
+
+
+def test_a_chain_as_data_around_a_scenario(building: gym.Env[Any, Any]) -> None:
+    chain: list[dict[str, Any]] = [
+        {"wrapper": "WeatherForecast", "columns": [DRY, HUMIDITY], "n": 2, "errors": {DRY: 1.0}},
+        {"wrapper": "ReducedObservation", "keep": ["core", f"{HUMIDITY}_in_1h"]},
+        {"wrapper": "RewardVector", "terms": ["comfort", "energy"]},
+    ]
+    env = w.apply_wrappers(building, chain)
+    assert w.wrappers_of(env) == chain
+    env.reset(seed=1)
+    observation, reward, _, _, info = env.step([26.0])
+    assert observation.shape == reward.shape == (2,)
+    assert reward.tolist() == [info["reward_terms"]["comfort"], info["reward_terms"]["energy"]]
+    assert set(info["dropped"]) >= {"outdoor", "power", f"{DRY}_in_2h"}

@@ -1,0 +1,172 @@
+"""Calls at a later time: the agenda by itself, and the thread that follows it."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from support.nodes import until
+
+from bridge.runtime.timer import Agenda, Timer
+
+
+class Clock:
+    """A clock that stands still until it is set."""
+
+    now_s = 0.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+def nothing() -> None:
+    """Is called to wake the thread, which then looks at the clock."""
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def timer(clock: Clock) -> Iterator[Timer]:
+    with Timer(clock) as made:
+        yield made
+    assert not [thread for thread in threading.enumerate() if thread.name == "timer"]
+
+
+# The agenda
+
+times = st.floats(0, 100)
+
+
+@given(st.lists(times), st.sets(st.integers(0, 50)), times)
+def test_what_is_due_comes_in_order_and_the_rest_stays(dues: list[float], removed: set[int], now_s: float) -> None:
+    agenda, came = Agenda(), []
+    numbers = [agenda.add(due, lambda i=i: came.append(i)) for i, due in enumerate(dues)]
+    for index in removed:
+        if index < len(numbers):
+            assert agenda.remove(numbers[index])
+            assert not agenda.remove(numbers[index])
+    while call := agenda.pop(now_s):
+        call()
+    kept = [i for i in range(len(dues)) if i not in removed]
+    assert came == sorted((i for i in kept if dues[i] <= now_s), key=lambda i: (dues[i], i))
+    later = [dues[i] for i in kept if dues[i] > now_s]
+    assert len(agenda) == len(later)
+    assert agenda.next_s == min(later, default=None)
+
+
+def test_deadlines_that_were_met_do_not_pile_up() -> None:
+    agenda = Agenda()
+    kept = agenda.add(1e9, nothing)
+    for step in range(10_000):
+        agenda.remove(agenda.add(step + 10.0, nothing))
+    assert len(agenda._heap) < 100
+    assert agenda.next_s == 1e9
+    assert agenda.remove(kept)
+
+
+# The thread
+
+
+def test_no_thread_before_it_is_used() -> None:
+    with Timer():
+        assert not [thread for thread in threading.enumerate() if thread.name == "timer"]
+
+
+def test_calls_come_when_the_clock_says_so_and_in_order(clock: Clock, timer: Timer) -> None:
+    # due at 3000, 1000, 2000 s; the clock goes 0 → 2000 → 3000
+    came: list[int] = []
+    for due in (3000, 1000, 2000):
+        timer.at(float(due), lambda due=due: came.append(due))
+    timer.at(0.0, lambda: came.append(0))
+    until(lambda: came == [0], "what is due at once")
+    clock.now_s = 2000.0
+    timer.at(0.0, nothing)
+    until(lambda: came == [0, 1000, 2000], "what is due at 2000")
+    clock.now_s = 3000.0
+    timer.at(0.0, nothing)
+    until(lambda: came == [0, 1000, 2000, 3000], "what is due at 3000")
+
+
+def test_an_earlier_call_is_not_kept_waiting_by_a_later_one() -> None:
+    came = threading.Event()
+    with Timer() as timer:
+        timer.at(timer.clock() + 1e6, nothing)
+        until(lambda: timer._changed._waiters, "the thread's waiting for the later call")
+        timer.at(timer.clock() + 0.01, came.set)
+        until(came.is_set, "the earlier call")
+
+
+def test_what_was_cancelled_does_not_come(clock: Clock, timer: Timer) -> None:
+    came: list[str] = []
+    first = timer.at(1000.0, lambda: came.append("cancelled"))
+    second = timer.at(1000.0, lambda: came.append("kept"))
+    assert timer.cancel(first)
+    clock.now_s = 1000.0
+    timer.at(0.0, nothing)
+    until(lambda: came, "the one that was kept")
+    assert came == ["kept"]
+    assert not timer.cancel(second)
+
+
+def test_a_call_may_ask_for_another(clock: Clock, timer: Timer) -> None:
+    came: list[str] = []
+    timer.at(0.0, lambda: timer.at(0.0, lambda: came.append("second")))
+    until(lambda: came == ["second"], "the call of a call")
+
+
+def test_what_a_call_raises_is_told_and_the_next_one_comes(
+    clock: Clock, timer: Timer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[str] = []
+    monkeypatch.setattr(threading, "excepthook", lambda said: told.append(str(said.exc_value)))
+    came = threading.Event()
+
+    def wrong() -> None:
+        raise RuntimeError("a mistake")
+
+    timer.at(0.0, wrong)
+    timer.at(0.0, came.set)
+    until(came.is_set, "the next call")
+    assert told == ["a mistake"]
+
+
+def test_close_ends_the_thread_and_nothing_comes_after(clock: Clock) -> None:
+    timer, came = Timer(clock), []
+    timer.at(5.0, lambda: came.append("late"))
+    (thread,) = [thread for thread in threading.enumerate() if thread.name == "timer"]
+    timer.close()
+    timer.close()
+    assert not thread.is_alive()
+    clock.now_s = 9.0
+    timer.at(0.0, lambda: came.append("after"))
+    assert not [thread for thread in threading.enumerate() if thread.name == "timer"]
+    assert came == []
+
+
+def test_a_timer_that_was_closed_starts_no_thread(clock: Clock) -> None:
+    timer = Timer(clock)
+    timer.close()
+    timer.at(0.0, nothing)
+    assert timer._thread is None
+
+
+def test_a_call_may_close_the_timer(clock: Clock) -> None:
+    timer = Timer(clock)
+    timer.at(0.0, timer.close)
+    until(lambda: not [t for t in threading.enumerate() if t.name == "timer"], "the end of the thread")
+    timer.close()
+
+
+def test_a_call_in_a_million_years_holds_up_nobody() -> None:
+    """A slow pace has its next timestep then; waiting so long at once is more than a thread can."""
+    timer, came = Timer(), threading.Event()
+    timer.at(timer.clock() + 3e13, nothing)
+    timer.at(timer.clock() + 0.05, came.set)
+    assert came.wait(30.0)
+    timer.close()

@@ -1,0 +1,134 @@
+"""`zenostat evaluate` as a program, from a folder that is not the project's."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from support.nodes import SMALL, interrupted
+
+from cli.evaluate import check_file, write
+from topics.errors import InvalidConfig
+
+ZENOSTAT = [sys.executable, "-P", "-m", "cli.main", "evaluate"]
+SCENARIO = f"""
+building: {SMALL["building"]}
+weather: {SMALL["weather"]}
+steps_per_hour: {SMALL["steps_per_hour"]}
+begin: "07-03"
+end: "12-31"
+variability: {{dry_bulb_temperature: {{sigma: 1.0, mu: 0.0, tau_h: 24.0}}}}
+reward: {{kind: linear}}
+"""
+DAY = ["--begin", "07-03", "--end", "07-03"]
+
+
+def _evaluate(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([*ZENOSTAT, *arguments], capture_output=True, text=True, cwd=cwd, timeout=90)
+
+
+def _plain(text: str) -> str:
+    return " ".join(re.sub(r"\x1b\[[0-9;]*m", "", text).split())
+
+
+@pytest.mark.slow
+def test_two_runs_give_the_same_table_and_the_same_parquet(scratch: Path) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet")
+    (scratch / "office.yaml").write_text(SCENARIO)
+    call = ["office.yaml", "--controller", "building", "--controller", "rbc", "--set", "margin=0.5", "--episodes", "2"]
+    runs = [_evaluate(*call, *DAY, "--seed", "3", "--out", f"{run}.parquet", cwd=scratch) for run in "ab"]
+    for done in runs:
+        assert done.returncode == 0, done.stderr
+    one, other = (done.stdout[done.stdout.index("building  ") :].splitlines() for done in runs)
+    shown = [line for line in one if not line.startswith("episodes:") and "steps/s" not in line]
+    assert shown == [line for line in other if not line.startswith("episodes:") and "steps/s" not in line]
+    assert re.search(r"electricity \(kWh\)\s+[\d,.]+ ± [\d.]+\s+[\d,.]+ ± [\d.]+", "\n".join(shown))
+    assert "electricity (kWh), mean power (W), peak (kW): meter Electricity:Facility" in shown
+    assert (scratch / "a.parquet").read_bytes() == (scratch / "b.parquet").read_bytes()
+    rows = parquet.read_table(scratch / "a.parquet").to_pylist()
+    assert [(row["controller"], row["episode"], row["seed"], row["weather"]) for row in rows] == [
+        (name, k, 3 + k, SMALL["weather"]) for name in ("building", "rbc") for k in range(2)
+    ]
+    assert rows[0]["electricity_kwh"] != rows[1]["electricity_kwh"]  # other noise on the weather
+    assert rows[0]["electricity_kwh"] != rows[2]["electricity_kwh"]
+    assert {row["steps"] for row in rows} == {96}
+    assert sorted(path.name for path in scratch.glob("*.parquet")) == ["a.parquet", "b.parquet"]
+
+
+def test_json_is_the_table_of_the_episodes_and_csv_the_same(scratch: Path) -> None:
+    (scratch / "mine.py").write_text(
+        "from agent_sdk.controllers import FixedSetpoints\n\n\n"
+        "class Mine(FixedSetpoints):\n    def __init__(self, manifest, *, core=26.0):\n"
+        "        super().__init__(manifest, cooling_setpoint=core)\n"
+    )
+    call = ["ref-small-office-USA_CO_Denver-continuous-v1", "--controller", "mine.py:Mine", "--set", "core=25.5"]
+    done = _evaluate(*call, *DAY, "--json", "--out", "rows.csv", cwd=scratch)
+    assert done.returncode == 0, done.stderr
+    (row,) = json.loads(done.stdout)
+    assert row["controller"] == "mine.py:Mine"
+    assert row["reward"] == pytest.approx(row["reward.energy"] + row["reward.comfort"])
+    assert row["mean_power_w"] == pytest.approx(row["electricity_kwh"] / 24 * 1e3)
+    with (scratch / "rows.csv").open(newline="") as file:
+        (read,) = csv.DictReader(file)
+    assert {name: str(value) for name, value in row.items()} == read
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--controller", "rbc", "--out", "rows.txt"], "--out rows.txt: a table goes to a file .parquet or .csv"),
+        (["--controller", "rbc", "--out", "nowhere/rows.csv"], "there is no folder"),
+        (["--controller", "rbcc"], "no controller 'rbcc'; near names: 'rbc'"),
+        (["--controller", "rbc", "--controller", "rbc"], "the controller rbc stands twice"),
+        (["--controller", "rbc", "--set", "mergin=1"], "none of the controllers takes the parameter 'mergin'"),
+        (["--controller", "rbc", "--set", "margin"], "--set margin: a name and a value expected"),
+        (["--controller", "mine.py:Mine"], "there is no file"),
+        (["--controller", "rbc", "--begin", "13-01"], "13-01"),
+    ],
+)
+def test_mistakes_are_one_sentence(scratch: Path, arguments: list[str], says: str) -> None:
+    done = _evaluate("ref-small-office-USA_CO_Denver-continuous-v1", *arguments, cwd=scratch)
+    assert done.returncode == 2
+    assert says in _plain(done.stderr)
+    assert "Traceback" not in done.stderr
+    assert list(scratch.glob("rows*")) == []
+
+
+def test_an_unknown_scenario_lists_near_ones(scratch: Path) -> None:
+    done = _evaluate("ref-smal-office-USA_CO_Denver-continuous-v1", "--controller", "rbc", cwd=scratch)
+    assert done.returncode == 2
+    assert "ref-small-office-USA_CO_Denver-continuous-v1" in done.stderr
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_who_ends_it_is_left_nothing(scratch: Path, number: signal.Signals) -> None:
+    (scratch / "office.yaml").write_text(SCENARIO)
+    (scratch / "told.py").write_text(
+        "from agent_sdk.controllers import RuleBasedController\n\n\n"
+        "class Told(RuleBasedController):\n    def act(self, sample):\n"
+        "        if sample.step == 40:\n            open('told', 'w').close()\n        return super().act(sample)\n"
+    )
+    command = [*ZENOSTAT, "office.yaml", "--controller", "told.py:Told", "--out", "rows.csv"]
+    interrupted(command, (scratch / "told").exists, "it simulates", cwd=scratch, number=number)
+    assert list(scratch.glob("*rows*")) == []
+
+
+def test_parquet_needs_its_extra(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(InvalidConfig, match=r"pip install -e '\S+\[parquet\]'"):
+        check_file(tmp_path / "rows.parquet")
+    check_file(tmp_path / "rows.csv")
+
+
+def test_a_file_is_there_whole_or_not_at_all(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="dict contains fields"):
+        write([{"controller": "rbc"}, {"else": 1}], tmp_path / "rows.csv")
+    assert list(tmp_path.iterdir()) == []
+    write([{"controller": "rbc", "peak_kw": None, "reward": -0.1}], tmp_path / "rows.csv")
+    assert (tmp_path / "rows.csv").read_text() == "controller,peak_kw,reward\nrbc,,-0.1\n"

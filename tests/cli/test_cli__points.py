@@ -1,0 +1,321 @@
+"""Single points by hand: write, release, read and watch, as programs beside a real node."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.nodes import SMALL, NodeProgram, until
+
+import agent_sdk
+from cli.write import seconds
+from topics.errors import InvalidAction, InvalidConfig, NodeLost, RequestRejected, UnknownName
+from topics.messages import EventKind, Message
+
+ZENOSTAT = [sys.executable, "-P", "-m", "cli.main"]
+POINT = "core_zn_cooling_setpoint"
+AIR = "core_zn_air_temperature"
+
+
+def zenostat(endpoint: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [*ZENOSTAT, *arguments, "--connect", endpoint]
+    return subprocess.run(command, capture_output=True, text=True, timeout=100, env={**os.environ, "COLUMNS": "200"})
+
+
+@pytest.fixture(scope="module")
+def standing(module_folder: Path) -> Iterator[agent_sdk.Bus]:
+    """A node that no test of a mistake may change."""
+    with (
+        NodeProgram(module_folder / "node", **SMALL) as running,
+        agent_sdk.connect(running.endpoint, affinity="off") as made,
+    ):
+        yield made
+        assert made.status("office").rejected == 0
+
+
+def sources(link: agent_sdk.ControllerLink, steps: int) -> list[tuple[float, str]]:
+    """What the point really was in each of the next timesteps, and who set it; the controller keeps all as it is."""
+    sample, found = link.current(), []
+    place = [a.name for a in link.manifest.actuators].index(POINT)
+    for _ in range(steps):
+        sample.send()
+        sample = link.receive()
+        found.append((sample.effective[place], sample.value_source[POINT].rpartition("-")[0].rpartition("-")[0]))
+    return found
+
+
+def actuator_of(endpoint: str) -> dict[str, Any]:
+    said = json.loads(zenostat(endpoint, "read", "office", POINT, "--json").stdout)
+    return next(row for row in said["points"] if row["kind"] == "actuator")
+
+
+# write and release
+
+
+def test_a_write_rules_until_it_is_released(node: NodeProgram, bus: agent_sdk.Bus) -> None:
+    """ann writes 26 → node@1 → ann releases → node@2"""
+    written = zenostat(node.endpoint, "write", "office", POINT, "26", "--source", "ann")
+    assert (written.returncode, written.stdout) == (0, f"office: {POINT} = 26 degC at priority 8\n"), written.stderr
+    with bus.controller("office") as link:
+        assert sources(link, 1) == [(26.0, "ann")]
+        said = actuator_of(node.endpoint)
+        assert (said["value"], said["unit"], said["value_source"].startswith("ann-")) == (26.0, "degC", True)
+        relinquished = zenostat(node.endpoint, "relinquish", "office", POINT)
+        assert (relinquished.returncode, relinquished.stdout) == (0, f"office: {POINT} released at priority 8\n")
+        ((value, who),) = sources(link, 1)
+        assert (value != 26.0, who) == (True, "")
+        assert actuator_of(node.endpoint)["value_source"] == ""
+
+
+def test_a_write_for_half_an_hour_rules_two_quarters(node: NodeProgram, bus: agent_sdk.Bus) -> None:
+    written = zenostat(node.endpoint, "write", "office", POINT, "26", "--for", "30min", "--source", "ann")
+    assert written.stdout == f"office: {POINT} = 26 degC at priority 8 for 30min\n"
+    with bus.controller("office") as link:
+        assert [who for _, who in sources(link, 4)] == ["ann", "ann", "", ""]
+
+
+def test_the_higher_priority_rules_and_a_release_is_of_one_level(node: NodeProgram, bus: agent_sdk.Bus) -> None:
+    for value, priority, who in (("25", "9", "low"), ("27", "3", "high")):
+        done = zenostat(node.endpoint, "write", "office", POINT, value, "--priority", priority, "--source", who)
+        assert done.returncode == 0, done.stderr
+    with bus.controller("office") as link:
+        assert sources(link, 1) == [(27.0, "high")]
+        assert zenostat(node.endpoint, "relinquish", "office", POINT, "--priority", "3").returncode == 0
+        assert sources(link, 1) == [(25.0, "low")]
+
+
+def test_who_writes_is_a_person_at_a_machine_if_nobody_is_named(node: NodeProgram, bus: agent_sdk.Bus) -> None:
+    assert zenostat(node.endpoint, "write", "office", POINT, "26").returncode == 0
+    with bus.controller("office") as link:
+        ((_, who),) = sources(link, 1)
+    assert re.fullmatch(r"[^@]+@.+", who)
+
+
+def test_what_the_node_refuses_ends_with_1_and_its_reason(node: NodeProgram, bus: agent_sdk.Bus) -> None:
+    low, high = next((a.low, a.high) for a in bus.manifest("office").actuators if a.name == POINT)
+    for value in ("99", "-5"):
+        done = zenostat(node.endpoint, "write", "office", POINT, value)
+        assert (done.returncode, done.stdout) == (1, "")
+        assert f"{POINT} = {value} degC; its bounds are {low} to {high}" in done.stderr
+    with bus.controller("office", name="holder", priority=8) as link:
+        done = zenostat(node.endpoint, "write", "office", POINT, "26")
+        assert done.returncode == 1
+        assert f"level 8 of '{POINT}' is claimed by '{link.name}'" in done.stderr
+    assert bus.status("office").rejected == 3
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (["write", "ofice", POINT, "26"], 1, ["no node 'ofice'", "'office'"]),
+        (["write", "office", "core_zn_coling_setpoint", "26"], 2, ["no actuator", f"near names: '{POINT}'"]),
+        (["write", "office", AIR, "26"], 2, [f"no actuator '{AIR}'"]),
+        (["relinquish", "office", "core_zn_coling_setpoint"], 2, ["no actuator", f"near names: '{POINT}'"]),
+        (["write", "office", POINT, "nan"], 2, [f"{POINT}: value"]),
+        (["write", "office", POINT, "warm"], 2, ["Invalid value"]),
+        (["write", "office", POINT, "26", "--for", "2 weeks"], 2, ["--for 2 weeks", "90s, 15min, 2h, 1d"]),
+        (["write", "office", POINT, "26", "--priority", "17"], 2, ["Invalid value", "16"]),
+        (["read", "office", "core_zn_air", "outdor_temperature"], 2, [f"'{AIR}'", "'outdoor_temperature'"]),
+        (["read", "office", "--slot", "1"], 2, ["no slot 1", "0 to 0"]),
+        (["watch", "office", "core_zn_air"], 2, [f"'{AIR}'"]),
+        (["watch", "ofice"], 1, ["no node 'ofice'", "'office'"]),
+    ],
+)
+def test_mistakes_are_named_before_anything_is_sent(
+    standing: agent_sdk.Bus, arguments: list[str], code: int, words: list[str]
+) -> None:
+    done = zenostat(standing.endpoint, *arguments)
+    assert (done.returncode, done.stdout) == (code, "")
+    for word in words:
+        assert word in done.stderr
+    assert "Traceback" not in done.stderr
+    assert standing.status("office").rejected == 0
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"), [("90s", 90.0), ("15min", 900.0), ("2h", 7200.0), ("1d", 86400.0), ("1.5h", 5400.0)]
+)
+def test_times(text: str, expected: float) -> None:
+    assert seconds(text) == expected
+
+
+@pytest.mark.parametrize("text", ["", "2", "h", "0h", "-1h", "2 h", "2H", "1e3s", "15m"])
+def test_times_that_are_none(text: str) -> None:
+    with pytest.raises(InvalidConfig, match="90s, 15min, 2h, 1d"):
+        seconds(text)
+
+
+# From Python
+
+
+def test_each_writer_hears_of_its_own_write(node: NodeProgram, bus: agent_sdk.Bus) -> None:
+    """Four write at once, some of it refused; each is told what it wrote."""
+    values = [20.0, 26.0, 27.0, 40.0]
+    heard: dict[float, list[str]] = {value: [] for value in values}
+
+    def write(value: float) -> None:
+        for _ in range(5):
+            try:
+                event = bus.write("office", POINT, value, source="somebody")
+                assert event.kind is EventKind.WRITTEN
+                heard[value].append(event.text)
+            except RequestRejected as refused:
+                heard[value].append(str(refused))
+
+    threads = [threading.Thread(target=write, args=(value,)) for value in values]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    for value, texts in heard.items():
+        assert len(texts) == 5
+        assert all(f"{POINT} = {value:g} degC" in text for text in texts)
+        assert all(("its bounds are" in text) == (value in (20.0, 40.0)) for text in texts)
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"value": float("inf")}, {"value": 26.0, "priority": 0}, {"value": 26.0, "duration_s": 0.0}], ids=str
+)
+def test_a_write_that_cannot_be_is_not_sent(standing: agent_sdk.Bus, wrong: dict[str, Any]) -> None:
+    with pytest.raises(InvalidAction, match=POINT):
+        standing.write("office", POINT, **wrong)
+    with pytest.raises(UnknownName, match=f"near names: '{POINT}'"):
+        standing.write("office", POINT.upper(), 26.0)
+    assert standing.status("office").rejected == 0
+
+
+def test_a_node_that_dies_under_a_write_is_named(
+    node: NodeProgram, bus: agent_sdk.Bus, scratch: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    put = bus._put
+
+    def dies_first(key: str, message: Message) -> None:
+        node.kill()
+        put(key, message)
+
+    monkeypatch.setattr(bus, "_put", dies_first)
+    with pytest.raises(NodeLost, match="node 'office' is gone"):
+        bus.write("office", POINT, 26.0)
+
+
+# read
+
+
+def test_read_shows_the_latest_sample(node: NodeProgram, bus: agent_sdk.Bus) -> None:
+    with bus.controller("office") as link:
+        sample = link.current()
+        sample.send()
+        sample = link.receive()
+        said = json.loads(zenostat(node.endpoint, "read", "office", "--json").stdout)
+        assert (said["node"], said["episode"], said["step"]) == ("office", 0, 1)
+        assert said["time"] == sample.time.isoformat()
+        kinds = {
+            kind: [row for row in said["points"] if row["kind"] == kind] for kind in ("sensor", "meter", "actuator")
+        }
+        assert {row["name"]: row["value"] for row in kinds["sensor"] + kinds["meter"]} == sample.as_dict()
+        manifest = link.manifest
+        for kind, points in (
+            ("sensor", manifest.sensors),
+            ("meter", manifest.meters),
+            ("actuator", manifest.actuators),
+        ):
+            told = [(row["name"], row["unit"], row["low"], row["high"]) for row in kinds[kind]]
+            assert told == [(point.name, point.unit, point.low, point.high) for point in points]
+        effective = [float("nan") if row["value"] is None else row["value"] for row in kinds["actuator"]]
+        assert np.array_equal(effective, sample.effective, equal_nan=True)
+        assert {row["name"]: row["value_source"] for row in kinds["actuator"]} == sample.value_source
+        lines = zenostat(node.endpoint, "read", "office", AIR).stdout.splitlines()
+        assert lines[0].split() == ["kind", "name", "value", "unit", "low", "high", "ruled", "by"]
+        assert lines[1].split()[:4] == ["sensor", AIR, f"{sample[AIR]:.6g}", "degC"]
+        assert len(lines) == 2
+
+
+# watch
+
+
+def watching(endpoint: str, *arguments: str) -> subprocess.Popen[str]:
+    command = [*ZENOSTAT, "watch", "office", *arguments, "--connect", endpoint]
+    return subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "COLUMNS": "200", "PYTHONUNBUFFERED": "1"},
+    )
+
+
+def test_watch_tells_each_sample_once_from_the_present_one_on(node: NodeProgram, bus: agent_sdk.Bus) -> None:
+    with watching(node.endpoint, AIR, POINT, "--json", "--steps", "6") as watch, bus.controller("office") as link:
+        first = json.loads(watch.stdout.readline())
+        sample = link.current()
+        samples = [sample]
+        for _ in range(8):
+            sample.send()
+            sample = link.receive()
+            samples.append(sample)
+        rest, err = watch.communicate()
+        assert (watch.returncode, err) == (0, "")
+    told = [first, *map(json.loads, rest.splitlines())]
+    assert [(line["episode"], line["step"]) for line in told] == [(0, step) for step in range(6)]
+    place = [a.name for a in link.manifest.actuators].index(POINT)
+    for line, seen in zip(told, samples, strict=False):
+        assert line["time"] == seen.time.isoformat()
+        assert line["points"] == {name: seen[name] for name in (AIR, POINT) if name in link.manifest.names}
+        effective = seen.effective[place]
+        assert line["actuators"] == {POINT: None if np.isnan(effective) else effective}
+
+
+def test_the_table_has_the_extremes_since_it_began(node: NodeProgram, bus: agent_sdk.Bus) -> None:
+    screen, terminal = os.openpty()
+    drawn = bytearray()
+
+    def look() -> None:
+        with suppress(OSError):  # the terminal is gone with its last program
+            while piece := os.read(screen, 65536):
+                drawn.extend(piece)
+
+    looking = threading.Thread(target=look)
+    looking.start()
+    command = [*ZENOSTAT, "watch", "office", AIR, "--steps", "97", "--connect", node.endpoint]
+    size = {"COLUMNS": "150", "LINES": "40", "TERM": "xterm"}
+    with subprocess.Popen(command, stdout=terminal, stderr=terminal, env={**os.environ, **size}) as watch:
+        os.close(terminal)
+        until(lambda: b"sample 0 of episode 0" in drawn, "the table shows the present sample")
+        with bus.controller("office") as link:
+            values = [sample[AIR] for sample in link]
+        assert watch.wait() == 0
+    looking.join()
+    os.close(screen)
+    assert len(values) == 97
+    last = drawn.decode().rpartition("sample 96 of episode 0")[2]
+    row = next(line for line in re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", last).splitlines() if AIR in line)
+    assert re.findall(r"-?\d+\.\d+", row) == [f"{value:.6g}" for value in (values[-1], min(values), max(values))]
+
+
+def test_watch_ends_with_the_node(node: NodeProgram) -> None:
+    with watching(node.endpoint, "--json") as watch:
+        assert json.loads(watch.stdout.readline())["step"] == 0
+        node.interrupt()
+        out, err = watch.communicate()
+    assert (watch.returncode, out) == (0, "")
+    assert "node 'office' is gone" in err
+
+
+def test_watch_ends_with_ctrl_c(node: NodeProgram, bus: agent_sdk.Bus) -> None:
+    with watching(node.endpoint, "--json") as watch:
+        assert json.loads(watch.stdout.readline())["step"] == 0
+        watch.send_signal(signal.SIGINT)
+        assert watch.communicate() == ("", "")
+    assert watch.returncode == 0
+    assert bus.status("office").state == "waiting"

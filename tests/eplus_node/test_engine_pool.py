@@ -1,0 +1,222 @@
+"""Where the engine of an episode comes from when all does not go well, and which weather it then has."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+from support.engine_forks import FOUR, SMALL, Faults, engines, episode, go, make, plan, same
+from support.nodes import SMALL as OFFICE
+from support.nodes import runs, until
+
+from eplus_node.config import Plan, read_config
+from eplus_node.config import plan as read_plan
+from eplus_node.engine.client import EngineClient
+from eplus_node.engine.pool import EnginePool, EngineTemplate
+from topics.errors import EngineDied, ForkFailed, SimulatorError
+from topics.messages import EngineStart, State
+
+STOCHASTIC = SMALL.replace("continuous", "continuous-stochastic")
+IN_TURN = {"weather": ["USA_CO_Denver", "USA_FL_Miami"], "weather_order": "sequence"}
+
+
+@contextmanager
+def no_room(env: Any) -> Iterator[None]:
+    """The folder for the engines' files is none."""
+    folder = env.local_node.folder
+    aside = folder.with_name(f"{folder.name}-aside")
+    folder.rename(aside)
+    folder.touch()
+    try:
+        yield
+    finally:
+        folder.unlink()
+        aside.rename(folder)
+
+
+@pytest.mark.parametrize("times", [2, 3])
+@pytest.mark.parametrize("given", [IN_TURN | {"name": SMALL}, {"name": STOCHASTIC}], ids=["in turn", "noise"])
+def test_a_seed_that_is_given_again_at_once_begins_the_same_sequence(
+    scratch: Path, given: dict[str, Any], times: int
+) -> None:
+    """Of weathers and of their noise: nothing of it is drawn twice, or left out."""
+
+    def drawn(env: Any, seeds: list[int | None]) -> list[Any]:
+        told = []
+        for seed in seeds:
+            _, info = env.reset(seed=seed)
+            told.append((info["weather"], info["weather_noise"]))
+            if seed is None:
+                env.step([20.0, 25.0])
+        return told
+
+    env, again = make(**given), make(**given)
+    expected = drawn(env, [5, None, None, None])
+    assert drawn(again, [5] * times + [None] * 3)[times - 1 :] == expected
+    env.close()
+    again.close()
+
+
+@pytest.mark.parametrize(("name", "error"), [(SMALL, ForkFailed), (STOCHASTIC, EngineDied)])
+def test_a_node_without_room_for_files_says_so_and_begins_when_there_is_some(
+    scratch: Path, name: str, error: type[SimulatorError]
+) -> None:
+    env = make(name, **FOUR)
+    mine = plan(env, 1)
+    straight = episode(env, mine, seed=4)
+    for _ in range(2):
+        with no_room(env), pytest.raises(error, match="no room"):
+            env.reset(seed=9)
+        assert env.link.bus.status("building").state is State.FAILED
+    same(episode(env, mine, seed=4), straight)
+    env.close()
+
+
+def test_what_cannot_be_started_ahead_is_started_when_it_is_due(scratch: Path) -> None:
+    """And has the weather that it would have had."""
+    env = make(SMALL, **IN_TURN, **FOUR)
+    env.reset()
+    env.step([20.0, 25.0])
+    until(lambda: len(engines(env)) == 2 and _rests(engines(env)[-1]), "the next engine waits")
+    with no_room(env):
+        _, info = env.reset()  # the engine is there; the next one cannot be
+        assert info["engine_start"] == "prefetched"
+        go(env, [[20.0, 25.0]] * 2)
+    seen = [env.reset()[1] for _ in range(2)]
+    assert [(info["weather"], info["engine_start"]) for info in seen] == [
+        ("USA_CO_Denver", "started"),
+        ("USA_FL_Miami", "prefetched"),
+    ]
+    env.close()
+
+
+def _rests(process: psutil.Process) -> bool:
+    before = process.cpu_times()
+    time.sleep(0.3)
+    return bool(process.cpu_times() == before)
+
+
+def test_no_room_for_going_back_or_for_a_branch_leaves_the_episode(scratch: Path) -> None:
+    env = make(STOCHASTIC, **FOUR)
+    mine = plan(env, 1)
+    straight = episode(env, mine, seed=4)
+    env.reset(seed=4)
+    go(env, mine[:10])
+    with env.snapshot() as kept:
+        with no_room(env):
+            for attempt in (env.snapshot, env.branch, lambda: env.reset(options={"snapshot": kept})):
+                with pytest.raises(ForkFailed, match="no room"):
+                    attempt()
+        same(go(env, mine[10:20]), straight[11:21])
+        env.reset(options={"snapshot": kept})
+        same(go(env, mine[10:]), straight[11:])
+    env.close()
+
+
+def test_a_baseline_that_cannot_be_forked_leaves_no_process(scratch: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    faults = Faults(scratch, monkeypatch)
+    env = make(SMALL, **IN_TURN, **FOUR, baseline=True)
+    for _ in range(2):
+        env.reset()
+        env.step([20.0, 25.0])
+        until(lambda: len(engines(env)) == 3, "the next engine is there")
+        faults.set(Faults.NO_MEMORY)
+        with pytest.raises(ForkFailed):
+            env.reset()
+        faults.clear()
+        until(lambda: all(map(runs, _children(env))), "all that have ended are reaped")
+    env.reset()
+    env.step([20.0, 25.0])
+    env.close()
+
+
+def _children(env: Any) -> list[psutil.Process]:
+    return psutil.Process(env.local_node.pid).children(recursive=True)
+
+
+@pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="there is one core")
+@pytest.mark.parametrize("affinity", ["node", "apart"])
+def test_the_engine_of_the_next_episode_starts_away_from_the_present_ones_core(scratch: Path, affinity: str) -> None:
+    env = make(SMALL, **IN_TURN, **(FOUR | {"affinity": affinity}))
+    env.reset()
+    env.step([20.0, 25.0])
+    present, ahead = until(lambda: len(found := engines(env)) == 2 and found, "the next engine is there")
+    own = present.cpu_affinity()
+    assert len(own) == 1
+    until(lambda: ahead.cpu_affinity() == sorted(os.sched_getaffinity(0) - {*own}), "it is on the others")
+    env.reset()
+    assert ahead.cpu_affinity() == own
+    env.close()
+
+
+@pytest.fixture(scope="module")
+def small_plan() -> Plan:
+    return read_plan(read_config(OFFICE))
+
+
+@pytest.fixture(scope="module")
+def noisy_plan() -> Plan:
+    return read_plan(read_config({"scenario": STOCHASTIC, "begin": "07-03", "end": "07-03"}))
+
+
+def ended(link: EngineClient) -> None:
+    link.interrupt()
+    until(lambda: not link.alive, "the engine has ended")
+
+
+def test_an_engine_that_waits_and_dies_within_a_reset_takes_no_file_of_its_successor(
+    folder: Path, small_plan: Plan
+) -> None:
+    """It lived when the reset chose to fork it, and had died when that was due."""
+    waiting = EngineTemplate()
+    supply = EnginePool(small_plan, folder, waiting)
+    first = supply.engine(0)
+    assert waiting.engine is not None
+    assert supply.next_episode(None, 1, untouched=False) is EngineStart.FORKED
+    ended(waiting.engine)
+    second = supply.engine(1)
+    assert second.step == 0
+    assert (supply.files.model.parent / "eplusout.err").exists()
+    for link in (first, second):
+        link.close()
+    supply.close()
+
+
+def test_an_engine_that_was_to_be_used_again_and_dies_within_a_reset_takes_no_file_of_its_successor(
+    folder: Path, noisy_plan: Plan
+) -> None:
+    supply = EnginePool(noisy_plan, folder, EngineTemplate())
+    first = supply.engine(0)
+    assert supply.next_episode(None, 1, untouched=True) is EngineStart.REUSED
+    ended(first)
+    second = supply.engine(1)
+    first.close()
+    assert second.step == 0
+    assert (supply.files.model.parent / "eplusout.err").exists()
+    second.close()
+    supply.close()
+
+
+def test_an_engine_that_was_started_ahead_and_dies_within_a_reset_is_replaced(folder: Path, noisy_plan: Plan) -> None:
+    supply = EnginePool(noisy_plan, folder, EngineTemplate())
+    first = supply.engine(0)
+    assert supply.next_episode(None, 0, untouched=True) is EngineStart.REUSED
+    supply.prefetch(0)
+    assert supply.next_episode(None, 1, untouched=False) is EngineStart.PREFETCHED
+    noise = supply.files.noise_parameters
+    ahead = supply._ahead
+    assert ahead is not None
+    ended(ahead.engine)
+    second = supply.engine(1)
+    assert second.step == 0
+    assert supply.files.noise_parameters == noise
+    assert supply.warnings
+    for link in (first, second):
+        link.close()
+    supply.close()

@@ -1,0 +1,143 @@
+"""Small things that several tests need: actuators, manifests and exchanges built by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from bridge.exchange.episode import StepExchange
+from topics import codec
+from topics.messages import (
+    Action,
+    Actuator,
+    Aggregation,
+    Claim,
+    Command,
+    CommandOp,
+    Event,
+    Manifest,
+    Meter,
+    Mode,
+    Policy,
+    Sensor,
+    Task,
+    Versions,
+)
+
+NAN = float("nan")
+
+
+def actuator(name: str, low: float | None = None, high: float | None = None) -> Actuator:
+    """A setpoint in degC."""
+    return Actuator(
+        name=name, component_type="Schedule:Compact", control_type="Schedule Value", key=name, unit="degC",
+        low=low, high=high,
+    )  # fmt: skip
+
+
+def sensor(name: str, variable: str = "Zone Air Temperature", key: str = "", unit: str = "degC") -> Sensor:
+    """A sensor of the state of something."""
+    return Sensor(name=name, variable=variable, key=key or name, unit=unit, aggregation=Aggregation.INSTANT)
+
+
+def meter(name: str, energyplus: str = "Electricity:Facility") -> Meter:
+    """A meter in joules."""
+    return Meter(name=name, meter=energyplus, unit="J", low=0.0)
+
+
+def own_action(of: Actuator) -> Action:
+    """The action that sets this actuator alone, within its bounds."""
+    return Action(name=of.name, unit=of.unit, low=of.low, high=of.high, actuators=(of.name,))
+
+
+def manifest(
+    *,
+    sensors: Sequence[Sensor] = (),
+    meters: Sequence[Meter] = (),
+    actuators: Sequence[Actuator] = (),
+    slots: int = 1,
+    task: Task | None = None,
+) -> Manifest:
+    """One day in steps of a quarter of an hour; without a `task` each actuator has an action of its own."""
+    return Manifest(
+        node="office",
+        instance="1f",
+        building="office-small",
+        weather="USA_CO_Denver",
+        location="Denver",
+        begin="2017-07-01T00:00:00",
+        end="2017-07-02T00:00:00",
+        steps_per_hour=4,
+        steps=96,
+        slots=slots,
+        mode=Mode.LOCKSTEP,
+        policy=Policy.WAIT,
+        sensors=tuple(sensors),
+        meters=tuple(meters),
+        actuators=tuple(actuators),
+        task=Task(actions=tuple(own_action(a) for a in actuators)) if task is None else task,
+        versions=Versions(zenostat="0", energyplus="0"),
+    )
+
+
+def exchange(*actuators: Actuator, mode: Mode = Mode.LOCKSTEP, slots: int = 1) -> StepExchange:
+    """An exchange that waits at sample 0; by default with a heating and a cooling setpoint."""
+    made = StepExchange(
+        actuators or (actuator("heat", 15.0, 22.5), actuator("cool", 22.5, 30.0)), slots=slots, mode=mode
+    )
+    made.ready()
+    return made
+
+
+def claim(
+    at: StepExchange, controller: str, priority: int = 10, *, actuators: list[str] | None = None, required: bool = True
+) -> list[Event]:
+    """A controller claims actuators."""
+    return at.claim(Claim(controller=controller, priority=priority, actuators=actuators, required=required))
+
+
+def command(
+    values: Sequence[float],
+    *,
+    step: int | Sequence[int] = 0,
+    episode: int | Sequence[int] = 0,
+    operations: Sequence[CommandOp] | None = None,
+) -> Command:
+    """A command of slot 0, or of all slots where `step` and `episode` are lists."""
+    return Command(
+        episode=[episode] if isinstance(episode, int) else list(episode),
+        step=[step] if isinstance(step, int) else list(step),
+        operations=None if operations is None else bytes(operations),
+        values=np.array(values, "<f8").tobytes(),
+    )
+
+
+def answer(
+    at: StepExchange, controller: str, values: Sequence[float], operations: Sequence[CommandOp] | None = None
+) -> Event | None:
+    """The controller answers the present sample."""
+    return at.command(controller, command(values, step=at.step, episode=at.episode, operations=operations))
+
+
+def advance(at: StepExchange, *, last: bool = False) -> tuple[list[float], list[str]]:
+    """One timestep: the values that ruled it (NaN: the building's own) and who set them."""
+    assert at.ready_to_step(), f"waits for {at.awaiting()}"
+    values, who = at.begin_step()
+    at.finish_step([last] * len(at.active_slots))
+    at.open_intake()
+    sources = [at.source_names[i] for i in np.frombuffer(who, "<u2")]
+    return np.frombuffer(values, "<f8").tolist(), sources
+
+
+def ruling(at: StepExchange) -> tuple[list[float], list[str]]:
+    """What would rule the next timestep, without simulating it: on a copy."""
+    import copy
+
+    values, who = copy.deepcopy(at).begin_step()
+    return np.frombuffer(values, "<f8").tolist(), [at.source_names[i] for i in np.frombuffer(who, "<u2")]
+
+
+def wire(of: Command) -> bytes:
+    """A command's bytes."""
+    return codec.encode(of)

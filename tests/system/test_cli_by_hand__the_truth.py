@@ -1,0 +1,112 @@
+"""What commands say of a running node is so: reset, stop, step, release; a second node on the same port."""
+
+from __future__ import annotations
+
+import re
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+from support.nodes import SMALL, NodeProgram, free_port
+
+import agent_sdk
+
+ZENOSTAT = [sys.executable, "-P", "-m", "cli.main"]
+POINT = "core_zn_cooling_setpoint"
+
+
+def zenostat(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([*ZENOSTAT, *arguments], capture_output=True, text=True, timeout=100)
+
+
+def test_reset_begins_an_episode_and_stop_ends_the_node(node: NodeProgram, bus: agent_sdk.Bus) -> None:
+    at = ("--connect", node.endpoint)
+    done = zenostat("reset", "office", "--seed", "3", *at)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert re.fullmatch(r"office: episode 1, 96 timesteps, USA_CO_Denver\S*\n", done.stdout)
+    assert bus.status("office").episode == [1]
+    done = zenostat("stop", "office", *at)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "office: ended\n", "")
+    assert node.process.wait() == 0
+    gone = zenostat("stop", "office", *at)
+    assert (gone.returncode, gone.stdout) == (1, "")
+
+
+def test_release_says_whether_anything_was_held(node: NodeProgram) -> None:
+    at = ("--connect", node.endpoint)
+    nothing = f"office: {POINT} had nothing to release at priority 8\n"
+    assert zenostat("relinquish", "office", POINT, *at).stdout == nothing
+    assert zenostat("write", "office", POINT, "26", *at).returncode == 0
+    assert zenostat("relinquish", "office", POINT, *at).stdout == f"office: {POINT} released at priority 8\n"
+    assert zenostat("relinquish", "office", POINT, *at).stdout == nothing
+
+
+def test_step_says_where_the_node_stands_after_its_steps(node: NodeProgram) -> None:
+    at = ("--connect", node.endpoint)
+    for arguments in (("pause", "office"), ("pace", "office", "free")):
+        assert zenostat(*arguments, *at).returncode == 0
+    assert "free; paused; step 4 of 96" in zenostat("step", "office", "4", *at).stdout
+    assert "free; paused; step 5 of 96" in zenostat("step", "office", *at).stdout
+    assert zenostat("pace", "office", "lockstep", *at).returncode == 0
+    said = zenostat("step", "office", "2", *at).stdout
+    assert "lockstep; paused; step 5 of 96" in said
+    assert "2 of 2 timesteps are still to go: it waits for a controller" in said
+
+
+def second_node(endpoint: str, *arguments: str, cwd: Path) -> subprocess.Popen[str]:
+    """`zenostat node` on a machine whose default endpoint is `endpoint`."""
+    program = (
+        f"import bridge.session; bridge.session.DEFAULT_ENDPOINT = {endpoint!r}; from cli.main import main; main()"
+    )
+    day = ("--building", SMALL["building"], "--weather", SMALL["weather"], "--begin", "07-03", "--end", "07-03")
+    command = [sys.executable, "-P", "-u", "-c", program, "node", *day, "--name", "annex", "--affinity", "off"]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    return subprocess.Popen([*command, *arguments], text=True, cwd=cwd, **pipes)
+
+
+def test_a_second_node_on_the_default_port_joins_the_bus_of_the_first(scratch: Path) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    with (
+        NodeProgram(scratch / "node", **SMALL, listen=[endpoint]),
+        second_node(endpoint, cwd=scratch) as second,
+        agent_sdk.connect(endpoint, affinity="off") as bus,
+    ):
+        try:
+            said = second.stdout.readline()
+            assert f"another program listens on {endpoint}, so annex does not listen; it is connected to" in said
+            assert "--listen tcp/127.0.0.1:" in said
+            assert "annex" in second.stdout.readline()
+            assert bus.nodes() == ["annex", "office"]
+            bus.stop("annex")
+            assert "annex: ended" in second.communicate(timeout=60)[0]
+            assert second.returncode == 0
+        finally:
+            second.terminate()
+
+
+def test_a_port_of_a_program_that_is_on_no_bus_is_refused(scratch: Path) -> None:
+    with socket.socket() as stranger:
+        stranger.bind(("127.0.0.1", 0))
+        stranger.listen()
+        endpoint = f"tcp/127.0.0.1:{stranger.getsockname()[1]}"
+        with second_node(endpoint, cwd=scratch) as second:
+            out, err = second.communicate(timeout=100)
+    assert (second.returncode, out) == (1, "")
+    assert f"another program listens on {endpoint}; name another port (--listen tcp/" in err
+    assert f"--no-listen --connect {endpoint}" in err
+
+
+def test_a_monitor_says_whom_it_waits_for(node: NodeProgram, scratch: Path) -> None:
+    command = [*ZENOSTAT, "monitor", "--node", "ofice", "--save", "run.rrd", "--connect", node.endpoint]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=scratch) as monitor:
+        said = monitor.stdout.readline()
+        assert said == (
+            f"connected to {node.endpoint}, where no node 'ofice' is; near names: 'office'; waiting for it; "
+            "Ctrl-C ends it\n"
+        )
+        monitor.send_signal(signal.SIGINT)
+        rest, _ = monitor.communicate(timeout=60)
+    assert "open it again: " in rest
+    assert "rerun run.rrd" in rest

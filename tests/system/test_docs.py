@@ -1,0 +1,256 @@
+"""The documentation: its programs run, its scenarios are valid, its commands parse, its links lead somewhere."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import re
+import shlex
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer.main
+import yaml
+from support import data_packs as packs
+from support.nodes import NodeProgram
+from typer.testing import CliRunner
+
+from agent_sdk.rewards import read_reward
+from cli.commands import app
+from models.scenario.schema import Scenario, read_scenario
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+PAGES = {page.relative_to(ROOT).as_posix(): page for page in (ROOT / "README.md", *sorted(DOCS.rglob("*.md")))}
+SLOW = ("README.md", "docs/environments.md", "docs/scenarios.md", "docs/training.md")
+
+ENDPOINT = "tcp/127.0.0.1:7447"
+PRESUPPOSED = {
+    ("docs/scenarios.md", 'gym.make("zenostat/office-medium'): "import gymnasium as gym\nimport agent_sdk",
+    ("docs/wrappers.md", "w.save_wrappers"): "import pathlib\npathlib.Path('model').mkdir()",
+    ("docs/wrappers.md", "w.ChangingContext"): """
+env.close()
+env = gym.make(
+    "zenostat/Building-v1", building="ref-small-office", weather="USA_CO_Denver", begin="07-03", end="07-03",
+    actuators={
+        "cooling": ("Zone Temperature Control", "Cooling Setpoint", "Core_ZN"),
+        "occupants": ("People", "Number of People", "Core_ZN People"),
+    },
+    actions={"cooling": {"actuators": ["cooling"]}},
+)
+""",
+}
+"""Page and the text of a block: what the words around it presuppose, done before that block."""
+
+RUNNER = """
+import ast, json, sys
+
+for page, line, text in json.load(open(sys.argv[1])):
+    tree = ast.increment_lineno(ast.parse(text, page), line)
+    exec(compile(tree, page, "exec"), globals())
+"""
+
+
+@dataclass(frozen=True)
+class Block:
+    """A fenced block.
+
+    Attributes:
+        language: what stands behind the fence.
+        text: what is in it.
+        line: of the fence that opens it, from 1.
+        excerpt: why it is not run; empty if it is.
+    """
+
+    language: str
+    text: str
+    line: int
+    excerpt: str = ""
+
+
+def blocks(text: str) -> Iterator[Block]:
+    """All fenced blocks of a page, in order."""
+    lines = text.splitlines()
+    number = 0
+    while number < len(lines):
+        opened = re.fullmatch(r"```(\w*) *(.*)", lines[number])
+        if opened:
+            end = lines.index("```", number + 1)
+            before = next((line for line in reversed(lines[:number]) if line.strip()), "")
+            said = re.fullmatch(r"<!-- not run: (.+) -->", before)
+            excerpt = said[1] if said else "an excerpt" if ".excerpt" in opened[2] else ""
+            yield Block(opened[1], "\n".join(lines[number + 1 : end]) + "\n", number + 1, excerpt)
+            number = end
+        number += 1
+
+
+def of_language(page: str, *languages: str) -> list[Block]:
+    return [block for block in blocks(PAGES[page].read_text(encoding="utf-8")) if block.language in languages]
+
+
+def pages_with(*languages: str) -> list[Any]:
+    found = [page for page in PAGES if of_language(page, *languages)]
+    return [pytest.param(page, marks=pytest.mark.slow) if page in SLOW else page for page in found]
+
+
+# Programs
+
+
+@pytest.mark.parametrize("page", pages_with("python"))
+def test_programs_run(page: str, scratch: Path) -> None:
+    program = [block for block in of_language(page, "python") if not block.excerpt]
+    home = scratch / "home"
+    home.mkdir()
+    _put_files(home)
+    with ExitStack() as stack:
+        endpoint = ENDPOINT
+        if any(ENDPOINT in block.text for block in program):
+            endpoint = stack.enter_context(NodeProgram(scratch / "node", **_node_of(page))).endpoint
+        steps = [step for block in program for step in _steps(page, block, endpoint)]
+        (scratch / "steps.json").write_text(json.dumps(steps))
+        done = subprocess.run(
+            [sys.executable, "-P", "-c", RUNNER, str(scratch / "steps.json")],
+            cwd=home,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            timeout=200,
+        )
+    assert done.returncode == 0, done.stderr
+
+
+def _steps(page: str, block: Block, endpoint: str) -> Iterator[tuple[str, int, str]]:
+    """(page, line, text) of what is presupposed and of the block."""
+    for (where, words), text in PRESUPPOSED.items():
+        if where == page and words in block.text:
+            yield f"before line {block.line} of {page}", 0, text
+    yield str(PAGES[page]), block.line, block.text.replace(ENDPOINT, endpoint)
+
+
+def _put_files(home: Path) -> None:
+    """The files that the pages name: a scenario of one's own, a Sinergym configuration, a signal."""
+    (home / "mine.yaml").write_text(of_language("docs/scenarios.md", "yaml")[0].text)
+    configuration = packs.sinergym() / "sinergym/data/default_configuration/5ZoneAutoDXVAV.yaml"
+    (home / "sinergym.yaml").write_text(configuration.read_text())
+    (home / "grid.csv").write_text("intensity\n" + "380\n" * 8760)
+
+
+def _node_of(page: str) -> dict[str, Any]:
+    """The node that the page starts in a terminal, for a day."""
+    line = next(command for command in commands(page) if command.startswith("zenostat node"))
+    words = shlex.split(line)[2:]
+    options = dict(zip(words[::2], words[1::2], strict=True))
+    given = {name.removeprefix("--").replace("-", "_"): value for name, value in options.items()}
+    for seconds in ("grace", "deadline"):
+        if seconds in given:
+            given[f"{seconds}_s"] = given.pop(seconds)
+    return given | {"end": given["begin"]}
+
+
+def test_presupposed_blocks_are_there() -> None:
+    for page, words in PRESUPPOSED:
+        assert any(words in block.text for block in of_language(page, "python")), (page, words)
+
+
+# Scenarios
+
+
+@pytest.mark.parametrize("page", pages_with("yaml"))
+def test_scenarios_are_valid(page: str) -> None:
+    for block in of_language(page, "yaml"):
+        given = yaml.safe_load(block.text)
+        fields = set(given) if isinstance(given, dict) else set()
+        if "building" not in fields and not fields <= set(Scenario.model_fields):
+            continue  # of something else than a scenario
+        found = read_scenario({"building": "office-small", "weather": "USA_CO_Denver"} | given, f"{page}:{block.line}")
+        if found.reward is not None:
+            read_reward(found.reward)
+
+
+# Commands
+
+
+def commands(page: str) -> list[str]:
+    """All `zenostat` command lines of a page, in blocks and in the text, without what the shell does with them."""
+    text = PAGES[page].read_text(encoding="utf-8")
+    shells = of_language(page, "", "console", "bash", "sh")
+    lines = [line.strip() for block in shells for line in block.text.splitlines()]
+    lines += re.findall(r"`(zenostat(?: [^`]+)?)`", re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE))
+    found = [re.split(r"\s+[#>|]", line.removeprefix("$ "))[0] for line in lines]
+    return [line for line in found if re.match(r"zenostat( |$)", line) and "…" not in line]
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if commands(page)])
+def test_commands_parse(page: str) -> None:
+    for line in commands(page):
+        words = shlex.split(line)[1:]
+        asked = CliRunner().invoke(app, [*words, "--help"])
+        assert asked.exit_code == 0, f"{page}: {line}: {asked.output}"
+        if len(words) > 1:  # one alone is named, not called
+            _parse(words)
+
+
+def _parse(words: list[str]) -> None:
+    """Values and what is required, too; nothing is run."""
+    command: Any = typer.main.get_command(app)
+    context = command.make_context("zenostat", list(words))
+    while rest := [*context._protected_args, *context.args]:
+        name, command, rest = command.resolve_command(context, rest)
+        context = command.make_context(name, rest, parent=context)
+
+
+# Links, and the whole
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_links_lead_somewhere(page: str) -> None:
+    text = PAGES[page].read_text(encoding="utf-8")
+    for target in re.findall(r"\]\(([^)\s]+)\)", re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE)):
+        if not re.match(r"https?:|#", target):
+            assert (PAGES[page].parent / target.partition("#")[0]).is_file(), f"{page}: {target}"
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """All pages as HTML."""
+    folder = tmp_path_factory.mktemp("site")
+    done = subprocess.run(
+        [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(folder)],
+        cwd=ROOT,
+        env={**os.environ, "NO_MKDOCS_2_WARNING": "1"},
+        capture_output=True,
+        text=True,
+        timeout=200,
+    )
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+@pytest.mark.slow
+def test_the_site_is_built_without_a_warning(site: Path) -> None:
+    assert (site / "index.html").is_file()
+
+
+@pytest.mark.slow
+def test_the_site_fetches_nothing_from_elsewhere(site: Path) -> None:
+    for page in site.rglob("*.html"):
+        fetched = re.findall(r"<(?:script|img|iframe)\b[^>]*\bsrc=\"([^\"]+)\"", page.read_text(encoding="utf-8"))
+        fetched += re.findall(r"<link\b[^>]*\bhref=\"([^\"]+)\"", page.read_text(encoding="utf-8"))
+        assert [place for place in fetched if re.match(r"(https?:)?//", place)] == [], page
+    for style in site.rglob("*.css"):
+        assert not re.search(r"(url\(|@import )[\"']?(https?:)?//", style.read_text(encoding="utf-8")), style
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("room", ["controllers", "rewards", "testing", "wrappers"])
+def test_the_api_has_all_that_a_room_shows(site: Path, room: str) -> None:
+    text = (site / "api" / f"{room}.html").read_text(encoding="utf-8")
+    there = {name.rpartition(".")[2] for name in re.findall(r"id=\"(agent_sdk\.[\w.]+)\"", text)}
+    assert set(importlib.import_module(f"agent_sdk.{room}").__all__) - there == set()

@@ -1,0 +1,117 @@
+"""An engine that neither answers nor computes is given up; one that computes is left alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import psutil
+import pytest
+from support.nodes import SMALL, NodeProgram, Program, engines_of, until
+from zenoh.handlers import FifoChannel
+
+import agent_sdk
+from bridge.runtime.idle_watch import IdleWatch
+from topics import codec, keys
+from topics.errors import EngineUnresponsive, InvalidConfig
+from topics.messages import EngineStart, Event, EventKind
+
+pytestmark = pytest.mark.usefixtures("scratch")
+
+SOON: dict[str, Any] = {"unresponsive_s": 2.0, "affinity": "off"}
+NOISE = "zenostat/ref-small-office-USA_CO_Denver-continuous-stochastic-v1"
+DAY: dict[str, Any] = {key: SMALL[key] for key in ("begin", "end", "steps_per_hour")}
+SAID = r"neither answered nor used processor time for 2 s after sample 1, and was killed"
+
+
+def next_of(heard: Any, kind: EventKind) -> Event:
+    """The next event of a kind."""
+    while (event := codec.decode(Event, heard.recv().payload.to_bytes())).kind is not kind:
+        pass
+    return event
+
+
+def test_a_process_is_idle_only_while_it_uses_no_processor_time() -> None:
+    with Program("while True: pass") as busy, Program("input()") as idle:
+        burns, rests = IdleWatch(busy.pid), IdleWatch(idle.pid)
+        assert burns.look(5.0) == 0.0
+        until(lambda: burns.look(5.0) == 0.0, "it has used more")
+        busy_process = psutil.Process(busy.pid)
+        busy_process.suspend()
+        until(lambda: burns.look(5.0) >= 20.0, "it stands still now")
+        busy_process.resume()
+        until(lambda: burns.look(5.0) == 0.0, "it goes on")
+        until(lambda: rests.look(5.0) >= 20.0, "it waits for its input")
+    assert burns.look(5.0) >= 0.0, "it has ended"
+
+
+def test_a_timestep_of_an_engine_that_stands_still_fails_by_name() -> None:
+    with gym.make("zenostat/Building-v1", **SMALL, **SOON) as env:
+        env.reset(seed=1)
+        env.step(env.action_space.low)
+        own = env.unwrapped.local_node
+        engine = engines_of(own.pid)[-1]
+        engine.suspend()
+        with pytest.raises(EngineUnresponsive, match=SAID):
+            env.step(env.action_space.low)
+        env.reset(seed=1)
+        assert env.step(env.action_space.low)[-1]["step"] == 1
+
+
+def test_one_of_several_that_stands_still_fails_the_step() -> None:
+    env = gym.make_vec("zenostat/Building-v1", num_envs=2, vectorization_mode="vector_entry_point", **SMALL, **SOON)
+    env.reset(seed=1)
+    low = np.stack([env.single_action_space.low] * 2)
+    env.step(low)
+    engines_of(env.unwrapped.local_node.pid)[-1].suspend()
+    with pytest.raises(EngineUnresponsive, match=SAID):
+        env.step(low)
+    env.reset(seed=1)
+    env.step(low)
+    env.close()
+
+
+def test_an_event_says_so(folder: Path) -> None:
+    with (
+        NodeProgram(folder / "node", **SMALL, unresponsive_s=2.0) as node,
+        agent_sdk.connect(node.endpoint, affinity="off") as bus,
+        bus.controller("office", name="mine") as link,
+    ):
+        link.reset().send()
+        sample = link.receive()
+        engines_of(node.pid)[-1].suspend()
+        with bus.session.declare_subscriber(keys.EVENT.at("office"), FifoChannel(1024)) as heard:
+            sample.send()
+            assert next_of(heard, EventKind.FAILED).error == "EngineUnresponsive"
+        assert bus.status("office").failure_error == "EngineUnresponsive"
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "place", "engine_start"),
+    [("zenostat/Building-v1", SMALL, 0, EngineStart.FORKED), (NOISE, DAY, 1, EngineStart.PREFETCHED)],
+    ids=["waiting", "started ahead"],
+)
+def test_one_that_waits_for_the_next_episode_is_replaced_with_a_warning(
+    name: str, given: dict[str, Any], place: int, start: EngineStart
+) -> None:
+    """And harms no episode."""
+    with gym.make(name, **given, **SOON) as env:
+        env.reset(seed=1)
+        env.step(env.action_space.low)
+        own = env.unwrapped.local_node
+        until(lambda: len(engines_of(own.pid)) == 2, "another engine waits")
+        engines_of(own.pid)[place].suspend()
+        with (
+            agent_sdk.connect(own.endpoint, affinity="off") as bus,
+            bus.session.declare_subscriber(keys.EVENT.at("building"), FifoChannel(1024)) as heard,
+        ):
+            assert env.reset()[1]["engine_start"] == start
+            assert env.step(env.action_space.low)[-1]["step"] == 1
+            assert "replaced: the engine process neither answered" in next_of(heard, EventKind.WARNING).text
+
+
+def test_no_time_at_all_is_refused() -> None:
+    with pytest.raises(InvalidConfig, match="unresponsive_s"):
+        gym.make("zenostat/Building-v1", **SMALL, unresponsive_s=0.0)

@@ -1,0 +1,163 @@
+"""What other libraries ask of an environment: errors of their kind, infos of one form, and their own collectors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode
+from support.nodes import SMALL
+
+import agent_sdk  # noqa: F401  # registers the environments
+from agent_sdk.testing import FakeEnv
+from agent_sdk.testing.fake_vector_env import FakeVectorEnv
+from topics.errors import InvalidConfig
+
+DAY: dict[str, Any] = {"zones": 1, "steps_per_hour": 1, "begin": "07-03", "end": "07-03"}
+WARM = [{"points": ["zone_1_air_temperature"], "low": 0.0, "high": 60.0}]
+HOT = [{"points": ["zone_1_air_temperature"], "low": 17.0, "high": 24.0}]
+BESIDE: dict[str, Any] = {"dimming": True, "actions": {"cooling": ["zone_1_cooling_setpoint"]}}
+
+
+def form(info: Any) -> Any:
+    """The keys of an info, and types and shapes of what it holds."""
+    if isinstance(info, Mapping):
+        return {key: form(value) for key, value in info.items()}
+    return (type(info).__name__, np.shape(info)) if isinstance(info, np.ndarray | float) else type(info).__name__
+
+
+def own_reward(values: Mapping[str, Any], begin: Any) -> dict[str, Any]:
+    return {"heat": -values["outdoor_temperature"]}
+
+
+@pytest.mark.parametrize(
+    "given",
+    [{}, {"terminate": WARM}, {"reward": None}, {"reward": {"kind": "peak"}}, {"reward": own_reward}, BESIDE],
+    ids=["plain", "limits", "no reward", "peak", "own reward", "beside"],
+)
+def test_infos_of_reset_and_step_have_one_form(given: dict[str, Any]) -> None:
+    env = FakeEnv(**DAY, **given)
+    expected, ended = form(env.reset(seed=0)[1]), False
+    while not ended:
+        _, _, _, ended, info = env.step(env.action_space.sample())
+        assert form(info) == expected
+    assert form(env.reset()[1]) == expected
+
+
+@pytest.mark.parametrize("mode", list(AutoresetMode), ids=lambda mode: mode.value)
+def test_infos_of_a_vector_have_one_form(mode: AutoresetMode) -> None:
+    env = FakeVectorEnv(3, autoreset_mode=mode, terminate=HOT, **DAY)
+    env.action_space.seed(0)
+    keys, ends = set(env.reset(seed=0)[1]), 0
+    for _ in range(40):
+        _, _, terminated, truncated, infos = env.step(env.action_space.sample())
+        ended = terminated | truncated
+        ends += int(ended.sum())
+        assert set(infos) - {"final_obs", "_final_obs", "final_info", "_final_info"} == keys
+        assert all(infos[key].all() for key in keys if key.startswith("_"))
+        if mode is AutoresetMode.SAME_STEP and ended.any():
+            assert set(infos["final_info"]) == keys
+        if mode is AutoresetMode.DISABLED and ended.any():
+            assert set(env.reset(options={"reset_mask": ended})[1]) == keys
+    assert ends > 3
+
+
+def test_infos_of_a_real_building_have_one_form(scratch: Path) -> None:
+    settings = {**SMALL, "end": SMALL["begin"], "keep": scratch / "kept", "affinity": "off"}
+    with gym.make("zenostat/Building-v1", **settings) as env:
+        expected, ended = form(env.reset(seed=0)[1]), False
+        while not ended:
+            _, _, _, ended, info = env.step(env.action_space.sample())
+            assert form(info) == expected
+    assert (Path(info["output_dir"]) / "eplusout.err").is_file()
+
+
+def test_what_no_action_sets_was_not_commanded() -> None:
+    """A context is a command in the step that first has it."""
+    env, vector = FakeEnv(**DAY, **BESIDE), FakeVectorEnv(2, **DAY, **BESIDE)
+    at = [actuator.name for actuator in env.manifest.actuators].index
+    assert np.isnan(env.reset(seed=0)[1]["action"]).all()
+    assert np.isnan(vector.reset(seed=0)[1]["action"]).all()
+    for context in (None, 0.5, None):
+        if context is not None:
+            env.set_context({"equipment": context})
+            vector.envs[1].set_context({"equipment": context})
+        *_, info = env.step(np.array([27.0], np.float32))
+        *_, infos = vector.step(np.full((2, 1), 27.0, np.float32))
+        for row, said in ((info["action"], context), (infos["action"][0], None), (infos["action"][1], context)):
+            assert row[at("zone_1_cooling_setpoint")] == 27.0
+            assert np.isnan(row[at("zone_1_heating_setpoint")])
+            assert row[at("equipment")] == said if said is not None else np.isnan(row[at("equipment")])
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda **given: gym.make("zenostat/Building-v1", building="office-small", weather="USA_CO_Denver", **given),
+        lambda **given: gym.make("zenostat/office-small-USA_CO_Denver-continuous-v1", **given),
+        lambda **given: gym.make_vec("zenostat/office-small-USA_CO_Denver-continuous-v1", num_envs=2, **given),
+        lambda **given: gym.make("zenostat/Fake-v1", **given),
+        lambda **given: gym.make_vec("zenostat/Fake-v1", num_envs=2, **given),
+    ],
+    ids=["building", "scenario", "vector", "fake", "fake vector"],
+)
+def test_an_unknown_keyword_is_a_type_error(make: Any) -> None:
+    with pytest.raises(TypeError, match="unexpected keyword argument 'frameskip'"):
+        make(frameskip=1)
+
+
+def test_an_unknown_keyword_is_a_usage_error_with_near_names() -> None:
+    with pytest.raises(InvalidConfig, match="unexpected keyword argument 'wheather'; near names: 'weather'"):
+        gym.make("zenostat/Building-v1", building="office-small", wheather="USA_CO_Denver")
+
+
+def test_a_vector_tells_its_autoreset_mode() -> None:
+    env = gym.make_vec("zenostat/Fake-v1", num_envs=2, autoreset_mode="SameStep")
+    assert env.unwrapped.autoreset_mode is env.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP  # type: ignore[attr-defined]
+
+
+def test_an_action_is_a_list_of_actuators_on_a_real_building(scratch: Path) -> None:
+    cooling = ["core_zn_cooling_setpoint", "perimeter_zn_1_cooling_setpoint"]
+    settings = {**SMALL, "end": SMALL["begin"], "affinity": "off"}
+    with gym.make("zenostat/Building-v1", actions={"cooling": cooling}, **settings) as env:
+        env.reset(seed=0)
+        *_, info = env.step(np.array([27.0], np.float32))
+        commanded = zip(env.unwrapped.manifest.actuators, info["action"], strict=True)  # type: ignore[attr-defined]
+        assert [actuator.name for actuator, value in commanded if value == 27.0] == cooling
+
+
+def fake() -> Any:
+    return FakeEnv(**DAY)
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_torchrl_checks_and_collects() -> None:
+    envs = pytest.importorskip("torchrl.envs")
+    collectors = pytest.importorskip("torchrl.collectors")
+    env = envs.GymEnv("zenostat/Fake-v1", **DAY)
+    envs.check_env_specs(env)
+    collector = collectors.Collector(env, frames_per_batch=30, total_frames=60)
+    assert [batch["next", "reward"].shape[0] for batch in collector] == [30, 30]
+    collector.shutdown()
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_minari_collects_with_infos(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    minari = pytest.importorskip("minari")
+    pytest.importorskip("jax")
+    collector = minari.DataCollector(fake(), record_infos=True)
+    for seed in range(2):
+        collector.reset(seed=seed)
+        ended = False
+        while not ended:
+            _, _, _, ended, _ = collector.step(collector.action_space.sample())
+    dataset = collector.create_dataset(dataset_id="zenostat/fake-v0", algorithm_name="random", author="test")
+    episodes = list(dataset.iterate_episodes())
+    assert [len(episode) for episode in episodes] == [24, 24]
+    assert len(episodes[0].infos["effective"]) == 25
+    collector.close()

@@ -1,0 +1,57 @@
+"""Each of the pack's ids and one id of each bundled building, for two days under random actions."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from support import data_packs as packs
+
+import agent_sdk  # noqa: F401  # registers the environments
+from topics.scenario_ids import BUILDINGS, WEATHERS, pack_ids
+
+DAYS = 2
+PERIOD = {"begin": "01-15", "end": "01-16"}
+
+# A weather for each building, a form for each: all sixteen weathers and all four forms occur.
+FORMS = ("continuous", "discrete", "continuous-stochastic", "discrete-stochastic")
+BUNDLED = [f"{b}-{WEATHERS[i % len(WEATHERS)]}-{FORMS[i % len(FORMS)]}-v1" for i, b in enumerate(BUILDINGS)]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def pack() -> Path:
+    """The data pack, fetched if it is not there."""
+    return packs.sinergym()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [*pack_ids(), *BUNDLED])
+def test_it_runs_two_days(name: str, scratch: Path) -> None:
+    """Every step is taken; what is seen lies in its space, what was decided ruled, the reward is its terms' sum."""
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        env = gym.make(f"zenostat/{name}", affinity="off", **PERIOD)
+    warned = " ".join(str(each.message) for each in said)
+    try:
+        building = env.unwrapped
+        env.action_space.seed(1)
+        observation, info = env.reset(seed=1)
+        assert bool(info["weather_noise"]) == ("stochastic" in name)
+        manifest, steps, ended = building.manifest, 0, False
+        while not ended:
+            assert env.observation_space.contains(observation), building.observation_dict(observation)
+            action = env.action_space.sample()
+            observation, reward, terminated, ended, info = env.step(action)
+            steps += 1
+            assert not terminated
+            assert reward == pytest.approx(sum(info["reward_terms"].values()))
+            wanted = building._actions.values(action)
+            for actuator, commanded, ruled in zip(manifest.actuators, wanted, info["effective"], strict=True):
+                assert ruled == pytest.approx(commanded, abs=1e-9) or actuator.name in warned, actuator.name
+        assert steps == DAYS * 24 * manifest.steps_per_hour
+        assert np.isfinite(observation).all()
+    finally:
+        env.close()

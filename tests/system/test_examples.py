@@ -1,0 +1,53 @@
+"""The examples run by themselves."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+from support import data_packs as packs
+from support.nodes import SMALL, NodeProgram
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+def _run(name: str, *arguments: str) -> str:
+    command = [sys.executable, str(EXAMPLES / name), *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_gymnasium_environment(scratch):
+    said = _run("gymnasium_environment.py", "--days", "1")
+    assert "96 timesteps to 2017-07-02T00:00:00" in said
+    assert "{'heating': 20.0, 'cooling': 25.0}" in said
+
+
+def test_controller_on_the_bus(scratch):
+    with NodeProgram(scratch / "node", **SMALL) as node:
+        said = _run("controller_on_the_bus.py", "--connect", node.endpoint)
+    assert "96 timesteps" in said
+    assert "is ruled by saver-" in said
+
+
+def test_mpc_by_branching(scratch):
+    """After the first moves it follows the rules, so that it is never worse than they are."""
+    packs.sinergym()
+    said = _run("mpc_by_branching.py", "--days", "1", "--hours", "2", "--moves", "2", "--plot", str(scratch / "a.png"))
+    rows = re.findall(r"^(\S.*?) {2,}(-[\d.]+) ", said, flags=re.MULTILINE)
+    rewards = {name: float(reward) for name, reward in rows}
+    assert rewards["MPC by branching"] >= rewards["rbc, setback=0"] > rewards["rbc"]
+    assert "2 moves" in said
+    assert f"{2 * 16 * 2 * 4} branch-steps" in said  # moves, plans, hours, timesteps an hour
+    assert (scratch / "a.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_two_floors(scratch):
+    with NodeProgram(scratch / "node", **SMALL, policy="hold", grace_s=2, deadline_s=60) as node:
+        said = _run("two_floors.py", "--connect", node.endpoint)
+    assert "core_zn_cooling_setpoint by north: 92 timesteps" in said
+    assert "core_zn_cooling_setpoint by supervisor: 4 timesteps" in said
+    assert said.count(": 96 timesteps") == 4

@@ -1,0 +1,537 @@
+"""Bad input and failures: a clear error, nothing lost, nothing left behind.
+
+`scratch` is in each of these tests: it counts the processes, sockets and folders that are left.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import psutil
+import pytest
+from support.nodes import PATIENCE_S, SMALL, WEATHER, NodeProgram, Program, engine_of, free_port, programs_of, until
+
+import agent_sdk
+from models.building.model import read_building
+from models.catalog import find_building
+from topics.errors import (
+    AddressInUse,
+    EngineDied,
+    EpisodeChanged,
+    InvalidAction,
+    InvalidConfig,
+    ModelError,
+    NameInUse,
+    NodeLost,
+    NodeNotFound,
+    SimulatorError,
+    UnknownName,
+    ZenostatError,
+)
+from topics.messages import State
+
+pytestmark = pytest.mark.usefixtures("scratch")
+
+NOTICED_WITHIN_S = 5.0
+"""Of a death, told by the link's end: half of the lease after which Zenoh gives up whoever is silent."""
+
+ENDED = r"node 'office' (was stopped|is gone) \(last sample: episode 1, step {step}\)"
+"""Its last word and the news of its end travel side by side; either may be the first."""
+
+
+def make(**given: Any) -> gym.Env[Any, Any]:
+    return gym.make("zenostat/Building-v1", **{**SMALL, "affinity": "off", **given})
+
+
+@contextmanager
+def node_and_bus(folder: Path) -> Iterator[tuple[NodeProgram, agent_sdk.Bus]]:
+    with NodeProgram(folder / "node", **SMALL) as node, agent_sdk.connect(node.endpoint, affinity="off") as bus:
+        yield node, bus
+
+
+@contextmanager
+def during_a_timestep(env: gym.Env[Any, Any], do: Callable[[psutil.Process, psutil.Process], None]) -> Iterator[None]:
+    """Freezes the engine, lets the body step, and calls `do(node, engine)` once the node waits for the engine."""
+    own = env.unwrapped.local_node
+    node, engine = psutil.Process(own.pid), engine_of(own.pid)
+    faults: list[BaseException] = []
+
+    def act() -> None:
+        try:
+            with agent_sdk.connect(own.endpoint, affinity="off") as bus:
+                until(lambda: bus.status("building").state is State.RUNNING, "the node simulates a timestep")
+                do(node, engine)
+        except BaseException as error:
+            faults.append(error)
+
+    engine.suspend()
+    thread = threading.Thread(target=act)
+    thread.start()
+    try:
+        yield
+    finally:
+        thread.join()
+    assert not faults, faults
+
+
+# Names and settings
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"building": "ofice-small"}, r"no building 'ofice-small'; near names: .*'office-small'"),
+        ({"building": "office"}, r"building 'office' fits several: office-large, office-medium, office-small"),
+        ({"building": "gone/model.idf"}, r"no building file at /.*/gone/model\.idf"),
+        ({"weather": "USA_CO_Denvr"}, r"no weather 'USA_CO_Denvr'; near names: 'USA_CO_Denver'"),
+        ({"weather": "gone.epw"}, r"no weather file at /.*/gone\.epw"),
+    ],
+)
+def test_an_unknown_building_or_weather(given: dict[str, str], message: str) -> None:
+    with pytest.raises(UnknownName, match=message):
+        make(**given)
+
+
+def test_all_unknown_points_are_named_at_once_with_near_names() -> None:
+    with pytest.raises(UnknownName) as raised:
+        make(
+            sensors={
+                "inside": ("Zone Air Temprature", "CORE_ZN"),
+                "outside": ("Zone Air Temperature", "CORE_ZONE"),
+                "good": ("Zone Air Temperature", "CORE_ZN"),
+            },
+            meters={"all": "Electricity:Facilities"},
+            actuators={
+                "cooling": ("Zone Temperature Control", "Cooling Setpoint", "CORE_ZM"),
+                "heating": ("Zone Temperature Control", "Heat Setpoint", "CORE_ZN"),
+                "fan": ("Zone Temperatur Control", "Heating Setpoint", "CORE_ZN"),
+            },
+        )
+    lines = str(raised.value).splitlines()
+    expected = {
+        "sensor 'inside': the model has no variable 'Zone Air Temprature'": "'Zone Air Temperature'",
+        "sensor 'outside': 'Zone Air Temperature' has no key 'CORE_ZONE'": "'CORE_ZN'",
+        "meter 'all': the model has no meter 'Electricity:Facilities'": "'Electricity:Facility'",
+        "actuator 'cooling': 'Zone Temperature Control', 'Cooling Setpoint' has no key 'CORE_ZM'": "'CORE_ZN'",
+        "actuator 'heating': 'Zone Temperature Control' has no control type 'Heat Setpoint'": "'Heating Setpoint'",
+        "actuator 'fan': the model has no component type 'Zone Temperatur Control'": "'Zone Temperature Control'",
+    }
+    assert len(lines) == len(expected)
+    for line, (fault, near) in zip(lines, expected.items(), strict=True):
+        assert line.startswith(f"{fault}; near names: ")
+        assert near in line.partition("near names: ")[2]
+
+
+def test_an_unknown_building_and_weather_are_named_at_once() -> None:
+    with pytest.raises(UnknownName) as raised:
+        make(building="ofice-small", weather="USA_CO_Denvr")
+    assert "no building 'ofice-small'" in str(raised.value)
+    assert "no weather 'USA_CO_Denvr'" in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"begin": "02-30"}, r"begin '02-30' is in no calendar"),
+        ({"begin": "1 July"}, r"begin '1 July' is no day; write it as MM-DD or YYYY-MM-DD"),
+        ({"begin": "07-02", "end": "07-01"}, r"the run period ends \(.*07-01\) before it begins \(.*07-02\)"),
+        ({"steps_per_hour": 7}, r"steps_per_hour 7 does not divide the hour"),
+        ({"sensors": {"a b": ("Zone Air Temperature", "CORE_ZN")}}, r"the point name 'a b' cannot stand in a topic"),
+        (
+            {"sensors": {"inside": ("Zone Air Temperature", "CORE_ZN", "avg")}},
+            r"sensors.inside.reading: .*'mean', 'sum' or 'instant', got 'avg'",
+        ),
+        ({"sensors": {"inside": "Zone Air Temperature"}}, r"sensors 'inside': a tuple of EnergyPlus's names expected"),
+        ({"building": None}, r"name a building and a weather, a scenario, a file .file=., or the bus"),
+    ],
+)
+def test_settings_that_cannot_be(given: dict[str, Any], message: str) -> None:
+    with pytest.raises(InvalidConfig, match=message):
+        make(**given)
+
+
+# Models
+
+
+def _broken(folder: Path, break_: Callable[[dict[str, Any]], None]) -> Path:
+    """A copy of the small building with a fault in it."""
+    objects = json.loads(json.dumps(read_building(find_building(SMALL["building"])).objects))
+    break_(objects)
+    path = folder / "broken.epJSON"
+    path.write_text(json.dumps(objects))
+    return path
+
+
+def test_a_model_that_energyplus_refuses(scratch: Path) -> None:
+    """A construction that names a material which is not there."""
+
+    def break_(objects: dict[str, Any]) -> None:
+        next(iter(objects["Construction"].values()))["outside_layer"] = "Unobtainium 20cm"
+
+    with pytest.raises(ModelError) as raised:
+        make(building=_broken(scratch, break_))
+    said = str(raised.value)
+    assert "EnergyPlus says:" in said
+    assert "** Severe **" in said
+    assert "UNOBTAINIUM 20CM" in said.upper()
+    assert "** Fatal **" in said
+
+
+def test_a_model_that_is_none(scratch: Path) -> None:
+    path = scratch / "empty.epJSON"
+    for text, message in (("{", "is no epJSON"), ("{}", "it has no 'Building' object")):
+        path.write_text(text)
+        with pytest.raises(InvalidConfig, match=message):
+            make(building=path)
+
+
+def test_energyplus_gives_up_in_mid_episode() -> None:
+    """A heating setpoint above the cooling setpoint ends the run; the words are EnergyPlus's."""
+    actuators = {
+        "heating": ("Zone Temperature Control", "Heating Setpoint", "CORE_ZN", 10, 40),
+        "cooling": ("Zone Temperature Control", "Cooling Setpoint", "CORE_ZN", 10, 40),
+    }
+    with make(actuators=actuators) as env:
+        env.reset(seed=1)
+        env.step(np.array([20, 25], np.float32))
+        with pytest.raises(SimulatorError) as raised:
+            env.step(np.array([30, 20], np.float32))
+        assert "DualSetPointWithDeadBand" in str(raised.value)
+        assert "** Severe **" in str(raised.value)
+        with pytest.raises(ZenostatError):
+            env.step(np.array([20, 25], np.float32))
+        env.reset(seed=1)
+        *_, info = env.step(np.array([20, 25], np.float32))
+        assert info["step"] == 1, "a reset begins a good episode again"
+
+
+# Deaths
+
+
+def test_the_engine_is_killed_in_mid_step() -> None:
+    with make() as env:
+        env.reset(seed=1)
+        env.step(env.action_space.low)
+        with during_a_timestep(env, lambda _, engine: engine.kill()):  # noqa: SIM117
+            with pytest.raises(EngineDied, match="the engine process was killed by SIGKILL after sample 1"):
+                env.step(env.action_space.low)
+        env.reset(seed=1)
+        *_, info = env.step(env.action_space.low)
+        assert info["step"] == 1, "the node has outlived it"
+
+
+def test_the_engine_is_killed_while_it_waits() -> None:
+    with make() as env:
+        env.reset(seed=1)
+        env.step(env.action_space.low)
+        own = env.unwrapped.local_node
+        engine_of(own.pid).kill()
+        with pytest.raises(EngineDied, match="the engine process was killed by SIGKILL after sample 1"):
+            env.step(env.action_space.low)
+
+
+def test_the_node_is_killed_in_mid_step() -> None:
+    killed: list[float] = []
+
+    def kill(node: psutil.Process, engine: psutil.Process) -> None:
+        killed.append(time.monotonic())
+        node.kill()
+        engine.resume()
+
+    with make() as env:
+        env.reset(seed=1)
+        for _ in range(3):
+            env.step(env.action_space.low)
+        with during_a_timestep(env, kill):
+            with pytest.raises(NodeLost) as raised:
+                env.step(env.action_space.low)
+            noticed = time.monotonic()
+        assert noticed - killed[0] < NOTICED_WITHIN_S
+        assert "node 'building' is gone (last sample: episode " in str(raised.value)
+        assert "step 3)" in str(raised.value)
+
+
+def test_the_node_is_killed_between_steps() -> None:
+    with make() as env:
+        env.reset(seed=1)
+        env.step(env.action_space.low)
+        psutil.Process(env.unwrapped.local_node.pid).kill()
+        started = time.monotonic()
+        with pytest.raises(NodeLost, match=r"node 'building' is gone \(last sample: episode \d+, step 1\)"):
+            env.step(env.action_space.low)
+        assert time.monotonic() - started < NOTICED_WITHIN_S
+        with pytest.raises(NodeLost):
+            env.step(env.action_space.low)
+        with pytest.warns(UserWarning, match="own node had ended"):
+            env.reset()
+
+
+def test_the_owner_is_killed(scratch: Path) -> None:
+    """Nobody is left to end the node: it ends by itself, and its engine with it."""
+    text = f"""
+import sys
+import gymnasium as gym, agent_sdk
+env = gym.make("zenostat/Building-v1", **{SMALL!r}, affinity="off")
+env.reset()
+print(env.unwrapped.own_node.folder, flush=True)
+sys.stdin.readline()
+"""
+    with Program(text) as program:
+        program.line()
+        assert len(programs_of(scratch)) == 4  # with the engine that waits to be forked
+        program.process.kill()
+        until(lambda: not programs_of(scratch), "node and engines have ended")
+
+
+def test_the_node_is_stopped_by_a_request(folder: Path) -> None:
+    with node_and_bus(folder) as (node, bus), bus.controller("office") as link:
+        link.reset().send()
+        link.receive()
+        bus.stop("office")
+        with pytest.raises(NodeLost, match=ENDED.format(step=1)):
+            link.receive()
+        assert node.process.wait() == 0
+
+
+def test_a_reset_by_another_is_told(folder: Path) -> None:
+    with (
+        node_and_bus(folder) as (_, bus),
+        bus.controller("office", name="one") as one,
+        bus.controller("office", name="two", priority=9) as two,
+    ):
+        one.reset()
+        two.reset()
+        with pytest.raises(EpisodeChanged, match=rf"node 'office' was reset by {two.name} .*; episode 2 runs now"):
+            one.receive()
+
+
+# Actions
+
+
+def test_faulty_actions_change_nothing() -> None:
+    with make() as checked, make() as fault_free_values:
+        env = checked.unwrapped
+        env.reset(seed=1)
+        fault_free_values.reset(seed=1)
+        good = env.action_space.low
+        too_hot, not_a_number = good.copy(), good.copy()
+        too_hot[1], not_a_number[0] = 99.0, np.nan
+        infinite = np.full_like(good, np.inf)
+        names = [a.name for a in env.manifest.actuators]
+        for action, message in (
+            (good[:-1], r"action of shape \(9,\); \(10,\) expected: core_zn_"),
+            (np.float32(20), r"action of shape \(\); \(10,\) expected"),
+            (good[None], r"action of shape \(1, 10\); \(10,\) expected"),
+            (too_hot, rf"{names[1]} = 99; its bounds are "),
+            (not_a_number, rf"{names[0]} = nan; its bounds are "),
+            (infinite, rf"{names[0]} = inf; its bounds are .*{names[-1]} = inf"),
+        ):
+            with pytest.raises(InvalidAction, match=message):
+                env.step(action)
+        observation, _, _, _, info = env.step(good)
+        assert info["step"] == 1
+        assert observation.tobytes() == fault_free_values.step(good)[0].tobytes()
+
+
+def test_faulty_values_of_a_controller(folder: Path) -> None:
+    with node_and_bus(folder) as (_, bus), bus.controller("office") as link:
+        sample = link.reset()
+        with pytest.raises(InvalidAction, match="no actuator 'core_zn_cooling'; near names: 'core_zn_cooling_setp"):
+            sample.send({"core_zn_cooling": 25.0})
+        with pytest.raises(InvalidAction, match=r"core_zn_cooling_setpoint = nan; a finite number or None"):
+            sample.send({"core_zn_cooling_setpoint": float("nan")})
+        with pytest.raises(InvalidAction, match=r"values of shape \(3,\); \(10,\) expected"):
+            sample.send(np.zeros(3))
+        with pytest.raises(UnknownName, match=r"no sensor or meter 'core_zn_temperature'; near names: .*'core_zn_air"):
+            sample["core_zn_temperature"]
+        sample.send({"core_zn_cooling_setpoint": 25.0})
+        assert link.receive().step == 1
+
+
+# Places on the bus
+
+
+def test_a_port_that_is_taken(folder: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        endpoint = f"tcp/127.0.0.1:{other.getsockname()[1]}"
+        with pytest.raises(AddressInUse, match=f"another program listens on {endpoint}; name another port"):
+            NodeProgram(folder / "node", **SMALL, listen=[endpoint])
+
+
+def test_a_port_that_a_node_has_taken(folder: Path) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    with NodeProgram(folder / "one", **SMALL, listen=[endpoint]) as node:
+        with pytest.raises(AddressInUse, match=f"another program listens on {endpoint}"):
+            NodeProgram(folder / "two", **SMALL, name="other", listen=[endpoint])
+        with agent_sdk.connect(endpoint, affinity="off") as bus:
+            assert bus.nodes() == ["office"]
+        assert node.process.poll() is None
+
+
+def test_a_socket_that_is_taken(folder: Path) -> None:
+    with NodeProgram(folder / "one", **SMALL) as node:
+        with pytest.raises(AddressInUse, match="exists already; name another path"):
+            NodeProgram(folder / "two", **SMALL, name="other", listen=[node.endpoint])
+        with agent_sdk.connect(node.endpoint, affinity="off") as bus:
+            assert bus.nodes() == ["office"]
+
+
+def test_two_nodes_of_one_name(folder: Path) -> None:
+    with NodeProgram(folder / "one", **SMALL) as first:
+        with pytest.raises(NameInUse, match=r"a node named 'office' is on this bus already \(instance [0-9a-f]+\)"):
+            NodeProgram(folder / "two", **SMALL, connect=[first.endpoint])
+        with agent_sdk.connect(first.endpoint, affinity="off") as bus, bus.controller("office") as link:
+            link.reset().send()
+            assert link.receive().step == 1, "the first goes on"
+
+
+def test_nobody_there(folder: Path) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    with pytest.raises(NodeNotFound, match=f"nobody listens on {endpoint}; start a node there"):
+        agent_sdk.connect(endpoint)
+    with (
+        NodeProgram(folder / "node", **SMALL) as node,
+        pytest.raises(NodeNotFound, match=r"no node 'ofice' on .*; near names: 'office'"),
+    ):
+        gym.make("zenostat/Building-v1", connect=node.endpoint, node="ofice")
+
+
+def test_listening_beyond_this_machine_is_asked_for(folder: Path) -> None:
+    with pytest.raises(InvalidConfig, match="can be reached from other machines, without encryption"):
+        NodeProgram(folder / "node", **SMALL, listen=[f"tcp/0.0.0.0:{free_port()}"])
+
+
+# Ctrl-C
+
+
+def test_ctrl_c_in_a_node_that_waits(folder: Path) -> None:
+    with node_and_bus(folder) as (node, bus), bus.controller("office") as link:
+        link.reset().send()
+        link.receive()
+        assert node.interrupt() == 0
+        with pytest.raises(NodeLost, match=ENDED.format(step=1)):
+            link.receive()
+
+
+def test_ctrl_c_in_a_node_that_simulates(folder: Path) -> None:
+    with node_and_bus(folder) as (node, bus), bus.controller("office") as link:
+        sample = link.reset()
+        node.engine.suspend()
+        sample.send()
+        until(lambda: bus.status("office").state is State.RUNNING, "the node simulates a timestep")
+        assert node.interrupt() == 0
+        with pytest.raises(NodeLost, match=ENDED.format(step=0)):
+            link.receive()
+
+
+ENVIRONMENT = f"""
+import gymnasium as gym, agent_sdk
+env = gym.make("zenostat/Building-v1", **{SMALL!r}, affinity="off")
+"""
+
+STEPS = """
+while True:
+    env.reset()
+    print("steps", flush=True)
+    truncated = False
+    while not truncated:
+        *_, truncated, info = env.step(env.action_space.low)
+"""
+
+WITH = "with env:" + STEPS.replace("\n", "\n    ")
+
+
+@pytest.mark.parametrize("text", [ENVIRONMENT + WITH, ENVIRONMENT + STEPS], ids=["with", "bare"])
+def test_ctrl_c_in_a_script_with_an_environment(text: str) -> None:
+    """As the terminal sends it, and also if the script has no `with`."""
+    with Program(text) as program:
+        assert program.line() == "steps"
+        program.process.send_signal(signal.SIGINT)
+        code, _, said = program.end()
+        assert code in (-signal.SIGINT, 128 + signal.SIGINT, 1)
+        assert said.strip().splitlines()[-1] == "KeyboardInterrupt"
+
+
+def test_ctrl_c_in_a_controller_leaves_the_node_running(folder: Path) -> None:
+    text = """
+import sys
+import agent_sdk
+with agent_sdk.connect(sys.argv[1], affinity="off") as bus, bus.controller("office", name="script") as link:
+    while True:
+        link.reset()
+        print("steps", flush=True)
+        for sample in link:
+            sample.send({"core_zn_cooling_setpoint": 26.0})
+"""
+    with NodeProgram(folder / "node", **SMALL) as node:
+        with Program(text, node.endpoint) as program:
+            assert program.line() == "steps"
+            program.process.send_signal(signal.SIGINT)
+            code, _, said = program.end()
+            assert code in (-signal.SIGINT, 128 + signal.SIGINT, 1)
+            assert said.strip().splitlines()[-1] == "KeyboardInterrupt"
+        with agent_sdk.connect(node.endpoint, affinity="off") as bus:
+            until(lambda: bus.controllers() == [], "the script's controller has gone")
+            with bus.controller("office", name="next") as link:
+                link.reset().send()
+                assert link.receive().step == 1
+
+
+def test_ctrl_c_while_a_node_starts(folder: Path) -> None:
+    """It may come at any moment; whatever the node had by then is cleared."""
+    text = f"""
+import gymnasium as gym, agent_sdk
+print("starts", flush=True)
+gym.make("zenostat/Building-v1", building="office-medium", weather={WEATHER!r}, affinity="off")
+"""
+    with Program(text) as program:
+        assert program.line() == "starts"
+        until(lambda: psutil.Process(program.pid).children(), "it has started a node")
+        program.process.send_signal(signal.SIGINT)
+        code, _, said = program.end()
+        assert code != 0
+        assert said.strip().splitlines()[-1] == "KeyboardInterrupt"
+
+
+def test_an_environment_that_nobody_closes_ends_its_node_in_peace(scratch: Path) -> None:
+    """The next weather's engine is being prepared when the program ends."""
+    text = """
+import gymnasium as gym, agent_sdk
+env = gym.make("zenostat/ref-small-office-USA_CO_Denver-continuous-stochastic-v1", begin="07-03", end="07-03",
+               affinity="off")
+env.reset(seed=0)
+"""
+    done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, timeout=PATIENCE_S)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+def test_a_closed_environment_says_so(scratch: Path) -> None:
+    env = gym.make("zenostat/Building-v1", **SMALL, affinity="off").unwrapped
+    env.reset(seed=0)
+    env.close()
+    for use in (lambda: env.step(env.action_space.low), env.reset):
+        with pytest.raises(EpisodeChanged, match="closed"):
+            use()
+
+
+def test_a_node_that_is_told_twice_to_stop_ends_without_a_word(folder: Path) -> None:
+    """By a request and, at once, by its owner's end."""
+    for number in range(3):
+        with node_and_bus(folder / str(number)) as (node, bus):
+            bus.stop("office")
+            os.kill(node.pid, signal.SIGTERM)
+            node.process.wait(timeout=PATIENCE_S)
+            assert node.process.returncode == 0

@@ -1,0 +1,429 @@
+"""Controllers that come, go, freeze and share a building: real nodes, real Zenoh, processes of their own."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, nullcontext
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+import pytest
+import zenoh
+from support.nodes import COOLING, SMALL, NodeProgram, Program, free_port, until
+from zenoh.handlers import FifoChannel
+
+import agent_sdk
+from agent_sdk.bus.sample import SampleView
+from topics import codec, keys
+from topics.errors import EpisodeAborted, InvalidConfig, ZenostatError
+from topics.messages import ControllerStatus, Event, EventKind, Policy, State
+
+STEPS = 96
+POINT = "core_zn_cooling_setpoint"
+OTHER = "perimeter_zn_1_cooling_setpoint"
+NORTH, SOUTH = list(COOLING)[:2], list(COOLING)[2:]
+
+TOLD_WHAT_TO_SEND = """
+import sys
+import agent_sdk
+from topics.errors import ZenostatError
+endpoint, name, *points = sys.argv[1:]
+with agent_sdk.connect(endpoint, affinity="off") as bus, bus.controller("office", name=name, actuators=points) as link:
+    print(link.name, flush=True)
+    asks = True
+    try:
+        for sample in link:
+            if asks:
+                print(sample.step, flush=True)
+                said = sys.stdin.readline().split()
+                asks = said[-1] != "on"
+            sample.send(dict.fromkeys(points, float(said[0])))
+    except ZenostatError as error:
+        print(type(error).__name__, error, flush=True)
+"""
+"""Says each step and sends the value that it is told; after `VALUE on` that one for ever, and nothing is said."""
+
+
+@contextmanager
+def office(folder: Path, **settings: Any) -> Iterator[tuple[NodeProgram, agent_sdk.Bus]]:
+    with (
+        NodeProgram(folder / "node", **{**SMALL, **settings}) as node,
+        agent_sdk.connect(node.endpoint, affinity="off") as bus,
+    ):
+        yield node, bus
+
+
+@contextmanager
+def events_of(bus: agent_sdk.Bus) -> Iterator[zenoh.Subscriber]:
+    with bus.session.declare_subscriber(keys.EVENT.at("office"), FifoChannel(4096)) as events:
+        bus.status("office")  # an answer shows that the node has heard of the subscription
+        yield events
+
+
+def next_event(events: zenoh.Subscriber, *kinds: EventKind) -> Event:
+    """The next event of these kinds; others are passed over."""
+    while True:
+        event = codec.decode(Event, events.recv().payload.to_bytes())
+        if event.kind in kinds:
+            return event
+
+
+def to_the_end(samples: Iterator[SampleView]) -> list[SampleView]:
+    found = []
+    for sample in samples:
+        found.append(sample)
+        if sample.truncated:
+            break
+    return found
+
+
+def effective(sample: SampleView, point: str = POINT) -> float:
+    return float(sample.effective[[a.name for a in sample.manifest.actuators].index(point)])
+
+
+def told_steps(program: Program, values: list[float]) -> None:
+    """It sends these values, from sample 0 on, and has then said that it got the next sample."""
+    for step, value in enumerate(values):
+        assert program.json() == step
+        program.tell(str(value))
+    assert program.json() == len(values)
+
+
+def status_of(bus: agent_sdk.Bus, name: str) -> ControllerStatus:
+    return next(c for c in bus.status("office").controllers if c.controller == name)
+
+
+# Killed
+
+
+@pytest.mark.parametrize(
+    ("policy", "bus_of"),
+    [("wait", "unix"), ("hold", "unix"), ("relinquish", "unix"), ("hold", "tcp"), ("wait", "tcp")],
+)
+def test_a_killed_controller_is_noticed_and_the_policy_follows(scratch: Path, policy: str, bus_of: str) -> None:
+    """agent@0 → agent@1 → node@2 → agent is killed → policy"""
+    listen = {"listen": [f"tcp/127.0.0.1:{free_port()}"]} if bus_of == "tcp" else {}
+    with (
+        office(scratch, policy=policy, **listen) as (node, bus),
+        events_of(bus) as events,
+        Program(TOLD_WHAT_TO_SEND, node.endpoint, "agent", POINT) as agent,
+    ):
+        name = agent.line()
+        told_steps(agent, [26.0, 27.0])
+        with bus.listen("office") as samples:
+            agent.process.kill()
+            left = next_event(events, EventKind.DISCONNECTED)
+            assert (left.source, left.step) == (name, 2)
+            if policy == "wait":
+                assert "waits for it" in left.text
+                status = bus.status("office")
+                assert (status.state, status.step) == (State.WAITING, [2])
+                assert [(c.connected, c.bypassed) for c in status.controllers] == [(False, False)]
+                return
+            assert next_event(events, EventKind.FALLBACK).source == name
+            rest = to_the_end(samples)
+        assert [sample.step for sample in rest] == [*range(3, STEPS + 1)]
+        assert all(sample.fallback for sample in rest)
+        if policy == "hold":
+            assert {(effective(s), s.value_source[POINT]) for s in rest} == {(27.0, name)}
+        else:
+            assert {s.value_source[POINT] for s in rest} == {""}
+            assert {effective(s) for s in rest} == {24.0, 26.7}  # the building's own: at work, and set back
+        agent_ = status_of(bus, name)
+        assert (agent_.accepted, agent_.missed, agent_.bypassed) == (2, STEPS - 2, True)
+        assert bus.status("office").statistics.missed == STEPS - 2
+
+
+def test_one_that_was_killed_comes_back_at_the_present_step(scratch: Path) -> None:
+    """north and south → south is killed → north alone → another south takes over: no timestep without a ruler"""
+    with office(scratch, policy="hold") as (node, bus), events_of(bus) as events, bus.listen("office") as samples:
+        with ExitStack() as stack:
+            first = stack.enter_context(Program(TOLD_WHAT_TO_SEND, node.endpoint, "south", *SOUTH))
+            north = stack.enter_context(bus.controller("office", name="north", actuators=NORTH))
+            name = first.line()
+            assert first.json() == 0
+            first.tell("26 on")
+            sample = north.current()
+            for step in range(STEPS):
+                sample.send(dict.fromkeys(NORTH, 25.0))
+                sample = north.receive()
+                if step == 20:
+                    first.process.kill()
+                    assert next_event(events, EventKind.FALLBACK).source == name
+                if step == 30:
+                    second = stack.enter_context(Program(TOLD_WHAT_TO_SEND, node.endpoint, "south", *SOUTH))
+                    successor = second.line()
+                    assert second.json() == sample.step == 31
+                    second.tell("27 on")
+        found = to_the_end(samples)
+    assert [sample.step for sample in found] == [*range(1, STEPS + 1)]
+    who = [{sample.value_source[point] for point in SOUTH} for sample in found]
+    fell = [sample.step for sample in found if sample.fallback]
+    assert {sample.value_source[point] for sample in found for point in NORTH} == {north.name}
+    assert who == [{name}] * 31 + [{successor}] * (STEPS - 31)
+    assert [effective(sample, SOUTH[0]) for sample in found] == [26.0] * 31 + [27.0] * (STEPS - 31)
+    # It had answered sample 21 before it was killed, or had not.
+    assert fell in ([*range(22, 32)], [*range(23, 32)])
+
+
+# Frozen
+
+
+def test_a_frozen_controller_s_late_command_says_how_late_and_rules_nothing(scratch: Path) -> None:
+    """agent@0 → node@1 → agent frozen → deadlines → … → agent goes on: agent@1 is late, then it has caught up"""
+    with (
+        office(scratch, policy="hold", deadline_s=1.0, end="07-09") as (node, bus),
+        events_of(bus) as events,
+        Program(TOLD_WHAT_TO_SEND, node.endpoint, "agent", POINT) as agent,
+        bus.listen("office") as samples,
+    ):
+        name = agent.line()
+        told_steps(agent, [25.0])
+        assert next(samples).step == 1
+        came_s = time.monotonic()
+        os.kill(agent.pid, signal.SIGSTOP)
+        until(lambda: psutil.Process(agent.pid).status() == psutil.STATUS_STOPPED, "the controller is frozen")
+        agent.tell("29")
+        fallback = next_event(events, EventKind.FALLBACK, EventKind.LATE)
+        assert (fallback.kind, fallback.source, fallback.step) == (EventKind.FALLBACK, name, 1)
+        frozen = [next(samples)]
+        went_s = time.monotonic()
+        frozen += [next(samples) for _ in range(2)]
+        assert status_of(bus, name).unresponsive
+        woken_s = time.monotonic()
+        os.kill(agent.pid, signal.SIGCONT)
+        late = next_event(events, EventKind.LATE, EventKind.DISCONNECTED, EventKind.CONNECTED)
+        told_s = time.monotonic()
+        assert (late.kind, late.source) == (EventKind.LATE, name)
+        assert "step [1]" in late.text
+        assert late.late_s is not None
+        assert woken_s - went_s <= late.late_s <= told_s - came_s
+        # From now on it answers whatever is on its way to it, until it has caught up.
+        agent.line()
+        agent.tell("24 on")
+        again = next_event(events, EventKind.CONNECTED)
+        assert (again.source, "answers again" in again.text) == (name, True)
+        while not (sample := next(samples)).step > again.step + 3:
+            frozen += [sample] if sample.step <= again.step else []
+            assert sample.step <= again.step or (effective(sample), sample.fallback) == (24.0, False)
+    assert [s.step for s in frozen] == [*range(2, again.step + 1)]
+    assert {(effective(s), s.value_source[POINT], s.fallback) for s in frozen} == {(25.0, name, True)}
+
+
+@pytest.mark.parametrize("policy", ["abort", "hold"])
+def test_a_controller_that_joins_late_and_is_silent_meets_its_deadline(scratch: Path, policy: str) -> None:
+    """The sample was there long before anyone was: the time of its first step begins when it joins."""
+    with (
+        office(scratch, policy=policy, deadline_s=0.02) as (_, bus),
+        events_of(bus) as events,
+        bus.controller("office", name="agent") as link,
+    ):
+        event = next_event(events, EventKind.FALLBACK, EventKind.FAILED)
+        assert event.step == 0
+        if policy == "hold":
+            assert (event.kind, event.source) == (EventKind.FALLBACK, link.name)
+        else:
+            assert (event.kind, event.error) == (EventKind.FAILED, "EpisodeAborted")
+
+
+# Aborted
+
+
+@pytest.mark.parametrize("how", ["killed", "unresponsive"])
+def test_abort_is_told_to_the_other_controller_and_a_reset_begins_anew(scratch: Path, how: str) -> None:
+    silent = {"deadline_s": 4.0} if how == "unresponsive" else {}
+    with (
+        office(scratch, policy="abort", **silent) as (node, bus),
+        Program(TOLD_WHAT_TO_SEND, node.endpoint, "south", *SOUTH) as south,
+        nullcontext(south.line()) as name,  # before the other one joins, which begins the step's time
+        bus.controller("office", name="north", actuators=NORTH) as north,
+    ):
+        assert south.json() == 0
+        south.tell("26")
+        north.current().send(dict.fromkeys(NORTH, 25.0))
+        north.receive().send(dict.fromkeys(NORTH, 25.0))
+        assert south.json() == 1
+        if how == "killed":
+            south.process.kill()
+        with pytest.raises(EpisodeAborted, match=name):
+            north.receive()
+        status = bus.status("office")
+        assert status.state is State.FAILED
+        assert name in status.failure
+        if how == "unresponsive":
+            south.tell("26")
+            assert south.line().startswith("EpisodeAborted")
+            south.process.kill()
+        until(lambda: not [c for c in bus.controllers() if c[1] == name], "it has gone")
+        sample = north.reset()
+        assert (sample.episode, sample.step) == (1, 0)
+        if how == "killed":  # whoever is still there at the reset is waited for
+            sample.send(dict.fromkeys(NORTH, 25.0))
+            sample = north.receive()
+            assert (sample.step, sample.fallback, sample.value_source[SOUTH[0]]) == (1, False, "")
+
+
+# Together
+
+
+def wanted(point: str, step: int) -> float:
+    """What the controller of a zone group sends for a sample."""
+    return 23.0 + (7 * step + 3 * list(COOLING).index(point)) % 13 / 4
+
+
+FOLLOWS_A_PLAN = """
+import sys
+import agent_sdk
+endpoint, name, *points = sys.argv[1:]
+with agent_sdk.connect(endpoint, affinity="off") as bus, bus.controller("office", name=name, actuators=points) as link:
+    print(link.name, flush=True)
+    zones = "core_zn perimeter_zn_1 perimeter_zn_2 perimeter_zn_3 perimeter_zn_4".split()
+    for sample in link:
+        sample.send({p: 23.0 + (7 * sample.step + 3 * zones.index(p[:-17])) % 13 / 4 for p in points})
+    print(sample.step, flush=True)
+"""
+
+
+def test_two_controllers_and_a_supervisor_are_as_one_to_the_bit(scratch: Path) -> None:
+    """north and south answer each sample; from sample 8 the supervisor overrides the core at 28 for an hour."""
+    with (
+        office(scratch / "many") as (node, bus),
+        Program(FOLLOWS_A_PLAN, node.endpoint, "north", *NORTH) as north,
+        bus.controller("office", name="south", actuators=SOUTH) as south,
+    ):
+        name = north.line()
+        many = [south.current()]
+        while not many[-1].truncated:
+            if many[-1].step == 8:
+                bus.write("office", POINT, 28.0, priority=8, duration_s=3600.0, source="supervisor")
+            many[-1].send({point: wanted(point, many[-1].step) for point in SOUTH})
+            many.append(south.receive())
+        assert north.json() == STEPS
+    assert len(many) == STEPS + 1
+    for sample in many[1:]:
+        who = dict.fromkeys(NORTH, name) | dict.fromkeys(SOUTH, south.name)
+        source_index = sample.value_source[POINT]
+        if 9 <= sample.step <= 12:
+            assert source_index.startswith("supervisor-")
+            who[POINT] = source_index
+        assert sample.value_source == {point: who.get(point, "") for point in sample.value_source}
+    with (
+        office(scratch / "one") as (node, bus),
+        bus.controller("office", name="one", actuators=[*COOLING]) as one,
+    ):
+        single = [one.current()]
+        while not single[-1].truncated:
+            step = single[-1].step
+            override = {POINT: 28.0} if 8 <= step < 12 else {}
+            single[-1].send({point: wanted(point, step) for point in COOLING} | override)
+            single.append(one.receive())
+    for together, alone in zip(many, single, strict=True):
+        assert together.message.values == alone.message.values
+        assert together.message.effective == alone.message.effective
+    assert np.isfinite(single[-1].values).all()
+    assert {effective(sample) for sample in many[9:13]} == {28.0}
+
+
+# The command line
+
+
+ZENOSTAT = [sys.executable, "-P", "-m", "cli.main"]
+
+
+def zenostat(*arguments: str) -> subprocess.CompletedProcess[str]:
+    wide = {**os.environ, "COLUMNS": "200"}
+    return subprocess.run([*ZENOSTAT, *arguments], capture_output=True, text=True, timeout=100, env=wide)
+
+
+def row(text: str, first: str) -> list[list[str]]:
+    """The cells of the lines of tables whose first cell begins so."""
+    lines = [line.strip("│┃ ").replace("┃", "│") for line in text.splitlines()]
+    return [[cell.strip() for cell in line.split("│")] for line in lines if line.startswith(first)]
+
+
+def test_the_command_line_says_what_the_policy_is_and_whom_it_met(scratch: Path) -> None:
+    endpoint = f"unixsock-stream/{scratch}/bus"
+    day = [part for k, v in SMALL.items() for part in (f"--{k.replace('_', '-')}", str(v))]
+    how = ["--policy", "hold", "--grace", "0.25", "--deadline", "2000", "--affinity", "off"]
+    node = subprocess.Popen(
+        [*ZENOSTAT, "node", *day, "--name", "office", "--listen", endpoint, *how], stdout=subprocess.PIPE, text=True
+    )
+    try:
+        while "Ctrl-C" not in node.stdout.readline():
+            assert node.poll() is None
+        with agent_sdk.connect(endpoint, affinity="off") as bus:
+            manifest = bus.manifest("office")
+            assert (manifest.policy, manifest.grace_s, manifest.deadline_s) == (Policy.HOLD, 0.25, 2000.0)
+            with (
+                events_of(bus) as events,
+                bus.controller("office", name="north", actuators=NORTH) as north,
+                Program(TOLD_WHAT_TO_SEND, endpoint, "south", *SOUTH) as south,
+            ):
+                name = south.line()
+                assert south.json() == 0
+                south.process.kill()
+                assert next_event(events, EventKind.FALLBACK).source == name
+                north.current().send()
+                north.receive()
+                said = zenostat("status", "--connect", endpoint).stdout
+    finally:
+        node.send_signal(signal.SIGINT)
+        node.communicate(timeout=60)
+    assert row(said, "without a controller") == [
+        ["without a controller", "hold; timesteps that went on without one: 1"]
+    ]
+    claims, counts = row(said, name)
+    assert claims[1:] == ["office", "10", "3", "yes", "gone, waived"]
+    assert counts[1:] == ["0", "0", "0", "0", "1", "-", "-", "-"]
+    claims, counts = row(said, north.name)
+    assert claims[1:] == ["office", "10", "2", "yes", "connected"]
+    assert counts[1:6] == ["1", "0", "0", "0", "0"]
+    median, p99, most = map(float, counts[6:])
+    assert 0.0 < median == p99 == most
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "words"),
+    [
+        ("--grace", "-1", "grace_s"),
+        ("--deadline", "0", "deadline_s"),
+        ("--deadline", "inf", "deadline_s"),
+        ("--grace", "nan", "grace_s"),
+        ("--policy", "give-up", "'wait', 'hold', 'release', 'abort'"),
+    ],
+)
+def test_settings_that_cannot_be_are_refused_before_anything_starts(option: str, value: str, words: str) -> None:
+    done = zenostat("node", "--building", "ref-small-office", "--weather", "USA_CO_Denver", option, value)
+    assert done.returncode == 2
+    assert words in done.stderr.replace("\n", " ")
+
+
+def test_a_node_s_settings_are_checked_alike(folder: Path) -> None:
+    with pytest.raises(InvalidConfig) as raised:
+        NodeProgram(folder / "node", **SMALL, grace_s=-1, deadline_s=0)
+    assert isinstance(raised.value, ZenostatError)
+    for setting in ("grace_s", "deadline_s"):
+        assert setting in str(raised.value)
+
+
+def test_a_node_that_goes_on_by_its_policy_hears_who_asks(scratch: Path) -> None:
+    """Without a deadline it runs as fast as it can, and whoever comes back is heard at once."""
+    year = SMALL | {"begin": "01-01", "end": "12-31", "policy": "hold", "grace_s": 0.0}
+    with NodeProgram(scratch / "n", **year) as node, agent_sdk.connect(node.endpoint, affinity="off") as bus:
+        link = bus.controller("office", name="goes")
+        sample = link.current()
+        sample.send()
+        link.receive()
+        link.close()
+        until(lambda: bus.status("office").step[0] > 20, "it goes on without")
+        bus.pause("office")
+        status = bus.status("office")
+        assert status.paused
+        assert 20 < status.step[0] < status.steps

@@ -1,0 +1,173 @@
+"""An episode without commands gives what EnergyPlus gives alone: each sensor and meter, each timestep, to the bit.
+
+The same prepared model is run twice: through the bus, with a controller that answers each sample and commands
+nothing, and by EnergyPlus alone, whose own reports are the truth (`reference.py`).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from support.energyplus_reference import Alone, Case
+from support.nodes import WEATHER, NodeProgram
+
+import agent_sdk
+from models.building.model import read_building
+from models.catalog import find_building, find_weather
+from models.points import discovery, selection
+from topics.messages import Aggregation, Manifest
+
+ZONE = {"office-small": "Core_ZN", "office-medium": "Core_mid", "ref-small-office": "Core_ZN"}
+"""A zone of each building."""
+
+WEEKS = [
+    Case("office-small", WEATHER, "01-09", "01-15", 6),
+    Case("office-medium", WEATHER, "07-01", "07-07", 4),
+    Case("ref-small-office", WEATHER, "04-10", "04-16", 4),
+]
+YEARS = [Case(building, WEATHER, "01-01", "12-31", 4) for building in ZONE]
+
+
+def _name(case: Case) -> str:
+    return f"{case.building}-{case.begin}"
+
+
+def _with_other_readings(case: Case) -> dict[str, list[str]]:
+    """The default sensors and more: what is read as a state by default as a mean, and the other way round; sums."""
+    entry, weather = find_building(case.building), find_weather(case.weather).path
+    zone = ZONE[case.building].upper()
+    more = {
+        "zone_mean": ("Zone Air Temperature", zone, "mean"),
+        "zone_humidity_mean": ("Zone Air Relative Humidity", zone, "mean"),
+        "zone_mean_air_temperature": ("Zone Mean Air Temperature", zone),
+        "zone_cooling": ("Zone Air System Sensible Cooling Energy", zone),
+        "zone_cooling_rate": ("Zone Air System Sensible Cooling Rate", zone),
+        "zone_cooling_rate_instant": ("Zone Air System Sensible Cooling Rate", zone, "instant"),
+        "outdoor_mean": ("Site Outdoor Air Drybulb Temperature", "Environment", "mean"),
+        "sun": ("Site Direct Solar Radiation Rate per Area", "Environment"),
+        "hvac_power_instant": (selection.HVAC_POWER, "Whole Building", "instant"),
+    }
+    found = selection.default_sensors(discovery.discover(read_building(entry), weather))
+    return {name: list(spec) for name, spec in (found | more).items()}
+
+
+def _over_the_bus(node: NodeProgram) -> tuple[Manifest, NDArray[np.float64]]:
+    """All samples of an episode that nobody commands; shape (steps + 1, points)."""
+    with agent_sdk.connect(node.endpoint, affinity="off") as bus, bus.controller("office") as link:
+        samples = []
+        for sample in link:
+            assert sample.step == len(samples)
+            assert set(sample.value_source.values()) == {""}
+            samples.append(sample.values)
+            sample.send()
+        assert sample.truncated
+        return link.manifest, np.array(samples)
+
+
+def _both(case: Case, folder: Path) -> tuple[Manifest, NDArray[np.float64], NDArray[np.float64]]:
+    """What came over the bus for each timestep, and what EnergyPlus alone wrote."""
+    sensors = _with_other_readings(case)
+    with NodeProgram(folder, **case.settings(), sensors=sensors) as node:
+        with agent_sdk.connect(node.endpoint, affinity="off") as bus:
+            manifest = bus.manifest("office")
+        alone = Alone(case, manifest.sensors, manifest.meters, folder / "alone")
+        try:
+            manifest, samples = _over_the_bus(node)
+            expected = alone.values()
+        finally:
+            alone.close()
+    assert samples.shape == (manifest.steps + 1, len(manifest.names))
+    assert expected.shape == (manifest.steps, len(manifest.names))
+    return manifest, samples[1:], expected
+
+
+def _check_equal(manifest: Manifest, got: NDArray[np.float64], expected: NDArray[np.float64]) -> None:
+    """Equal to the bit, or a message with the first difference of each point."""
+    faults = []
+    for column, name in enumerate(manifest.names):
+        rows = np.flatnonzero(got[:, column] != expected[:, column])
+        if rows.size:
+            first = rows[0]
+            values = f"{got[first, column]!r}, EnergyPlus writes {expected[first, column]!r}"
+            faults.append(f"{name}: {rows.size} of {len(got)} differ; sample {first + 1} has {values}")
+    assert not faults, "\n".join(faults)
+
+
+def _check_kinds(manifest: Manifest) -> None:
+    """The comparison covers each reading, and the meters."""
+    assert {sensor.aggregation for sensor in manifest.sensors} == set(Aggregation)
+    assert {"Electricity:Facility", "Electricity:HVAC"} <= {meter.meter for meter in manifest.meters}
+
+
+@pytest.fixture(scope="module", params=WEEKS, ids=_name)
+def week(
+    request: pytest.FixtureRequest, module_folder: Path
+) -> tuple[Manifest, NDArray[np.float64], NDArray[np.float64]]:
+    return _both(request.param, module_folder / _name(request.param))
+
+
+def test_a_week_equals_energyplus_alone(week) -> None:
+    manifest, got, expected = week
+    _check_kinds(manifest)
+    _check_equal(manifest, got, expected)
+
+
+def test_each_point_lives(week) -> None:
+    """A comparison of constants would show nothing."""
+    manifest, got, _ = week
+    changing = {name for column, name in enumerate(manifest.names) if len(np.unique(got[:, column])) > 1}
+    idle = {name for name in manifest.names if name not in changing}
+    assert not idle & {"outdoor_temperature", "hvac_electricity_power", "zone_mean", "electricity_facility"}
+    assert len(changing) > len(manifest.names) / 2
+
+
+@pytest.fixture(scope="module")
+def divided(module_folder: Path) -> tuple[Manifest, NDArray[np.float64], NDArray[np.float64]]:
+    """A week of a building whose HVAC divides most timesteps, which those of ASHRAE 901 never do."""
+    return _both(WEEKS[-1], module_folder / "divided")
+
+
+def test_state_and_mean_are_told_apart(divided) -> None:
+    """Where the HVAC needed shorter steps, the state at the end of a timestep is not its mean: neither may be
+    taken for EnergyPlus's report of the other.
+    """
+    manifest, got, expected = divided
+    column = {name: i for i, name in enumerate(manifest.names)}
+    zone = next(s for s in manifest.sensors if s.name == "zone_mean").key
+    state = next(
+        s.name
+        for s in manifest.sensors
+        if s.key == zone and s.variable == "Zone Air Temperature" and s.aggregation is Aggregation.INSTANT
+    )
+    pairs = [
+        (state, "zone_mean"),
+        ("hvac_power_instant", "hvac_electricity_power"),
+        ("zone_cooling_rate_instant", "zone_cooling_rate"),
+    ]
+    for name, mean in pairs:
+        assert (expected[:, column[name]] != expected[:, column[mean]]).sum() > 100, name
+        assert (got[:, column[name]] != expected[:, column[mean]]).sum() > 100, name
+        assert (got[:, column[mean]] != expected[:, column[name]]).sum() > 100, name
+
+
+def test_energy_follows_from_means(divided) -> None:
+    """The HVAC's meter is the mean power times the length of the timestep; with the state it would not be."""
+    manifest, got, _ = divided
+    column = {name: i for i, name in enumerate(manifest.names)}
+    energy_j = got[:, column["electricity_hvac"]]
+    seconds = 3600 / manifest.steps_per_hour
+    np.testing.assert_allclose(got[:, column["hvac_electricity_power"]] * seconds, energy_j, rtol=1e-9, atol=1e-3)
+    wrong_j = got[:, column["hvac_power_instant"]] * seconds
+    assert (~np.isclose(wrong_j, energy_j, rtol=1e-6, atol=1e-3)).sum() > 50
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", YEARS, ids=_name)
+def test_a_year_equals_energyplus_alone(case: Case, folder: Path) -> None:
+    manifest, got, expected = _both(case, folder)
+    _check_kinds(manifest)
+    assert manifest.steps == 35040
+    _check_equal(manifest, got, expected)

@@ -1,0 +1,201 @@
+"""After a lost link a reset claims the node again, and steps work."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import pytest
+from support.links import CuttableLink
+from support.nodes import SMALL, NodeProgram, free_port, until
+
+import agent_sdk
+from topics.errors import BusError, EpisodeChanged, NodeLost, NodeNotFound, PeerError
+
+pytestmark = pytest.mark.usefixtures("scratch")
+
+SLOTS = pytest.mark.parametrize("slots", [1, 2])
+
+
+def make(slots: int, **given: Any) -> Any:
+    given["affinity"] = "off"
+    if slots == 1:
+        return gym.make("zenostat/Building-v1", **given)
+    return gym.make_vec("zenostat/Building-v1", slots, "vector_entry_point", **given)
+
+
+def step_until_lost(env: Any) -> None:
+    with pytest.raises(NodeLost, match=r"is gone|was stopped"):
+        step_for_ever(env)
+
+
+def step_for_ever(env: Any) -> None:
+    while True:
+        env.step(env.action_space.sample())
+
+
+def has_reset(env: Any) -> bool:
+    try:
+        env.reset(seed=0)
+    except BusError:  # the way is not there again yet
+        return False
+    return True
+
+
+def steps_again(env: Any) -> None:
+    until(lambda: has_reset(env), "the environment resets")
+    for _ in range(3):
+        env.step(env.action_space.sample())
+
+
+@contextmanager
+def node_behind_link(folder: Path, **given: Any) -> Iterator[tuple[NodeProgram, CuttableLink, int]]:
+    port = free_port()
+    settings = {**SMALL, "listen": [f"tcp/127.0.0.1:{port}"], **given}
+    with NodeProgram(folder / "node", **settings) as node, CuttableLink(port) as link:
+        yield node, link, port
+
+
+@SLOTS
+def test_a_cut_connection(scratch: Path, slots: int) -> None:
+    with node_behind_link(scratch, slots=slots) as (_, link, _):
+        env = make(slots, connect=link.endpoint, node="office")
+        env.reset(seed=0)
+        for _ in range(2):
+            link.cut()
+            step_until_lost(env)
+            steps_again(env)
+        env.close()
+
+
+def test_a_link_that_is_down(scratch: Path) -> None:
+    with node_behind_link(scratch) as (_, link, _):
+        env = make(1, connect=link.endpoint, node="office")
+        env.reset(seed=0)
+        link.down()
+        step_until_lost(env)
+        with pytest.raises(NodeNotFound, match="no node 'office'"):
+            env.reset()
+        link.up()
+        steps_again(env)
+        env.close()
+
+
+@SLOTS
+def test_an_own_node_that_was_frozen(slots: int) -> None:
+    env = make(slots, **SMALL)
+    env.reset(seed=0)
+    node = env.unwrapped.local_node.pid
+    os.kill(node, signal.SIGSTOP)
+    try:
+        step_until_lost(env)
+    finally:
+        os.kill(node, signal.SIGCONT)
+    steps_again(env)
+    assert env.unwrapped.local_node.pid == node
+    env.close()
+
+
+def answer_for_ever(controller: agent_sdk.ControllerLink) -> None:
+    while True:
+        controller.receive().send()
+
+
+@contextmanager
+def router(endpoint: str) -> Iterator[None]:
+    program = [sys.executable, "-P", "-m", "cli.main", "router", "--listen", endpoint]
+    with subprocess.Popen(program, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            assert process.stdout.readline()
+            yield
+        finally:
+            process.kill()
+
+
+def test_a_router_that_was_killed_and_started_again(scratch: Path) -> None:
+    at = f"tcp/127.0.0.1:{free_port()}"
+    with router(at):
+        node = NodeProgram(scratch / "node", **SMALL, listen=[], connect=[at])
+        env = make(1, connect=at, node="office")
+        env.reset(seed=0)
+    with node:
+        step_until_lost(env)
+        with router(at):
+            steps_again(env)
+            env.close()
+            node.close()
+
+
+def test_a_controller_without_gymnasium(scratch: Path) -> None:
+    with (
+        node_behind_link(scratch) as (_, link, _),
+        agent_sdk.connect(link.endpoint, affinity="off") as bus,
+        bus.controller("office") as controller,
+    ):
+        controller.reset().send()
+        link.cut()
+        with pytest.raises(NodeLost):
+            answer_for_ever(controller)
+        until(lambda: bus.nodes() == ["office"], "the link is back")
+        controller.reset().send({"core_zn_cooling_setpoint": 26.0})
+        assert controller.receive().value_source["core_zn_cooling_setpoint"] == controller.name
+
+
+def test_a_claim_that_only_the_node_lost(scratch: Path) -> None:
+    """Another controller has taken the level over meanwhile: the refusal names it, and steps work once it has left."""
+    with node_behind_link(scratch) as (_, link, port):
+        env = make(1, connect=link.endpoint, node="office")
+        env.reset(seed=0)
+        link.down()
+        step_until_lost(env)
+        with agent_sdk.connect(f"tcp/127.0.0.1:{port}", affinity="off") as bus, bus.controller("office", name="other"):
+            link.up()
+            refused = until(lambda: refusal(env), "the claim is refused")
+            assert "is claimed by 'other-" in refused
+        steps_again(env)
+        env.close()
+
+
+def refusal(env: Any) -> str:
+    try:
+        env.reset()
+    except BusError:
+        return ""
+    except PeerError as error:
+        return str(error)
+    raise AssertionError("the reset was taken")
+
+
+def test_a_node_elsewhere_that_was_restarted(scratch: Path) -> None:
+    with node_behind_link(scratch) as (node, link, port):
+        env = make(1, connect=link.endpoint, node="office")
+        env.reset(seed=0)
+        instance = env.unwrapped.manifest.instance
+        node.kill()
+        step_until_lost(env)
+        with pytest.raises(NodeNotFound, match="no node 'office'"):
+            env.reset()
+        settings = {**SMALL, "listen": [f"tcp/127.0.0.1:{port}"]}
+        with NodeProgram(scratch / "again", **settings):
+            steps_again(env)
+            assert env.unwrapped.manifest.instance != instance
+        step_until_lost(env)
+        with NodeProgram(scratch / "other", **{**settings, "building": "ref-medium-office"}):
+            until(lambda: "restarted with other points" in reset_error(env), "the other building is refused")
+        env.close()
+
+
+def reset_error(env: Any) -> str:
+    try:
+        env.reset()
+    except (BusError, EpisodeChanged) as error:
+        return str(error)
+    return ""

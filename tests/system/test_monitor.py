@@ -1,0 +1,242 @@
+"""The monitor against real nodes and real Rerun recordings."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections import defaultdict
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rerun as rr
+import zenoh
+from rerun.chunk import RrdReader
+from support.nodes import SMALL, NodeProgram, free_port, until
+from zenoh.handlers import RingChannel
+
+import agent_sdk
+from bridge.rerun.stream import RerunStream
+from bridge.rerun.viewer import screenshot, web_viewer
+from bridge.transport.session import open_session
+from topics import codec, keys
+from topics.messages import Batch, Event, EventKind
+
+
+def _recorded(path: Path) -> dict[str, dict[int, list[float]]]:
+    """Entity to step to vector, as the recording has it."""
+    found: dict[str, dict[int, list[float]]] = defaultdict(dict)
+    for chunk in RrdReader(str(path)).stream():
+        if chunk.is_static or "Scalars:scalars" not in (batch := chunk.to_record_batch()).schema.names:
+            continue
+        rows = batch.to_pydict()
+        for step, scalars in zip(rows["step"], rows["Scalars:scalars"], strict=True):
+            found[str(chunk.entity_path)][step] = scalars
+    return found
+
+
+def _run(endpoint: str, *, reset: bool = False) -> list[np.ndarray]:
+    """An episode under the building's own control: the values of each sample."""
+    with agent_sdk.connect(endpoint, affinity="off") as bus, bus.controller("office") as link:
+        if reset:
+            link.reset()
+        return [sample.values for sample in link]
+
+
+def test_recording_has_each_sample_of_each_episode_to_the_bit(scratch):
+    rr.set_strict_mode(True)
+    path = scratch / "run.rrd"
+    with NodeProgram(scratch / "node", **SMALL) as node:
+        with open_session(connect=[node.endpoint]) as session:
+            with RerunStream(session, "*", [rr.FileSink(str(path))]) as stream:
+                first = _run(node.endpoint)
+                stream.pump()
+                second = _run(node.endpoint, reset=True)
+                _pump_until(stream, 2 * 97)
+            assert (stream.samples, stream.missed) == (2 * 97, 0)
+        with agent_sdk.connect(node.endpoint, affinity="off") as bus:
+            manifest = bus.manifest("office")
+    recorded = _recorded(path)
+    temperatures = [i for i, s in enumerate(manifest.sensors) if s.unit == "degC"]
+    for episode, samples in enumerate((first, second)):
+        plot = recorded[f"/office/episode_{episode:04}/degc"]
+        assert sorted(plot) == list(range(97))
+        for step, values in enumerate(samples):
+            assert plot[step] == values[temperatures].tolist()
+
+
+def _to_the_stop(
+    subscriber: zenoh.Subscriber, of: Callable[[zenoh.Sample], list[tuple[str, bytes]]]
+) -> list[tuple[str, bytes]]:
+    """Topics and payloads up to the event that the node has stopped, which may come after the node's end."""
+    found: list[tuple[str, bytes]] = []
+
+    def stopped() -> bool:
+        for message in iter(subscriber.try_recv, None):
+            found.extend(of(message))
+        return bool(found) and found[-1][0] == "event" and codec.decode(Event, found[-1][1]).kind is EventKind.STOPPED
+
+    until(stopped, "it is told that the node has stopped")
+    return found
+
+
+def test_batches_have_all_that_was_streamed_in_the_order_sent(scratch):
+    with NodeProgram(scratch / "node", **SMALL) as node, open_session(connect=[node.endpoint]) as session:
+        one_by_one = session.declare_subscriber(keys.stream("office"), RingChannel(1000))
+        batches = session.declare_subscriber(keys.BATCH.at("office"), RingChannel(1000))
+        assert list(session.get(keys.SAMPLE.at("office")))  # the node has met both now
+        _run(node.endpoint)
+        _run(node.endpoint, reset=True)
+        with agent_sdk.connect(node.endpoint, affinity="off") as bus:
+            bus.stop("office")
+        assert node.process.wait(30) == 0
+        heard = _to_the_stop(one_by_one, lambda m: [(str(m.key_expr).rpartition("/")[2], m.payload.to_bytes())])
+        came: list[Batch] = []
+
+        def unpacked(message: zenoh.Sample) -> list[tuple[str, bytes]]:
+            came.append(codec.decode(Batch, message.payload.to_bytes(), str(message.encoding)))
+            return [(sent.topic, sent.payload) for sent in came[-1].messages]
+
+        gathered = _to_the_stop(batches, unpacked)
+    assert gathered == heard
+    assert [topic for topic, _ in heard].count("sample") == 96 + 97  # the first one was there before
+    assert len(came) < len(heard) / 4
+
+
+def test_late_monitor_learns_the_manifest_and_the_sample_the_node_stands_at(scratch):
+    path = scratch / "run.rrd"
+    with (
+        NodeProgram(scratch / "node", **SMALL) as node,
+        agent_sdk.connect(node.endpoint, affinity="off") as bus,
+        bus.controller("office") as link,
+    ):
+        sample = link.current()
+        for _ in range(10):
+            sample.send()
+            sample = link.receive()
+        with (
+            open_session(connect=[node.endpoint]) as session,
+            RerunStream(session, "office", [rr.FileSink(str(path))]) as stream,
+        ):
+            until(lambda: stream.pump() or stream.samples, "the monitor met the node")
+        outdoor = sample["outdoor_temperature"]
+    (plot,) = [plot for entity, plot in _recorded(path).items() if entity.endswith("/degc")]
+    assert list(plot) == [10]
+    assert plot[10][0] == outdoor
+
+
+@pytest.mark.parametrize("fate", [signal.SIGSTOP, signal.SIGKILL])
+def test_monitor_that_is_frozen_or_killed_changes_nothing(scratch, fate):
+    with NodeProgram(scratch / "node", **SMALL) as node:
+        quiet = _run(node.endpoint)
+        command = [sys.executable, "-P", "-m", "cli.main", "monitor", "--connect", node.endpoint]
+        command += ["--save", str(scratch / "run.rrd")]
+        monitor = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        try:
+            assert "connected" in monitor.stdout.readline()
+            with agent_sdk.connect(node.endpoint, affinity="off") as bus, bus.controller("office") as link:
+                disturbed = []
+                link.reset()
+                for sample in link:
+                    disturbed.append(sample.values)
+                    if sample.step == 20:
+                        monitor.send_signal(fate)
+        finally:
+            monitor.kill()
+            monitor.communicate()
+    assert np.array_equal(quiet, disturbed)
+
+
+def test_picture_of_a_recording(scratch):
+    path, picture = scratch / "run.rrd", scratch / "run.png"
+    with rr.RecordingStream("zenostat") as recording:
+        recording.set_sinks(rr.FileSink(str(path)))
+        recording.log("a", rr.Scalars([1.0]))
+        recording.disconnect()
+    drawn = screenshot(path, picture)
+    assert drawn == picture.exists()
+    if drawn:
+        assert picture.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    assert {made.name for made in scratch.iterdir()} <= {"run.rrd", "run.png"}  # the viewer's own files are gone
+
+
+def test_a_viewer_that_is_served_leaves_no_files(scratch):
+    with web_viewer() as (page, url):
+        assert page.startswith("http://127.0.0.1:")
+        assert url.endswith("/proxy")
+        (own,) = scratch.iterdir()
+        (own / "rerun-data-1").mkdir()  # what a viewer makes sometimes, and leaves
+    assert list(scratch.iterdir()) == []
+
+
+def test_no_picture_without_a_vulkan_driver(scratch, monkeypatch):
+    monkeypatch.setenv("VK_ICD_FILENAMES", os.devnull)
+    monkeypatch.setenv("VK_DRIVER_FILES", os.devnull)
+    path = scratch / "run.rrd"
+    with rr.RecordingStream("zenostat") as recording:
+        recording.set_sinks(rr.FileSink(str(path)))
+        recording.log("a", rr.Scalars([1.0]))
+        recording.disconnect()
+    assert not screenshot(path, scratch / "run.png")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_monitor_that_waits_for_its_bus_says_so_and_can_be_ended(scratch, number):
+    command = [sys.executable, "-P", "-m", "cli.main", "monitor", "--save", "run.rrd"]
+    command += ["--connect", f"tcp/127.0.0.1:{free_port()}"]
+    monitor = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=scratch)
+    try:
+        assert "waiting for it, Ctrl-C ends it" in monitor.stdout.readline()
+        monitor.send_signal(number)
+        rest, _ = monitor.communicate(timeout=60)
+    finally:
+        monitor.kill()
+        monitor.wait()
+    assert (monitor.returncode, rest) == (0, "")
+
+
+def test_a_monitor_may_come_before_its_node(scratch):
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    command = [sys.executable, "-P", "-m", "cli.main", "monitor", "--save", "run.rrd", "--once", "--connect", endpoint]
+    monitor = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=scratch)
+    try:
+        assert "waiting for it" in monitor.stdout.readline()
+        with NodeProgram(scratch / "node", **SMALL, listen=[endpoint]):
+            assert "connected" in monitor.stdout.readline()
+            assert len(_run(endpoint)) == 97
+        said, _ = monitor.communicate(timeout=60)
+    finally:
+        monitor.kill()
+        monitor.wait()
+    assert "0 missed" in said
+
+
+def test_a_node_that_starts_again_is_recorded_from_its_beginning(scratch):
+    """Also with other points than it had before."""
+    endpoint, path = f"tcp/127.0.0.1:{free_port()}", scratch / "run.rrd"
+    core = {"core": ("Zone Air Temperature", "Core_ZN")}
+    outdoors = {"outdoors": ("Site Outdoor Air DryBulb Temperature", "Environment")}
+    with (
+        NodeProgram(scratch / "bus", **(SMALL | {"name": "other"}), listen=[endpoint]),
+        open_session(connect=[endpoint]) as session,
+        RerunStream(session, "office", [rr.FileSink(str(path))]) as stream,
+    ):
+        for life, sensors in enumerate((outdoors, core | outdoors, core), 1):
+            given = SMALL | {"sensors": sensors, "meters": {}, "reward": None}
+            own, before = f"tcp/127.0.0.1:{free_port()}", 97 * (life - 1)
+            with NodeProgram(scratch / f"n{life}", **given, listen=[own], connect=[endpoint]):
+                _pump_until(stream, before + 1)  # it stands at sample 0 until somebody answers
+                _run(own)
+                _pump_until(stream, before + 97)
+        assert (stream.samples, stream.missed) == (3 * 97, 0)
+
+
+def _pump_until(stream: RerunStream, samples: int) -> None:
+    def there() -> bool:
+        stream.pump()
+        return stream.samples >= samples
+
+    until(there, f"{samples} samples have come")

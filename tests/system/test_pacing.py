@@ -1,0 +1,533 @@
+"""Simulated time against the wall clock: the rules of the schedule, and real nodes that keep it."""
+
+from __future__ import annotations
+
+import math
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from support.nodes import SMALL, NodeProgram, free_port, until
+
+import agent_sdk
+from agent_sdk import Bus
+from agent_sdk.bus.controller_link import ControllerLink
+from agent_sdk.bus.sample import SampleView
+from bridge.exchange.step_schedule import StepSchedule
+from cli.pace import read_pace
+from topics.errors import InvalidConfig, RequestRejected
+from topics.messages import EventKind, Mode, Sample, State
+
+ZENOSTAT = [sys.executable, "-P", "-m", "cli.main"]
+SETPOINT = "core_zn_cooling_setpoint"
+STEP_S = 900.0
+DAY_STEPS = 96
+FAST = 45_000.0
+"""A timestep of a quarter of an hour in 20 ms."""
+STEP_WALL_S = STEP_S / FAST
+YEAR = {**SMALL, "begin": "01-01", "end": "12-31"}
+
+
+# The schedule
+
+
+@pytest.mark.parametrize("speed", [1.0, 7.0, 3600.0])
+def test_a_million_timesteps_do_not_drift(speed: float) -> None:
+    pace = StepSchedule(STEP_S, speed)
+    pace.rebase(1234.5678, 0)
+    now_s = 0.0
+    for step in range(1, 1_000_001):
+        now_s = pace.due_s(step) + 0.1 * STEP_S / speed  # each a tenth of a timestep late
+        assert not pace.record_sample(now_s, step)
+    exact = Fraction(1234.5678) + Fraction(1_000_000) * Fraction(STEP_S) / Fraction(speed)
+    assert abs(Fraction(pace.due_s(1_000_000)) - exact) <= 2 * Fraction(math.ulp(now_s))
+    assert (pace.overruns, pace.max_lag_s) == (0, 0.0)
+
+
+def test_an_overrun_is_a_sample_that_came_after_the_next_one_was_due() -> None:
+    pace = StepSchedule(STEP_S, 900.0)  # a timestep a second
+    pace.rebase(100.0, 0)
+    came = {1: 101.0, 2: 103.0, 3: 104.5, 4: 106.25, 5: 106.5, 6: 106.75}
+    late = [step for step, now_s in came.items() if pace.record_sample(now_s, step)]
+    # due: 101, 102, 103, 104, 105, 106; the next of each a second later
+    assert late == [3, 4, 5]
+    assert pace.overruns == 3
+    assert pace.max_lag_s == 2.25  # sample 4, due at 104
+
+
+def test_after_an_overrun_the_schedule_is_the_old_one() -> None:
+    pace = StepSchedule(STEP_S, 900.0)
+    pace.rebase(0.0, 0)
+    pace.record_sample(7.5, 1)
+    assert [pace.due_s(step) for step in (2, 8, 9)] == [2.0, 8.0, 9.0]
+
+
+def test_a_schedule_begins_where_it_is_anchored() -> None:
+    pace = StepSchedule(STEP_S, 60.0)  # 15 s a timestep
+    pace.rebase(1000.0, 40)
+    assert [pace.due_s(step) for step in (40, 41, 44)] == [1000.0, 1015.0, 1060.0]
+    pace.rebase(2000.0, 44)
+    assert pace.due_s(45) == 2015.0
+
+
+def test_a_change_of_speed_keeps_how_far_the_timestep_has_gone() -> None:
+    pace = StepSchedule(STEP_S, 60.0)
+    pace.rebase(0.0, 0)
+    into_s = pace.elapsed_in_step_s(25.0, 1)  # sample 1 was due at 15; 10 s of 60 since
+    assert into_s == 600.0
+    pace.speed = 30.0
+    pace.rebase(25.0, 1, into_s)
+    assert pace.due_s(2) == 35.0  # 300 s are left, at 30
+
+
+def test_what_is_behind_is_not_caught_up_after_a_change() -> None:
+    pace = StepSchedule(STEP_S, 900.0)
+    pace.rebase(0.0, 0)
+    into_s = pace.elapsed_in_step_s(50.0, 3)
+    assert into_s == STEP_S
+    pace.rebase(50.0, 3, into_s)
+    assert [pace.due_s(4), pace.due_s(5)] == [50.0, 51.0]
+
+
+@given(
+    step_s=st.sampled_from([60.0, 300.0, 900.0, 3600.0]),
+    speed=st.floats(0.01, 1e9),
+    origin_s=st.floats(0, 1e7),
+    step=st.integers(0, 10**7),
+)
+def test_timesteps_are_of_one_length(step_s: float, speed: float, origin_s: float, step: int) -> None:
+    pace = StepSchedule(step_s, speed)
+    pace.rebase(origin_s, 0)
+    exact = Fraction(origin_s) + step * Fraction(step_s) / Fraction(speed)
+    assert float(exact) == pytest.approx(pace.due_s(step), rel=1e-15, abs=0)
+
+
+@pytest.mark.parametrize(
+    ("text", "meant"),
+    [
+        ("60", (Mode.PACED, 60.0)),
+        ("0.5", (Mode.PACED, 0.5)),
+        ("free", (Mode.FREE, None)),
+        ("lockstep", (Mode.LOCKSTEP, None)),
+    ],
+)
+def test_a_pace_on_the_command_line(text: str, meant: tuple[Mode, float | None]) -> None:
+    assert read_pace(text) == meant
+
+
+def test_no_pace_on_the_command_line() -> None:
+    with pytest.raises(InvalidConfig, match=r"'fast' is no pace: a number above 0 .*, lockstep or free expected"):
+        read_pace("fast")
+
+
+# Real nodes
+
+
+def arrivals(samples: Iterator[SampleView], steps: int) -> list[tuple[int, float]]:
+    """So many samples: the step of each, and when it came by the clock that all processes share."""
+    found = []
+    for sample in samples:
+        found.append((sample.step, time.monotonic()))
+        if len(found) == steps:
+            break
+    return found
+
+
+def round_trips(bus: Bus, times: int = 5) -> None:
+    """Requests that the node's own thread does one after another; a node that does not stand goes on between them."""
+    for _ in range(times):
+        bus.weather("office", ["dry_bulb"])
+
+
+def held(link: ControllerLink) -> None:
+    """The first timestep in lockstep, with a command that holds from then on."""
+    link.current().send({SETPOINT: 27.0})
+    assert link.receive().step == 1
+
+
+def trajectory(samples: list[Sample]) -> list[tuple[list[int], bytes, bytes]]:
+    """What must agree to the bit."""
+    return [(sample.step, sample.values, sample.effective) for sample in samples]
+
+
+def rest(samples: Iterator[SampleView]) -> list[Sample]:
+    """All samples up to the episode's last."""
+    found = []
+    for sample in samples:
+        found.append(sample.message)
+        if sample.truncated:
+            return found
+    raise AssertionError("the node is gone")
+
+
+@pytest.fixture(scope="module")
+def reference(module_folder: Path) -> list[Sample]:
+    """Samples 1 to the last of a day in lockstep, with one setpoint held."""
+    with NodeProgram(module_folder / "n", **SMALL) as node, agent_sdk.connect(node.endpoint, affinity="off") as bus:
+        found = []
+        for sample in bus.controller("office"):
+            found.append(sample.message)
+            sample.send({SETPOINT: 27.0})
+        return found[1:]
+
+
+def test_no_sample_comes_before_it_is_due(bus: Bus) -> None:
+    with bus.listen("office") as samples:
+        asked_s = time.monotonic()
+        bus.pace("office", FAST)
+        came = arrivals(samples, DAY_STEPS)
+    assert [step for step, _ in came] == list(range(1, DAY_STEPS + 1))
+    early = [(step, now_s - asked_s) for step, now_s in came if now_s < asked_s + step * STEP_WALL_S]
+    assert early == []
+    status = until(lambda: (s := bus.status("office")).state == "ended" and s, "the episode has ended")
+    assert (status.mode, status.speed) == (Mode.PACED, FAST)
+
+
+def test_a_reset_begins_a_schedule(bus: Bus) -> None:
+    bus.pace("office", FAST)
+    with bus.controller("office", required=False) as link:
+        asked_s = time.monotonic()
+        link.reset()
+        first = link.receive()
+        assert time.monotonic() >= asked_s + first.step * STEP_WALL_S
+        fifth = next(s for s in iter(link.receive, None) if s.step >= first.step + 4)
+        assert time.monotonic() >= asked_s + fifth.step * STEP_WALL_S
+
+
+def test_what_was_commanded_holds_when_paced(bus: Bus, reference: list[Sample]) -> None:
+    with bus.controller("office", name="holder") as link:
+        held(link)
+        with bus.listen("office") as samples:
+            bus.pace("office", 10 * FAST)
+            came = rest(samples)
+        index = [a.name for a in link.manifest.actuators].index(SETPOINT)
+        assert all(sample.sources[np.frombuffer(sample.source_index, "<u2")[index]] == link.name for sample in came)
+    assert trajectory(came) == trajectory(reference[1:])
+
+
+def test_an_impossible_speed_is_counted_and_loses_nothing(bus: Bus, reference: list[Sample]) -> None:
+    with bus.controller("office") as link:
+        held(link)
+        with bus.listen("office") as samples:
+            bus.pace("office", 1e9)  # 0.9 us a timestep
+            came = rest(samples)
+    assert trajectory(came) == trajectory(reference[1:])
+    until(lambda: bus.status("office").state == "ended", "the episode has ended")
+    round_trips(bus, 1)  # by the node's own thread, which has counted by then
+    told = bus.status("office").statistics
+    assert told.overruns == DAY_STEPS - 1
+    assert told.max_lag_s > 0
+    assert told.step.count == DAY_STEPS
+    assert bus.manifest("office").statistics.overruns == told.overruns
+
+
+def test_free_goes_as_lockstep_does(bus: Bus, reference: list[Sample]) -> None:
+    with bus.controller("office") as link:
+        held(link)
+        with bus.listen("office") as samples:
+            bus.pace("office", mode="free")
+            came = rest(samples)
+    assert trajectory(came) == trajectory(reference[1:])
+    assert bus.status("office").statistics.overruns == 0
+    assert bus.manifest("office").mode is Mode.FREE
+
+
+def test_a_command_that_comes_in_time_rules_the_next_timestep(bus: Bus) -> None:
+    bus.pace("office", 1e-3)  # ten days a timestep
+    with bus.controller("office", required=False) as link:
+        sample = link.current()
+        sample.send({SETPOINT: 28.0})
+        until(lambda: bus.status("office").accepted == 1, "the command is taken")
+        assert bus.status("office").step == [0]
+        bus.pace("office", 1e9)
+        index = [a.name for a in link.manifest.actuators].index(SETPOINT)
+        assert link.receive().effective[index] == 28.0
+
+
+@pytest.mark.parametrize("mode", ["free", "paced"])
+def test_a_paused_node_stands_until_it_goes_on(scratch: Path, mode: str) -> None:
+    with (
+        NodeProgram(scratch / "node", **YEAR, mode=mode, speed=1e6) as node,
+        agent_sdk.connect(node.endpoint, affinity="off") as bus,
+    ):
+        until(lambda: bus.status("office").step[0] > 3, "the node runs")
+        bus.pause("office")
+        status = bus.status("office")
+        assert status.paused
+        with bus.listen("office") as samples:
+            round_trips(bus)
+            assert bus.status("office").step == status.step
+            overruns = bus.status("office").statistics.overruns
+            bus.step("office", 4)
+            until(lambda: bus.status("office").step == [status.step[0] + 4], "four timesteps are done")
+            round_trips(bus)
+            assert bus.status("office").step == [status.step[0] + 4]
+            assert bus.status("office").statistics.overruns == overruns  # a step by hand has no schedule
+            bus.resume("office")
+            came = arrivals(samples, 6)
+        assert [step for step, _ in came] == [status.step[0] + k for k in range(1, 7)]
+        assert not bus.status("office").paused
+
+
+def test_a_pause_forgets_the_steps_that_were_asked_for(scratch: Path) -> None:
+    with (
+        NodeProgram(scratch / "node", **YEAR) as node,
+        agent_sdk.connect(node.endpoint, affinity="off") as bus,
+    ):
+        bus.pause("office")
+        bus.pace("office", mode="free")
+        bus.step("office", 1_000_000)
+        bus.pause("office")
+        before = bus.status("office").step
+        assert before[0] < bus.status("office").steps
+        round_trips(bus)
+        assert bus.status("office").step == before
+
+
+def test_steps_in_lockstep_go_once_they_are_answered(bus: Bus) -> None:
+    bus.pause("office")
+    with bus.controller("office") as link:
+        link.current().send()
+        until(lambda: bus.status("office").accepted == 1, "the command is taken")
+        round_trips(bus)
+        assert bus.status("office").step == [0]
+        bus.step("office", 2)
+        sample = link.receive()
+        round_trips(bus)
+        assert (sample.step, bus.status("office").step) == (1, [1])  # not answered yet
+        sample.send()
+        sample = link.receive()
+        sample.send()
+        until(lambda: bus.status("office").accepted == 3, "the command is taken")
+        round_trips(bus)
+        assert (sample.step, bus.status("office").step) == (2, [2])
+        bus.resume("office")
+        assert link.receive().step == 3
+
+
+def test_a_resumed_node_does_not_catch_up(bus: Bus) -> None:
+    with bus.listen("office") as samples:
+        bus.pace("office", FAST)
+        next(samples)
+        bus.pause("office")
+        standing, paused_s = bus.status("office").step[0], time.monotonic()
+        until(lambda: time.monotonic() > paused_s + 20 * STEP_WALL_S, "twenty timesteps would have gone")
+        assert bus.status("office").step == [standing]
+        asked_s = time.monotonic()
+        bus.resume("office")
+        came = [(step, now_s) for step, now_s in arrivals(samples, standing + 14) if step > standing]
+    assert len(came) >= 10
+    # What was left of the timestep in which it was paused may be short; each after it has its length.
+    early = [step for step, now_s in came if now_s < asked_s + (step - standing - 1) * STEP_WALL_S]
+    assert early == []
+
+
+def test_the_pace_changes_while_it_runs(bus: Bus) -> None:
+    with bus.listen("office") as samples:
+        bus.pace("office", 1.0)  # a quarter of an hour a timestep
+        round_trips(bus)
+        assert bus.status("office").step == [0]
+        asked_s = time.monotonic()
+        bus.pace("office", FAST)
+        came = arrivals(samples, 10)
+        assert all(now_s >= asked_s + (step - 1) * STEP_WALL_S for step, now_s in came)
+        bus.pace("office", mode=Mode.LOCKSTEP)
+        standing = bus.status("office").step
+        round_trips(bus)
+        assert bus.status("office").step == standing
+        assert bus.status("office").mode is Mode.LOCKSTEP
+
+
+def test_a_pace_that_is_asked_for_again_and_again_does_not_stop_the_clock(bus: Bus) -> None:
+    with bus.controller("office", required=False):
+        bus.pace("office", STEP_S)  # a timestep a second
+
+        def asked_again() -> bool:
+            bus.pace("office", STEP_S)
+            return bus.status("office").step[0] > 0
+
+        until(asked_again, "a timestep is over, though the pace was set anew all the while")
+
+
+def test_deadlines_stand_still_in_a_pause_and_go_on_after_it(scratch: Path) -> None:
+    with (
+        NodeProgram(scratch / "node", **SMALL, policy="hold", deadline_s=0.02) as node,
+        agent_sdk.connect(node.endpoint, affinity="off") as bus,
+        bus.controller("office") as link,
+    ):
+        bus.pause("office")
+        sample = link.current()
+        paused_s = time.monotonic()
+        until(lambda: time.monotonic() > paused_s + 0.1, "five deadlines would be over")
+        round_trips(bus)
+        assert bus.status("office").step == [sample.step]
+        bus.step("office", 2)  # nobody answers; the policy does
+        until(lambda: bus.status("office").step == [sample.step + 2], "two timesteps have gone by the policy")
+        round_trips(bus)
+        assert bus.status("office").step == [sample.step + 2]
+        bus.resume("office")
+        until(lambda: bus.status("office").step[0] > sample.step + 4, "it goes on by the policy")
+
+
+def test_the_node_says_what_its_pace_is(bus: Bus) -> None:
+    from topics import codec, keys
+    from topics.messages import Event
+
+    with bus.session.declare_subscriber(keys.EVENT.at("office")) as events:
+        bus.pause("office", source="me")
+        bus.pace("office", 60)
+        bus.step("office", 1)
+        bus.resume("office")
+        told = [codec.decode(Event, events.recv().payload.to_bytes()) for _ in range(4)]
+    assert {event.kind for event in told} == {EventKind.PACE}
+    assert [event.text for event in told] == ["paused", "60 times the wall clock", "timesteps to go: 1", "goes on"]
+    assert told[0].source == "me"
+
+
+@pytest.mark.parametrize(
+    ("ask", "error", "words"),
+    [
+        (lambda bus: bus.pace("office", 0), InvalidConfig, "speed.*greater than 0"),
+        (lambda bus: bus.pace("office", -60.0), InvalidConfig, "speed.*greater than 0"),
+        (lambda bus: bus.pace("office", float("nan")), InvalidConfig, "speed.*finite"),
+        (lambda bus: bus.pace("office", 2e9), InvalidConfig, "speed.*less than or equal to 1000000000"),
+        (lambda bus: bus.pace("office", mode="quick"), InvalidConfig, "mode.*'lockstep', 'paced' or 'free'"),
+        (lambda bus: bus.pace("office"), RequestRejected, "a speed and the mode 'paced' go together"),
+        (lambda bus: bus.pace("office", 60, mode="free"), RequestRejected, "a speed and the mode 'paced' go together"),
+        (lambda bus: bus.step("office", 4), RequestRejected, "not paused; pause it first"),
+        (lambda bus: bus.step("office", 0), InvalidConfig, "steps.*greater than or equal to 1"),
+    ],
+)
+def test_wrong_requests_are_refused_in_words(standing: Bus, ask: Any, error: type[Exception], words: str) -> None:
+    with pytest.raises(error, match=words):
+        ask(standing)
+    status = standing.status("office")
+    assert (status.step, status.mode, status.speed, status.paused) == ([0], Mode.LOCKSTEP, 1.0, False)
+
+
+def test_an_episode_that_is_over_takes_no_steps_and_no_writes(scratch: Path) -> None:
+    with NodeProgram(scratch / "n", **SMALL, mode="free") as node, agent_sdk.connect(node.endpoint) as bus:
+        until(lambda: bus.status("office").state is State.ENDED, "the day is over")
+        bus.pause("office")
+        with pytest.raises(RequestRejected, match="the episode is over; reset it first"):
+            bus.step("office", 1)
+        with pytest.raises(RequestRejected, match="the episode is over"):
+            bus.write("office", "core_zn_cooling_setpoint", 26.0)
+        assert bus.status("office").step == [96]
+
+
+@pytest.fixture(scope="module")
+def standing(module_folder: Path) -> Iterator[Bus]:
+    """A node in lockstep that nobody answers."""
+    with NodeProgram(module_folder / "s", **SMALL) as node, agent_sdk.connect(node.endpoint, affinity="off") as bus:
+        yield bus
+
+
+# The command line
+
+
+def zenostat(*arguments: str) -> str:
+    done = subprocess.run([*ZENOSTAT, *arguments], capture_output=True, text=True, timeout=100)
+    assert done.returncode == 0, done.stderr
+    return " ".join(done.stdout.split())
+
+
+def test_commands_of_a_person(node: NodeProgram, bus: Bus, tmp_path: Path) -> None:
+    at = ("--connect", node.endpoint)
+    plan = tmp_path / "faults.yaml"
+    plan.write_text("faults: [{name: off by one, kind: bias, points: core_zn_air_temperature, offset: 1.0}]")
+    assert zenostat("pause", "office", *at) == "office: lockstep; paused; step 0 of 96, 2017-07-03T00:00:00"
+    assert "paced, 60 times the wall clock; paused; step 0" in zenostat("pace", "office", "60", *at)
+    assert "step 4 of 96" in zenostat("step", "office", "4", *at)
+    assert bus.status("office").step == [4]
+    zenostat("faults", "office", str(plan), *at)
+    zenostat("step", "office", *at)
+    until(lambda: bus.status("office").faults == ["off by one"], "the fault is on")
+    assert "faults" not in zenostat("faults", "office", "--clear", *at)
+    assert "office: lockstep; paused; step 5 of 96" in zenostat("pace", "office", "lockstep", *at)
+    assert "paused" not in zenostat("resume", "office", *at)
+
+
+def test_mistakes_of_a_person() -> None:
+    for arguments, words in {
+        ("pace", "office", "quick"): "'quick' is no pace",
+        ("faults", "office"): "name a file with a plan, or --clear",
+        ("faults", "office", "nowhere.yaml", "--clear"): "name a file with a plan, or --clear",
+        ("node", "--building", "x", "--weather", "y", "--speed", "5"): "--speed 5 goes with --mode paced",
+    }.items():
+        done = subprocess.run([*ZENOSTAT, *arguments], capture_output=True, text=True, timeout=100)
+        assert done.returncode == 2
+        assert words in " ".join(done.stderr.split())
+
+
+def test_a_paced_node_tells_in_the_end_how_it_kept_up(scratch: Path) -> None:
+    (scratch / "faults.yaml").write_text("faults: [{kind: drop, points: core_zn_air_temperature}]")
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    options = ["--building", "ref-small-office", "--weather", "USA_CO_Denver", "--begin", "07-03", "--end", "07-03"]
+    options += ["--mode", "paced", "--speed", "1e9", "--faults", str(scratch / "faults.yaml")]
+    options += ["--name", "office", "--listen", endpoint, "--affinity", "off", "--steps-per-hour", "4"]
+    program = subprocess.Popen([*ZENOSTAT, "node", *options], stdout=subprocess.PIPE, text=True, cwd=scratch)
+    try:
+        said = program.stdout.readline()
+        while "Ctrl-C" not in said:
+            said += program.stdout.readline()
+        with agent_sdk.connect(endpoint, affinity="off") as bus:
+            until(lambda: bus.status("office").state == "ended", "the day is over")
+            assert bus.status("office").faults == ["drop 1"]
+            assert bus.manifest("office").faults_injected
+    finally:
+        program.send_signal(signal.SIGINT)
+        said, _ = program.communicate(timeout=60)
+    assert program.returncode == 0
+    said = " ".join(said.split())
+    assert re.search(r"step │ 96 │ +[\d.e+]+", said)
+    assert re.search(r"0 late, 0 rejected, 0 duplicate, 0 flooded, 0 missed, 96 overruns \([\d.]+ s behind", said)
+
+
+# A gateway
+
+
+def test_a_gateways_command_in_a_pause_is_answered_though_no_sample_comes(node: NodeProgram, bus: Bus) -> None:
+    pytest.importorskip("zmq", reason="pyzmq is not installed")
+    from test_zeromq import GatewayProgram, Peer, keeping
+
+    bus.pause("office")
+    with GatewayProgram(node.endpoint) as gateway, Peer(gateway) as peer:
+        peer.listen("sample")
+        sample = peer.hear(Sample)
+        assert peer.ask("rpc/claim", controller="c")[0] == "Accepted"
+        for steps in range(3):
+            assert peer.ask("command/c", **keeping(sample))[0] == "Accepted"
+            assert bus.status("office").step == [steps]
+            bus.step("office", 1)
+            sample = peer.after(sample)
+        bus.resume("office")
+        assert peer.ask("command/c", **keeping(sample))[0] == "Accepted"
+        sample = peer.after(sample)
+        bus.pause("office")
+        assert peer.ask("command/c", **keeping(sample))[0] == "Accepted"
+
+
+def test_a_reset_forgets_the_steps_that_were_left(scratch: Path) -> None:
+    """A reset during a pause begins an episode that is paused."""
+    year = SMALL | {"begin": "01-01", "end": "12-31"}
+    with NodeProgram(scratch / "n", **year, mode="free") as node, agent_sdk.connect(node.endpoint) as bus:
+        bus.pause("office")
+        bus.step("office", 30_000)
+        with bus.controller("office", required=False) as link:
+            link.reset()
+            assert link.current().step == 0
+            for _ in range(3):
+                assert bus.status("office").step == [0]
+            bus.step("office", 2)
+            until(lambda: bus.status("office").step == [2], "it has gone two timesteps")

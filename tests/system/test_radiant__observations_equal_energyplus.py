@@ -1,0 +1,108 @@
+"""The radiant building of the data pack, driven by the same choices here and by EnergyPlus's own Python API alone.
+
+Five of its 83 observations are an integer variable that the API serves and does not list.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+from support.data_packs import sinergym
+from support.nodes import NodeProgram
+
+import agent_sdk
+from models.building.model import for_episode, read_building, write
+from models.catalog import find_building, find_weather
+from models.weather import design_days
+from models.weather.epw import read_header
+from topics.messages import Manifest
+
+DAYS = ("01-15", "01-16")
+
+BARE = """
+import json, sys
+from pyenergyplus.api import EnergyPlusAPI
+model, weather, folder, task = sys.argv[1:]
+task = json.load(open(task))
+api = EnergyPlusAPI()
+state, exchange, runtime = api.state_manager.new_state(), api.exchange, api.runtime
+runtime.set_console_output_status(state, False)
+for variable, key in task["variables"]:
+    exchange.request_variable(state, variable, key)
+rows, warm, handles = [], [], {}
+def act(state):
+    for handle, value in zip(handles["actuators"], task["commands"][len(rows)]):
+        exchange.set_actuator_value(state, handle, value)
+def begin(state):
+    if exchange.kind_of_sim(state) != 3:  # sizing comes before the run period
+        return
+    handles["actuators"] = [exchange.get_actuator_handle(state, *names) for names in task["actuators"]]
+    handles["variables"] = [exchange.get_variable_handle(state, *names) for names in task["variables"]]
+    handles["meters"] = [exchange.get_meter_handle(state, name) for name in task["meters"]]
+    assert min(handles["actuators"] + handles["variables"]) >= 0
+    warm.append(True)
+    act(state)
+def step(state):
+    if warm:
+        rows.append([exchange.get_variable_value(state, handle) for handle in handles["variables"]]
+                    + [exchange.get_meter_value(state, handle) for handle in handles["meters"]])
+        if len(rows) < len(task["commands"]):
+            act(state)
+runtime.callback_after_new_environment_warmup_complete(state, begin)
+runtime.callback_end_zone_timestep_after_zone_reporting(state, step)
+code = runtime.run_energyplus(state, ["-w", weather, "-d", folder, model])
+json.dump(rows, open(folder + "/rows.json", "w"))
+sys.exit(code)
+"""
+
+
+def test_a_trajectory_equals_a_bare_script_in_all_columns(folder: Path) -> None:
+    sinergym()
+    with (
+        NodeProgram(folder, scenario="radiant-stockholm-discrete-v1", begin=DAYS[0], end=DAYS[1]) as node,
+        agent_sdk.connect(node.endpoint, affinity="off") as bus,
+        bus.controller("office") as link,
+    ):
+        manifest = link.manifest
+        draw = np.random.default_rng(5)
+        switches = draw.integers(0, 2, (manifest.steps // 6, 5)).repeat(6, axis=0)
+        commands = np.column_stack([switches, draw.integers(25, 46, len(switches))]).astype(float)
+        names, got = [actuator.name for actuator in manifest.actuators], []
+        for sample in link:
+            got.append(sample.values)
+            if not sample.truncated:
+                sample.send(dict(zip(names, commands[sample.step].tolist(), strict=True)))
+    expected = _bare(manifest, commands, folder / "bare")
+    assert len(got) - 1 == len(expected) == len(commands) == manifest.steps
+    for column, name in enumerate(manifest.names):
+        assert np.array_equal(np.array(got)[1:, column], expected[:, column]), name
+    modes = [i for i, s in enumerate(manifest.sensors) if s.variable == "Zone Radiant HVAC Operation Mode"]
+    assert len(modes) == 5
+    assert all(set(expected[:, column]) == {0.0, 1.0} for column in modes)
+
+
+def _bare(manifest: Manifest, commands: np.ndarray, folder: Path) -> np.ndarray:
+    """Variables, then meters, at the end of each timestep."""
+    model = read_building(find_building(manifest.building))
+    weather = find_weather(manifest.weather).path
+    period = model.period(*DAYS, manifest.steps_per_hour)
+    objects = design_days.apply(for_episode(model, period), design_days.site(weather, read_header(weather)))
+    folder.mkdir()
+    task = folder / "task.json"
+    task.write_text(
+        json.dumps(
+            {
+                "variables": [(s.variable, s.key) for s in manifest.sensors],
+                "meters": [m.meter for m in manifest.meters],
+                "actuators": [(a.component_type, a.control_type, a.key) for a in manifest.actuators],
+                "commands": commands.tolist(),
+            }
+        )
+    )
+    inputs = [str(write(objects, folder)), str(weather), str(folder), str(task)]
+    subprocess.run([sys.executable, "-P", "-c", BARE, *inputs], check=True, stdin=subprocess.DEVNULL)
+    return np.array(json.loads((folder / "rows.json").read_text()))

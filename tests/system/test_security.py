@@ -1,0 +1,554 @@
+"""A closed door: real certificates, real nodes, and programs that try what they may not.
+
+What did not happen is known by a fence: something allowed, sent over the same link after what is not. When its effect
+is there, whatever went before it has been dropped.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import zenoh
+from support.nodes import SMALL, NodeProgram, free_port, until
+from test_certificates import expire
+from zenoh.handlers import FifoChannel
+
+import agent_sdk
+from bridge.transport.access_control import ALL_MESSAGES, ROLES, Permission, acl_config, may, rules
+from bridge.transport.certificates import Identity, add, make
+from bridge.transport.session import check_endpoint, exposure, open_session
+from bridge.transport.tls_diagnosis import diagnose_tls
+from topics import codec, keys
+from topics.errors import AddressInUse, InvalidConfig, NodeNotFound, UsageError
+from topics.keys import TOPICS, Role
+from topics.messages import Ack, Claim, Command, Event, EventKind, Reset, State, Stop, Write
+
+ZENOSTAT = [sys.executable, "-P", "-m", "cli.main"]
+POINT = "core_zn_cooling_setpoint"
+FORGED = b"forged"
+_numbers = count()
+
+
+@pytest.fixture(scope="module")
+def pki(module_folder: Path) -> Path:
+    """The keys of the house, with a second controller's."""
+    make(module_folder / "keys")
+    add(module_folder / "keys", Role.CONTROLLER, "second")
+    return module_folder / "keys"
+
+
+@pytest.fixture(scope="module")
+def strange_pki(module_folder: Path) -> Path:
+    """The keys of another house."""
+    make(module_folder / "strange")
+    return module_folder / "strange"
+
+
+@pytest.fixture(scope="module")
+def node(module_folder: Path, pki: Path) -> Iterator[NodeProgram]:
+    """A node named `office` behind a closed door, which these tests share."""
+    listen = [f"tls/127.0.0.1:{free_port()}"]
+    with NodeProgram(module_folder / "node", **SMALL, listen=listen, keys=str(pki)) as running:
+        yield running
+
+
+@pytest.fixture
+def bus(node: NodeProgram, pki: Path) -> Iterator[agent_sdk.Bus]:
+    with agent_sdk.connect(node.endpoint, keys=pki, affinity="off") as connected:
+        yield connected
+
+
+@pytest.fixture
+def watcher(node: NodeProgram, pki: Path) -> Iterator[agent_sdk.Bus]:
+    with agent_sdk.connect(node.endpoint, keys=pki, role=Role.MONITOR, affinity="off") as connected:
+        yield connected
+
+
+def raw(endpoint: str, folder: Path, name: str | None, *, authority: Path | None = None, mode: str = "client") -> Any:
+    """A session of somebody who keeps to no rules of ours: any certificate, any mode."""
+    tls: dict[str, Any] = {
+        "root_ca_certificate": str((authority or folder) / "ca.pem"),
+        "enable_mtls": name is not None,
+    }
+    if name is not None:
+        tls |= {"connect_certificate": str(folder / f"{name}.pem"), "connect_private_key": str(folder / f"{name}.key")}
+    settings = {
+        "mode": mode,
+        "connect/endpoints": [endpoint],
+        "connect/timeout_ms": 2000,
+        "connect/exit_on_failure": True,
+        "listen/endpoints": [],
+        "scouting/multicast/enabled": False,
+        "transport/link/tls": tls,
+    }
+    config = zenoh.Config()
+    for key, value in settings.items():
+        config.insert_json5(key, json.dumps(value))
+    return zenoh.open(config)
+
+
+@contextmanager
+def hearing(session: zenoh.Session, key: str) -> Iterator[zenoh.Subscriber]:
+    with session.declare_subscriber(key, FifoChannel(4096)) as subscriber:
+        yield subscriber
+        while subscriber.try_recv() is not None:
+            pass
+
+
+def before_fence(bus: agent_sdk.Bus, inbox: zenoh.Subscriber, session: zenoh.Session | None = None) -> list[bytes]:
+    """What `inbox` has heard of until a write by `session` (the controller's, if none is given) is told as an event."""
+    source = f"fence-{next(_numbers)}"
+    write = codec.encode(Write(value=None, source=source))
+    (session or bus.session).put(keys.ACTUATOR.at("office", name=POINT), write)
+    heard: list[bytes] = []
+    while True:
+        message = inbox.recv()
+        payload = message.payload.to_bytes()
+        if str(message.key_expr) == keys.EVENT.at("office") and payload != FORGED:
+            event = codec.decode(Event, payload)
+            if event.kind in (EventKind.WRITTEN, EventKind.REJECTED) and event.source == source:
+                return heard  # once the day is over, it is refused
+        heard.append(payload)
+
+
+def ask(session: zenoh.Session, topic: keys.Topic, question: Any = None) -> list[bytes]:
+    replies = session.get(topic.at("office"), payload=codec.encode(question) if question else None, timeout=30)
+    return [reply.ok.payload.to_bytes() for reply in replies if reply.ok]
+
+
+# The rules, without Zenoh
+
+SEND, HEAR, ASK, SHOW, SEE = Permission.SEND, Permission.HEAR, Permission.ASK, Permission.SHOW, Permission.SEE
+RIGHTS = {  # topic: (controller, monitor)
+    "manifest": ({HEAR, ASK}, {HEAR, ASK}),
+    "sample": ({HEAR, ASK}, {HEAR, ASK}),
+    "sensor/{name}": ({HEAR}, {HEAR}),
+    "meter/{name}": ({HEAR}, {HEAR}),
+    "event": ({HEAR}, {HEAR}),
+    "command/{name}": ({SEND}, set()),
+    "actuator/{name}": ({SEND}, set()),
+    "rpc/claim": ({ASK}, set()),
+    "rpc/reset": ({ASK}, set()),
+    "rpc/stop": ({ASK}, set()),
+    "rpc/snapshot": ({ASK}, set()),
+    "rpc/drop": ({ASK}, set()),
+    "rpc/branch": ({ASK}, set()),
+    "rpc/status": ({ASK}, {ASK}),
+    "rpc/scenario": ({ASK}, {ASK}),
+    "rpc/weather": ({ASK}, {ASK}),
+    "@live/node/{name}": ({SEE}, {SEE}),
+    "@live/controller/{name}": ({SHOW, SEE}, {SEE}),
+}
+
+
+@pytest.mark.parametrize("topic", TOPICS, ids=lambda t: t.key)
+def test_what_a_role_may_do(topic: keys.Topic) -> None:
+    expected = RIGHTS.get(topic.key)
+    if expected is None:  # a row that was added: whatever it is, who does not send it must not
+        allowed = {ASK} if topic.delivery is keys.Delivery.QUERY else {HEAR, ASK, SEE}
+        assert set(may(Role.MONITOR, topic)) <= allowed
+        return
+    assert (set(may(Role.CONTROLLER, topic)), set(may(Role.MONITOR, topic))) == expected
+
+
+def test_the_page_tells_what_a_role_may_do() -> None:
+    lines = (Path(__file__).parents[2] / "docs" / "security.md").read_text().splitlines()
+    told = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if line.startswith("| `")]
+    assert told == [
+        [f"`{topic.key}`", *(", ".join(may(role, topic)) or "nothing" for role in ROLES)] for topic in TOPICS
+    ]
+
+
+def test_a_monitor_only_reads_and_nobody_but_a_node_answers() -> None:
+    incoming = {
+        role: {message for rule in rules(role) if rule.flow == "ingress" for message in rule.messages} for role in ROLES
+    }
+    aggregation = {"declare_subscriber", "query", "declare_liveliness_subscriber", "liveliness_query"}
+    assert incoming[Role.MONITOR] == aggregation
+    assert incoming[Role.CONTROLLER] == aggregation | {"put", "liveliness_token"}
+    assert incoming[Role.NODE] == set(ALL_MESSAGES)
+
+
+def test_no_key_lies_outside_of_the_table() -> None:
+    allowed = {str(zenoh.KeyExpr(topic.at("*", name="*"))) for topic in TOPICS} | {keys.stream("*")}
+    assert {key for role in ROLES for rule in rules(role) for key in rule.keys} <= allowed
+
+
+def test_zenoh_denies_what_no_rule_allows() -> None:
+    made = acl_config()
+    assert (made["enabled"], made["default_permission"]) == (True, "deny")
+    assert {rule["permission"] for rule in made["rules"]} == {"allow"}
+    assert {one["id"]: one["cert_common_names"] for one in made["subjects"]} == {
+        role: [f"zenostat-{role}"] for role in ("node", "controller", "monitor")
+    }
+
+
+# What may be done
+
+
+def day(link: agent_sdk.link.ControllerLink, meanwhile: Any = lambda _: None) -> list[bytes]:
+    """A day at 25 degC, in lockstep; all values of all samples."""
+    sample, values = link.reset(), []
+    while True:
+        values.append(sample.wire.values)
+        meanwhile(sample)
+        if sample.truncated:
+            return values
+        sample.send({POINT: 25.0})
+        sample = link.receive()
+
+
+def test_a_monitor_s_attacks_leave_the_day_as_it_is(
+    node: NodeProgram, pki: Path, bus: agent_sdk.Bus, watcher: agent_sdk.Bus
+) -> None:
+    """A controller with a good certificate runs a day in lockstep, then the same day under a monitor's attacks."""
+    with bus.controller("office") as link, raw(node.endpoint, pki, "monitor") as attacker:
+        quiet = day(link)
+        assert len(quiet) == 97
+        replies: list[bytes] = []
+
+        def attack(sample: agent_sdk.sample.SampleView) -> None:
+            extreme = np.full(len(link.manifest.actuators), 22.5).astype("<f8").tobytes()
+            command = Command(episode=sample.wire.episode, step=sample.wire.step, values=extreme)
+            attacker.put(keys.COMMAND.at("office", name=link.name), codec.encode(command))
+            attacker.put(keys.ACTUATOR.at("office", name=POINT), codec.encode(Write(value=29.0, priority=1)))
+            attacker.delete(keys.ACTUATOR.at("office", name=POINT))
+            if sample.step % 24 == 0:
+                replies.extend(ask(attacker, keys.CLAIM, Claim(controller="thief", priority=1)))
+                replies.extend(ask(attacker, keys.RESET, Reset(controller="thief")))
+                replies.extend(ask(attacker, keys.STOP, Stop(source="thief")))
+            assert ask(attacker, keys.STATUS), "the attacker is there, and what it sent before has been dropped"
+
+        before = watcher.status("office")
+        with hearing(watcher.session, keys.EVENT.at("office")) as events:
+            assert ask(watcher.session, keys.STATUS), "the node knows of the subscription"
+            assert day(link, attack) == quiet
+            told = [codec.decode(Event, payload) for payload in before_fence(bus, events)]
+        after = bus.status("office")
+        assert replies == []
+        fence = 1  # after the day's end
+        assert (after.rejected - fence, after.late, after.duplicate) == (before.rejected, before.late, before.duplicate)
+        assert {event.kind for event in told} == {EventKind.STARTED, EventKind.ENDED}
+        assert [c.controller for c in after.controllers if c.connected] == [link.name]
+
+
+def test_the_same_attacks_work_with_a_controller_s_certificate(
+    node: NodeProgram, pki: Path, bus: agent_sdk.Bus
+) -> None:
+    with raw(node.endpoint, pki, "second") as session, hearing(bus.session, keys.EVENT.at("office")) as events:
+        assert ask(bus.session, keys.STATUS), "the node knows of the subscription"
+        codec.decode(Ack, ask(session, keys.CLAIM, Claim(controller="thief", priority=1, required=False))[0])
+        episode = codec.decode(Ack, ask(session, keys.RESET, Reset(controller="thief"))[0]).episode
+        session.put(keys.ACTUATOR.at("office", name=POINT), codec.encode(Write(value=29.0, source="thief")))
+        session.put(keys.COMMAND.at("office", name="thief"), b"not msgpack")
+        told = [codec.decode(Event, payload) for payload in before_fence(bus, events, session)]
+        assert EventKind.WRITTEN in {event.kind for event in told if event.source == "thief"}
+        while EventKind.REJECTED not in {event.kind for event in told}:  # commands have a way of their own
+            told.append(codec.decode(Event, events.recv().payload.to_bytes()))
+        assert bus.status("office").episode == episode
+
+
+def test_a_controller_may_stop_a_node_and_a_monitor_not(scratch: Path, pki: Path) -> None:
+    listen = [f"tls/127.0.0.1:{free_port()}"]
+    with NodeProgram(scratch / "own", **SMALL, listen=listen, keys=str(pki), name="own") as running:
+        with agent_sdk.connect(listen[0], keys=pki, role=Role.MONITOR, affinity="off") as watching:
+            with pytest.raises(InvalidConfig, match="a monitor may not ask rpc/stop"):
+                watching.stop("own")
+            with pytest.raises(InvalidConfig, match="a monitor may not ask rpc/claim"):
+                watching.controller("own")
+            assert watching.status("own").state is State.WAITING
+        with agent_sdk.connect(listen[0], keys=pki, affinity="off") as controlling:
+            controlling.stop("own")
+        assert running.process.wait() == 0
+
+
+def test_a_monitor_reads(watcher: agent_sdk.Bus, bus: agent_sdk.Bus) -> None:
+    assert watcher.nodes() == ["office"]
+    assert watcher.scenario("office") == bus.scenario("office")
+    assert watcher.weather("office", ["dry_bulb_temperature"]).units == ["C"]
+    with watcher.listen("office") as samples, bus.controller("office", name="shown") as link:
+        sample = link.reset()
+        until(lambda: watcher.controllers() == [("office", link.name)], "the controller is there")
+        heard = next(samples)
+        assert (heard.step, heard.message.values) == (0, sample.message.values)
+        assert watcher.latest("office") == sample.message
+
+
+def test_a_monitor_hears_no_commands(node: NodeProgram, pki: Path, bus: agent_sdk.Bus) -> None:
+    """Nor does another controller; a node, which passes them on, does."""
+    heard: dict[str, int] = {}
+    for name in ("monitor", "second", "node"):
+        with raw(node.endpoint, pki, name) as session, bus.controller("office") as link:
+            link.reset()
+            with (
+                hearing(session, keys.COMMAND.at("office", name="*")) as commands,
+                session.declare_subscriber(keys.SAMPLE.at("office"), FifoChannel(16)) as samples,
+            ):
+                assert ask(session, keys.STATUS), "the node knows of the subscriptions"
+                link.send()
+                link.receive()
+                samples.recv()
+                link.send()
+                link.receive()
+                samples.recv()
+                heard[name] = len(list(iter(commands.try_recv, None)))
+    assert heard["monitor"] == heard["second"] == 0
+    assert heard["node"] >= 1
+
+
+# Posing as a node
+
+
+@pytest.mark.parametrize(
+    ("name", "mode", "passes"),
+    [
+        ("controller", "client", False),
+        ("controller", "peer", False),
+        ("controller", "router", False),
+        ("node", "client", True),
+    ],
+)
+def test_nobody_hears_what_a_controller_says_in_a_node_s_name(
+    node: NodeProgram, pki: Path, bus: agent_sdk.Bus, watcher: agent_sdk.Bus, name: str, mode: str, passes: bool
+) -> None:
+    stream, point = keys.stream("office"), keys.SENSOR.at("office", name="core_zn_air_temperature")
+    with (
+        raw(node.endpoint, pki, name, mode=mode) as forger,
+        hearing(watcher.session, stream) as inbox,
+        hearing(watcher.session, point) as points,
+    ):
+        assert ask(watcher.session, keys.STATUS), "the node knows of the subscriptions"
+        for topic in (keys.SAMPLE, keys.EVENT, keys.MANIFEST):
+            forger.put(topic.at("office"), FORGED)
+        forger.put(point, FORGED)
+        heard = before_fence(bus, inbox, forger)
+        assert heard.count(FORGED) == (3 if passes else 0)
+        assert (points.try_recv() is not None) == passes
+    assert watcher.manifest("office").node == "office"
+
+
+@pytest.mark.parametrize(("name", "passes"), [("controller", False), ("node", True)])
+def test_a_forged_presence_is_not_seen(
+    node: NodeProgram, pki: Path, watcher: agent_sdk.Bus, name: str, passes: bool
+) -> None:
+    with raw(node.endpoint, pki, name) as forger:
+        tokens = [
+            forger.liveliness().declare_token(key)
+            for key in (
+                keys.NODE_TOKEN.at("ghost", name="1f"),
+                keys.NODE_TOKEN.at("office", name="1f"),
+                keys.CONTROLLER_TOKEN.at("office", name="fence"),
+            )
+        ]
+        assert ask(forger, keys.STATUS)
+        assert ("office", "fence") in watcher.controllers()
+        seen = watcher.session.liveliness().get(keys.NODE_TOKEN.at("*", name="*"))
+        instances = {(keys.node_of(key), keys.last_chunk(key)) for key in (str(reply.ok.key_expr) for reply in seen)}
+        forged = {("ghost", "1f"), ("office", "1f")}
+        assert instances & forged == (forged if passes else set())
+        assert len(instances - forged) == 1
+        for token in tokens:
+            token.undeclare()
+
+
+@pytest.mark.parametrize(("name", "passes"), [("controller", False), ("monitor", False), ("node", True)])
+def test_only_a_node_answers_requests(
+    node: NodeProgram, pki: Path, watcher: agent_sdk.Bus, bus: agent_sdk.Bus, name: str, passes: bool
+) -> None:
+    def on_query(query: zenoh.Query) -> None:
+        with query:
+            query.reply(query.key_expr, FORGED)
+
+    key = keys.SCENARIO.at("ghost")
+    with raw(node.endpoint, pki, name) as forger, forger.declare_queryable(key, on_query, complete=True):
+        assert ask(forger, keys.STATUS)
+        for asking in (watcher, bus):
+            answers = [reply.ok.payload.to_bytes() for reply in asking.session.get(key, timeout=30) if reply.ok]
+            assert answers == ([FORGED] if passes else [])
+
+
+def test_a_controller_s_certificate_cannot_be_listened_with(pki: Path) -> None:
+    """Whoever stands in a node's place needs a node's certificate: the others are none of a TLS server."""
+    endpoint = f"tls/127.0.0.1:{free_port()}"
+    config = zenoh.Config()
+    config.insert_json5("mode", '"peer"')
+    config.insert_json5("listen/endpoints", json.dumps([endpoint]))
+    config.insert_json5("scouting/multicast/enabled", "false")
+    config.insert_json5(
+        "transport/link/tls",
+        json.dumps(
+            {
+                "root_ca_certificate": str(pki / "ca.pem"),
+                "listen_certificate": str(pki / "controller.pem"),
+                "listen_private_key": str(pki / "controller.key"),
+            }
+        ),
+    )
+    with zenoh.open(config), pytest.raises(NodeNotFound, match="refused: unsuitable certificate purpose"):
+        open_session(connect=[endpoint], keys=pki, role=Role.MONITOR)
+
+
+# Strangers
+
+
+def strangers() -> list[Any]:
+    return [
+        pytest.param(None, False, id="without a certificate"),
+        pytest.param("controller", True, id="with another authority's"),
+        pytest.param("node", True, id="with a node's of another authority"),
+    ]
+
+
+@pytest.mark.parametrize(("name", "strange"), strangers())
+def test_a_stranger_cannot_connect(
+    node: NodeProgram, pki: Path, strange_pki: Path, name: str | None, strange: bool
+) -> None:
+    """It trusts the node, whose authority's certificate is no secret; the node does not trust it."""
+    with pytest.raises(zenoh.ZError, match="Unable to connect"):
+        raw(node.endpoint, strange_pki if strange else pki, name, authority=pki)
+    with raw(node.endpoint, pki, "monitor", authority=pki) as friend:
+        assert ask(friend, keys.STATUS)
+
+
+def test_without_tls_nobody_gets_in(node: NodeProgram) -> None:
+    with pytest.raises(NodeNotFound):
+        open_session(connect=[node.endpoint.replace("tls/", "tcp/")])
+
+
+def test_an_expired_certificate_is_refused_by_the_node_and_before(
+    node: NodeProgram, pki: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    expire(pki, "late", monkeypatch)
+    with pytest.raises(zenoh.ZError, match="Unable to connect"):
+        raw(node.endpoint, pki, "late")
+    with pytest.raises(InvalidConfig, match="expired on"):
+        agent_sdk.connect(node.endpoint, keys=pki, certificate="late")
+    with agent_sdk.connect(node.endpoint, keys=pki, certificate="second", affinity="off") as connected:
+        assert connected.nodes() == ["office"]
+
+
+# What the errors say
+
+
+def test_why_there_is_no_session(node: NodeProgram, pki: Path, strange_pki: Path, tmp_path: Path) -> None:
+    def refusal(endpoint: str, folder: Path) -> str:
+        with pytest.raises(NodeNotFound) as raised:
+            open_session(connect=[endpoint], keys=folder, role=Role.CONTROLLER)
+        return str(raised.value)
+
+    assert "is it a node's of the authority" in refusal(node.endpoint, strange_pki)
+    free = f"tls/127.0.0.1:{free_port()}"
+    assert f"nobody listens on {free}" in refusal(free, pki)
+    mixed = tmp_path / "mixed"  # it trusts the node's authority, and shows another's certificate
+    make(mixed)
+    (mixed / "ca.pem").write_bytes((pki / "ca.pem").read_bytes())
+    with pytest.raises(InvalidConfig, match="of another authority"):
+        open_session(connect=[node.endpoint], keys=mixed, role=Role.CONTROLLER)
+
+
+def test_the_other_side_s_refusal_is_told(node: NodeProgram, pki: Path, strange_pki: Path) -> None:
+    shown = Identity(pki / "ca.pem", strange_pki / "controller.pem", strange_pki / "controller.key")
+    assert f"{node.endpoint} refused the session over TLS: " in diagnose_tls(node.endpoint, shown)
+    good = Identity(pki / "ca.pem", pki / "controller.pem", pki / "controller.key")
+    assert "refused" not in diagnose_tls(node.endpoint, good)
+
+
+def test_a_node_is_reached_under_the_names_in_its_certificate(pki: Path) -> None:
+    def listening(certificate: str | None) -> Any:
+        return open_session(listen=[endpoint], keys=pki, role=Role.NODE, certificate=certificate)
+
+    endpoint = f"tls/127.0.0.2:{free_port()}"
+    with listening(None), pytest.raises(NodeNotFound, match=r"mismatch.*'127\.0\.0\.2' among its hosts"):
+        open_session(connect=[endpoint], keys=pki, role=Role.MONITOR)
+    add(pki, Role.NODE, "annex", hosts=["127.0.0.2"])
+    with listening("annex"), open_session(connect=[endpoint], keys=pki, role=Role.MONITOR) as session:
+        assert len(list(session.info.peers_zid())) == 1
+
+
+def test_a_taken_port(node: NodeProgram, pki: Path) -> None:
+    with pytest.raises(AddressInUse):
+        open_session(listen=[node.endpoint], keys=pki, role=Role.NODE)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"connect": ["tcp/127.0.0.1:1"], "role": Role.NODE}, "tcp/127.0.0.1:1 takes no keys.*write tls/127.0.0.1:1"),
+        ({"listen": ["unixsock-stream/x"], "role": Role.NODE}, "takes no keys, only TLS"),
+        ({"connect": ["tls/127.0.0.1:1"]}, "keys need a role: node, controller, monitor"),
+        ({"connect": ["tls/127.0.0.1:1"], "role": Role.ANYONE}, "keys need a role"),
+        ({"listen": ["tls/127.0.0.1:1"], "role": Role.CONTROLLER}, "a controller does not listen"),
+        ({"listen": ["tls/0.0.0.0:1"], "role": Role.NODE}, r"tls/0\.0\.0\.0:1 can be reached.*--expose"),
+        ({"connect": ["tls/127.0.0.1:1"], "role": Role.NODE, "certificate": "x"}, "no certificate 'x'"),
+        ({"role": Role.NODE}, "name an endpoint"),
+    ],
+)
+def test_settings_that_cannot_be(pki: Path, given: dict[str, Any], said: str) -> None:
+    with pytest.raises(UsageError, match=said):
+        open_session(keys=pki, **given)
+
+
+def test_all_faults_are_told_at_once(tmp_path: Path) -> None:
+    with pytest.raises(UsageError) as raised:
+        open_session(listen=["tcp/0.0.0.0:1"], connect=["here"], keys=tmp_path / "none", role=Role.NODE)
+    for said in ("'here' is no endpoint", "write tls/0.0.0.0:1", "--expose", "zenostat keys init"):
+        assert said in str(raised.value)
+
+
+def test_tls_without_keys() -> None:
+    with pytest.raises(InvalidConfig, match=r"tls/127\.0\.0\.1:1 needs keys: zenostat keys init"):
+        open_session(connect=["tls/127.0.0.1:1"])
+    with pytest.raises(InvalidConfig, match="of which keys"):
+        open_session(connect=["tcp/127.0.0.1:1"], certificate="x")
+
+
+@pytest.mark.parametrize("endpoint", ["tls/", "tls/host", "tls/host:1#enable_mtls=false", "tls/a b:1", "quic/h:1"])
+def test_what_is_no_tls_endpoint(endpoint: str) -> None:
+    with pytest.raises(InvalidConfig, match=r"tls/HOST:PORT"):
+        check_endpoint(endpoint)
+
+
+def test_listening_to_all_without_keys_is_warned_of(pki: Path) -> None:
+    assert "zenostat keys init" in exposure(["tcp/0.0.0.0:7447"], None)
+    assert exposure(["tls/0.0.0.0:7447"], pki) == exposure(["tcp/127.0.0.1:7447"], None) == ""
+    assert exposure(["unixsock-stream/x"], None) == ""
+
+
+# The commands
+
+
+def test_the_commands_take_keys(node: NodeProgram, pki: Path) -> None:
+    def zenostat(*arguments: str) -> subprocess.CompletedProcess[str]:
+        given = [*ZENOSTAT, *arguments, "--connect", node.endpoint, "--keys", str(pki)]
+        return subprocess.run(given, capture_output=True, text=True)
+
+    ran = zenostat("run", "--node", "office", "--controller", "rbc", "--reset", "--certificate", "second")
+    assert ran.returncode == 0, ran.stderr
+    status = zenostat("status")
+    assert status.returncode == 0, status.stderr
+    assert "step 96 of 96" in status.stdout
+    refused = zenostat("run", "--node", "office", "--certificate", "monitor")
+    assert refused.returncode == 2
+    assert "is of the role monitor; controller expected" in refused.stderr
+
+
+def test_an_environment_joins_over_tls_with_keys_alone(node: NodeProgram, pki: Path) -> None:
+    env = gym.make("zenostat/Building-v1", connect=node.endpoint, node=node.name, keys=pki)
+    observation, _ = env.reset(seed=0)
+    assert env.observation_space.contains(observation)
+    assert env.observation_space.contains(env.step(env.action_space.sample())[0])
+    env.close()
+    with pytest.raises(InvalidConfig, match="keys"):
+        gym.make("zenostat/Building-v1", connect=node.endpoint, node=node.name)
+    with pytest.raises(InvalidConfig, match="connect"):
+        gym.make("zenostat/Building-v1", building="office-small", weather="USA_CO_Denver", keys=pki)

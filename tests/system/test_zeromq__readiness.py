@@ -1,0 +1,96 @@
+"""Before the gateway, or the node behind it, is ready: what comes is kept, or refused by name."""
+
+from __future__ import annotations
+
+import queue
+
+import pytest
+
+pytest.importorskip("zmq", reason="pyzmq is not installed")
+
+import zenoh
+import zmq
+from support.nodes import free_port
+from test_zeromq import GatewayProgram, Peer, gateway
+from zenoh.handlers import Callback
+
+import agent_sdk
+from topics import codec, keys
+from topics.messages import ErrorReply, EventKind, Manifest, Sample
+
+__all__ = ["gateway"]
+
+
+class Ports:
+    """Where a gateway will listen."""
+
+    def __init__(self) -> None:
+        self.publish, self.command = (f"tcp://127.0.0.1:{free_port()}" for _ in range(2))
+
+
+@pytest.mark.parametrize("end", ["killed", "interrupted"])
+def test_sockets_that_were_there_before_a_gateway_hear_and_are_answered(node, end):
+    ports = Ports()
+    at = ("--publish", ports.publish, "--command", ports.command)
+    with Peer(ports) as early:  # type: ignore[arg-type]
+        lost = early.requests.get_monitor_socket(zmq.EVENT_DISCONNECTED)
+        early.listen("sample")
+        for _ in range(2):
+            early.say("rpc/status")
+            with GatewayProgram(node.endpoint, *at) as gateway:
+                assert gateway.said.startswith("ready: all nodes of ")
+                assert early.answer()[0] == "Status"
+                assert early.hear(Sample).step == [0]
+                assert early.ask("rpc/claim", controller="c")[0] == "Accepted"
+                if end == "interrupted":
+                    assert gateway.interrupt()[0] == 0
+            assert lost.poll(60_000), "its socket knows that the gateway has gone, and keeps what is sent from now on"
+            lost.recv_multipart()
+            while early.published.poll(0):
+                early.published.recv_multipart()
+        early.say("command/c", episode=[0], step=[0], values=b"")
+        with GatewayProgram(node.endpoint, *at):
+            assert "'c' has claimed nothing; claim first" in early.answer()[1]["message"]
+
+
+def test_what_is_asked_of_a_node_waits_until_it_has_said_what_it_is(node, gateway):
+    """slow's token → a request for slow is kept → slow's manifest and sample → the request is answered"""
+    asked: queue.Queue[zenoh.Query] = queue.Queue()
+    with (
+        agent_sdk.connect(node.endpoint, affinity="off") as bus,
+        Peer(gateway) as peer,
+        Peer(gateway, node="slow") as to,
+    ):
+        session, sample = bus.session, codec.encode(bus.latest("office"))
+        manifest = codec.encode(bus.manifest("office").model_copy(update={"node": "slow"}))
+
+        def answer(topic: keys.Topic, payload: bytes) -> Callback:
+            said = zenoh.Encoding(codec.encoding(topic.reply))
+
+            def on_query(query: zenoh.Query) -> None:
+                with query:
+                    query.reply(topic.at("slow"), payload, encoding=said)
+
+            return Callback(on_query, indirect=False)
+
+        denied = ErrorReply(error="RequestRejected", message="slow has heard it")
+        manifests = session.declare_queryable(keys.MANIFEST.at("slow"), Callback(asked.put, indirect=False))
+        samples = session.declare_queryable(keys.SAMPLE.at("slow"), answer(keys.SAMPLE, sample))
+        rest = session.declare_queryable(keys.STATUS.at("slow"), answer(keys.STATUS, codec.encode(denied)))
+        token = session.liveliness().declare_token(keys.NODE_TOKEN.at("slow", name="1"))
+        query = asked.get(timeout=60)
+        to.listen("")
+        to.say("rpc/status")
+        assert peer.ask("rpc/sing")[0] == "Denied"
+        assert to.ask("rpc/sing")[0] == "Denied", "the gateway has taken both"
+        assert to.silent()
+        with query:
+            query.reply(keys.MANIFEST.at("slow"), manifest, encoding=zenoh.Encoding(codec.encoding(Manifest)))
+        assert to.hear(Manifest).node == "slow"
+        assert to.hear(Sample).step == [0]
+        assert to.answer()[1] == {"error": "RequestRejected", "message": "slow has heard it"}
+        for one in (token, manifests, samples, rest):
+            one.undeclare()
+        assert to.event(EventKind.FAILED).error == "NodeLost"
+        kind, gone = to.ask("rpc/status")
+        assert (kind, gone["error"]) == ("Denied", "NodeNotFound")

@@ -1,0 +1,542 @@
+"""The ZeroMQ gateway: a real node, the gateway and controllers each as a process, pyzmq at the other end."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import msgpack
+import numpy as np
+import psutil
+import pytest
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
+from support.nodes import SMALL, NodeProgram, Program, free_port, until
+
+import agent_sdk
+from topics import codec, messages
+from topics.messages import Event, EventKind, Manifest, Sample, State
+
+zmq = pytest.importorskip("zmq", reason="pyzmq is not installed")
+
+from bridge.gateways.zeromq import node_state as view  # noqa: E402
+from bridge.gateways.zeromq.frames import split  # noqa: E402
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+ANY = "tcp://127.0.0.1:*"
+PATIENCE_MS = 60_000
+SETPOINT = "core_zn_cooling_setpoint"
+
+
+class GatewayProgram:
+    """`zenostat gateway zeromq` as a program, on free ports."""
+
+    def __init__(self, endpoint: str, *options: str) -> None:
+        command = [sys.executable, "-P", "-u", "-m", "cli.main", "zmq", "--connect", endpoint]
+        command += [*(() if "--publish" in options else ("--publish", ANY, "--command", ANY)), *options]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        line = self.said = self.process.stdout.readline()
+        if not line:
+            raise AssertionError(self.process.communicate()[1])
+        self.publish, self.command = re.findall(r"tcp://127\.0\.0\.1:\d+", line)[-2:]
+
+    def __enter__(self) -> GatewayProgram:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.process.kill()
+        self.process.communicate()
+
+    def interrupt(self) -> tuple[int, str, str]:
+        self.process.send_signal(signal.SIGINT)
+        out, err = self.process.communicate(timeout=60)
+        return self.process.returncode, out, err
+
+
+class Peer:
+    """A ZeroMQ program's two sockets."""
+
+    def __init__(self, gateway: GatewayProgram, kind: int = 0, node: str = "office") -> None:
+        self.root = f"zenostat/v2/{node}"
+        self.context = zmq.Context()
+        self.req = kind == zmq.REQ
+        self.requests = self.context.socket(kind or zmq.DEALER)
+        self.published = self.context.socket(zmq.SUB)
+        for socket, endpoint in ((self.requests, gateway.command), (self.published, gateway.publish)):
+            socket.linger, socket.rcvtimeo = 0, PATIENCE_MS
+            socket.connect(endpoint)
+
+    def __enter__(self) -> Peer:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.context.destroy(linger=0)
+
+    def say(self, what: str, payload: bytes | None = None, /, **fields: Any) -> None:
+        self.requests.send_multipart(
+            [f"{self.root}/{what}".encode(), msgpack.packb(fields) if payload is None else payload]
+        )
+
+    def answer(self) -> tuple[str, dict[str, Any]]:
+        """The class of an answer, and its fields."""
+        _, encoding, payload = self.requests.recv_multipart()
+        return encoding.decode().rpartition(".")[2], msgpack.unpackb(payload)
+
+    def ask(self, what: str, payload: bytes | None = None, /, **fields: Any) -> tuple[str, dict[str, Any]]:
+        self.say(what, payload, **fields)
+        return self.answer()
+
+    def silent(self) -> bool:
+        return not self.requests.poll(0)
+
+    def listen(self, topic: str) -> None:
+        self.published.subscribe(f"{self.root}/{topic}")
+
+    def hear(self, kind: type[Any]) -> Any:
+        """The next published message."""
+        _, encoding, payload = self.published.recv_multipart()
+        return codec.decode(kind, payload, encoding.decode())
+
+    def after(self, sample: Sample | None) -> Sample:
+        """The first sample that is another one."""
+        while (heard := self.hear(Sample)) and sample and (heard.episode, heard.step) == (sample.episode, sample.step):
+            pass
+        return heard
+
+    def event(self, kind: EventKind) -> Event:
+        while (event := self.hear(Event)).kind is not kind:
+            pass
+        return event
+
+
+def answering(sample: Sample, values: np.ndarray, **more: Any) -> dict[str, Any]:
+    return {"episode": sample.episode, "step": sample.step, "values": values.astype("<f8").tobytes(), **more}
+
+
+def keeping(sample: Sample, **given: Any) -> dict[str, Any]:
+    """A command that changes nothing."""
+    count = len(sample.effective) // 8
+    return answering(sample, np.zeros(count), operations=bytes(count)) | given
+
+
+@pytest.fixture
+def gateway(node: NodeProgram) -> Iterator[GatewayProgram]:
+    with GatewayProgram(node.endpoint) as program:
+        yield program
+
+
+def plan(manifest: Manifest, step: int) -> np.ndarray:
+    """Setpoints that move each step, within their bounds: heating 18 to 20, cooling 24 to 26."""
+    low = [18.0 if "heating" in actuator.name else 24.0 for actuator in manifest.actuators]
+    return np.array(low) + 0.25 * (step % 9)
+
+
+# Episodes
+
+
+@pytest.mark.parametrize("kind", ["DEALER", "REQ"])
+def test_episode_gives_the_same_samples_as_over_zenoh_to_the_bit(node, gateway, kind):
+    direct = []
+    with agent_sdk.connect(node.endpoint, affinity="off") as bus, bus.controller("office") as link:
+        for sample in link:
+            direct.append((sample.message.values, sample.message.effective, sample.message.time))
+            sample.send(plan(link.manifest, sample.step))
+    through = []
+    with Peer(gateway, getattr(zmq, kind)) as peer:
+        peer.listen("sample")
+        until(lambda: not any(c.connected for c in agent_status(node).controllers), "the direct one has gone")
+        while (last := peer.hear(Sample)).step != [96]:
+            pass  # the gateway hears by itself
+        manifest = Manifest(**peer.ask("manifest")[1])
+        assert peer.ask("rpc/claim", controller="c")[0] == "Accepted"
+        assert peer.ask("rpc/reset", controller="c")[1]["episode"] == [1]
+        sample = peer.after(last)
+        while True:
+            through.append((sample.values, sample.effective, sample.time))
+            if sample.flags[0] & messages.Flag.TRUNCATED:
+                break
+            command = answering(sample, plan(manifest, sample.step[0]))
+            assert peer.ask("command/c", **command) == ("Accepted", peer_accepted(1))
+            sample = peer.after(sample)
+    assert len(through) == 97
+    assert through == direct
+
+
+def peer_accepted(episode: int) -> dict[str, Any]:
+    return msgpack.unpackb(codec.encode(messages.Ack(episode=[episode])))
+
+
+def test_two_controllers_in_lockstep_each_answered_although_the_other_has_not_spoken(gateway):
+    with Peer(gateway) as one, Peer(gateway, zmq.REQ) as two:
+        one.listen("sample")
+        sample = one.after(None)
+        names = [a["name"] for a in one.ask("manifest")[1]["actuators"]]
+        for peer, name, mine in ((one, "one", names[::2]), (two, "two", names[1::2])):
+            assert peer.ask("rpc/claim", controller=name, actuators=mine)[0] == "Accepted"
+        for step in range(20):
+            first, second = ((one, "one"), (two, "two"))[:: 1 if step % 2 else -1]
+            for peer, name in (first, second):
+                assert one.ask("sample")[1]["step"] == [step] if peer is one else True
+                assert peer.ask(f"command/{name}", **keeping(sample))[0] == "Accepted"
+            sample = one.after(sample)
+            assert sample.step == [step + 1]
+        status = messages.Status(**one.ask("rpc/status")[1])
+        assert {c.controller: c.accepted for c in status.controllers} == {"one": 20, "two": 20}
+        assert (status.rejected, status.late, status.duplicate) == (0, 0, 0)
+
+
+def test_commands_sent_without_waiting_are_answered_in_order(gateway):
+    with Peer(gateway) as peer:
+        peer.listen("sample")
+        sample = peer.after(None)
+        peer.say("rpc/claim", controller="c")
+        peer.say("command/c", **keeping(sample))
+        peer.say("command/c", **keeping(sample))  # again
+        peer.say("command/c", **keeping(sample, step=[1]))
+        peer.say("command/c", **keeping(sample, step=[9]))
+        answers = [peer.answer() for _ in range(5)]
+    assert [kind for kind, _ in answers] == ["Accepted", "Accepted", "Denied", "Accepted", "Denied"]
+    assert "present are episode" in answers[2][1]["message"]
+    assert "answers episode [0] step [9]" in answers[4][1]["message"]
+
+
+def test_command_to_a_node_that_runs_freely(scratch):
+    with (
+        NodeProgram(scratch / "node", **{**SMALL, "mode": "free", "begin": "01-01", "end": "12-31"}) as node,
+        GatewayProgram(node.endpoint) as gateway,
+        Peer(gateway) as peer,
+    ):
+        peer.listen("sample")
+        assert peer.ask("rpc/claim", controller="c") == ("Accepted", peer_accepted(0))
+        kinds = [peer.ask("command/c", **keeping(peer.hear(Sample)))[0] for _ in range(20)]
+        status = messages.Status(**peer.ask("rpc/status")[1])
+    assert set(kinds) <= {"Accepted", "Denied"}
+    (controller,) = status.controllers
+    assert controller.accepted == kinds.count("Accepted")
+    assert controller.accepted + status.late + status.duplicate + status.rejected == 20
+
+
+# Answers
+
+
+def test_refusals_say_what_the_node_said(gateway):
+    with Peer(gateway) as peer, Peer(gateway) as other:
+        peer.listen("sample")
+        sample = peer.after(None)
+        count = len(sample.effective) // 8
+        assert peer.ask("command/c", **keeping(sample))[1]["message"].startswith("'c' has claimed nothing")
+        assert peer.ask("rpc/claim", controller="c", actuators=["chair"])[1]["error"] == "RequestRejected"
+        assert peer.ask("rpc/claim", controller="c")[0] == "Accepted"
+        kind, denied = other.ask("rpc/claim", controller="d")
+        assert (kind, denied["error"]) == ("Denied", "RequestRejected")
+        assert "is claimed by 'c'" in denied["message"]
+        assert other.ask("command/c", **keeping(sample))[1]["message"].startswith(
+            "'c' was claimed again through another"
+        )
+        for _ in range(30):  # more than the node tells of in a step
+            kind, denied = peer.ask("command/c", **answering(sample, np.full(count, 99.0)))
+            assert (kind, denied["error"]) == ("Denied", "RequestRejected")
+        assert "did not say why" in denied["message"]
+        assert peer.ask("command/c", **keeping(sample))[0] == "Accepted"
+        assert peer.ask("rpc/weather", columns=["no such"])[1]["error"] == "UnknownName"
+        assert peer.ask("rpc/scenario")[0] == "ScenarioText"
+
+
+def test_writes_are_answered(gateway):
+    with Peer(gateway) as peer:
+        peer.listen("sample")
+        sample = peer.after(None)
+        assert peer.ask(f"actuator/{SETPOINT}", value=26.5, source="panel")[0] == "Accepted"
+        denied = peer.ask(f"actuator/{SETPOINT}", value=99.0, source="panel")[1]
+        assert "its bounds are" in denied["message"]
+        assert "no actuator 'chair'" in peer.ask("actuator/chair", value=1.0)[1]["message"]
+        peer.ask("rpc/claim", controller="c")
+        peer.ask("command/c", **keeping(sample))
+        sample = peer.after(sample)
+        names = [a["name"] for a in peer.ask("manifest")[1]["actuators"]]
+        assert np.frombuffer(sample.effective)[names.index(SETPOINT)] == 26.5
+
+
+def test_subscribers_hear_the_latest_at_once_and_only_what_they_asked_for(gateway):
+    with Peer(gateway) as peer, Peer(gateway) as other:
+        peer.listen("sample")
+        topic, encoding, payload = peer.published.recv_multipart()
+        assert (topic, encoding) == (b"zenostat/v2/office/sample", b"application/msgpack;zenostat/2.Sample")
+        assert msgpack.unpackb(payload)["step"] == [0]
+        peer.listen("manifest")
+        assert peer.hear(Manifest).node == "office"
+        other.listen("event")
+        until(
+            lambda: other.ask("rpc/status") and other.ask("actuator/x", value=1.0) and other.published.poll(0), "heard"
+        )
+        assert other.hear(Event).kind is EventKind.REJECTED
+
+
+# Presence
+
+
+KILLED = """
+import sys, msgpack, zmq
+requests = zmq.Context().socket(zmq.REQ)
+requests.connect(sys.argv[1])
+requests.send_multipart([b"zenostat/v2/office/rpc/claim", msgpack.packb({"controller": "doomed"})])
+print(requests.recv_multipart()[1].decode(), flush=True)
+sys.stdin.read()
+"""
+
+
+def test_killed_controller_is_noticed_by_the_node_and_may_come_back(node, gateway):
+    with Peer(gateway) as peer, Peer(gateway) as back:
+        peer.listen("event")
+        with Program(KILLED, gateway.command) as program:
+            assert program.line().endswith(".Accepted")
+            with agent_sdk.connect(node.endpoint, affinity="off") as bus:
+                until(lambda: bus.controllers() == [("office", "doomed")], "its token is there")
+            program.process.kill()
+            assert peer.event(EventKind.DISCONNECTED).source == "doomed"
+        assert back.ask("rpc/claim", controller="doomed")[0] == "Accepted"
+        back.listen("sample")
+        assert back.ask("command/doomed", **keeping(back.after(None)))[0] == "Accepted"
+
+
+def test_frozen_controller_is_gone_after_its_lease(node):
+    with GatewayProgram(node.endpoint, "--lease", "0.5") as gateway, Peer(gateway) as peer:
+        peer.listen("event")
+        with Program(KILLED, gateway.command) as program:
+            assert program.line().endswith(".Accepted")
+            program.process.send_signal(signal.SIGSTOP)
+            assert peer.event(EventKind.DISCONNECTED).source == "doomed"
+
+
+def test_controller_that_comes_back_under_its_name_keeps_it(node, gateway):
+    with Peer(gateway) as new, agent_sdk.connect(node.endpoint, affinity="off") as bus:
+        with Peer(gateway) as old:
+            assert old.ask("rpc/claim", controller="c")[0] == "Accepted"
+            assert new.ask("rpc/claim", controller="c")[0] == "Accepted"
+        new.listen("sample")
+        sample = None
+        for _ in range(3):
+            sample = new.after(sample)
+            assert new.ask("command/c", **keeping(sample))[0] == "Accepted"
+        until(lambda: bus.controllers() == [("office", "c")], "the controller is there")
+
+
+def test_killed_gateway_breaks_nothing_of_the_node(node):
+    with agent_sdk.connect(node.endpoint, affinity="off") as bus:
+        with GatewayProgram(node.endpoint) as gateway, Peer(gateway) as peer:
+            peer.listen("sample")
+            assert peer.ask("rpc/claim", controller="c")[0] == "Accepted"
+            assert peer.ask("command/c", **keeping(peer.after(None)))[0] == "Accepted"
+            gateway.process.kill()
+            gateway.process.wait()
+            until(lambda: [c.connected for c in bus.status("office").controllers] == [False], "the node misses it")
+        with bus.controller("office") as link:
+            assert [sample.step for sample in link][-1] == 96
+
+
+@pytest.mark.parametrize("end", ["killed", "stopped"])
+def test_end_of_the_node_is_told_and_answered(scratch, node, gateway, end):
+    with Peer(gateway) as peer, Peer(gateway) as waiting, Peer(gateway) as slow:
+        peer.listen("sample")
+        sample = peer.after(None)
+        peer.published.unsubscribe(f"{peer.root}/sample")
+        peer.listen("event")
+        for one, name, mine in ((waiting, "waiting", [SETPOINT]), (slow, "slow", ["core_zn_heating_setpoint"])):
+            assert one.ask("rpc/claim", controller=name, actuators=mine)[0] == "Accepted"
+        assert waiting.ask("command/waiting", **keeping(sample))[0] == "Accepted"
+        if end == "killed":
+            psutil.Process(node.pid).send_signal(signal.SIGSTOP)
+            slow.say("command/slow", **keeping(sample))
+            slow.say("rpc/reset")
+            assert slow.ask("rpc/sing")[0] == "Denied", "the gateway has taken both"
+            node.kill()
+            said = sorted(slow.answer()[1]["error"] for _ in range(2))
+            assert said == ["NodeLost", "NodeLost"]
+            event = peer.event(EventKind.FAILED)
+            assert (event.error, event.text) == ("NodeLost", "node 'office' is gone")
+        else:
+            assert peer.ask("rpc/stop")[0] == "Accepted"
+            assert peer.event(EventKind.STOPPED)
+            until(lambda: peer.ask("rpc/status")[0] == "Denied", "it is gone")
+        kind, denied = peer.ask("command/slow", **keeping(sample))
+        assert (kind, denied["error"]) == ("Denied", "NodeNotFound")
+
+
+def test_failure_of_the_engine_is_the_answer_of_who_waits(node, gateway):
+    with Peer(gateway) as peer:
+        peer.listen("sample")
+        sample = peer.after(None)
+        peer.ask("rpc/claim", controller="c")
+        node.engine.send_signal(signal.SIGSTOP)
+        peer.say("command/c", **keeping(sample))
+        until(lambda: peer.silent() and agent_status(node).state is State.RUNNING, "the node computes")
+        node.engine.kill()
+        kind, denied = peer.answer()
+        assert (kind, denied["error"]) == ("Denied", "EngineDied")
+        assert peer.ask("rpc/reset")[0] == "Accepted"
+        assert peer.ask("command/c", **keeping(peer.after(sample)))[0] == "Accepted"
+
+
+def agent_status(node: NodeProgram) -> messages.Status:
+    with agent_sdk.connect(node.endpoint, affinity="off") as bus:
+        return bus.status(node.name)
+
+
+# Bad input
+
+
+@pytest.fixture(scope="module")
+def open_gateway(module_folder: Path) -> Iterator[Peer]:
+    with (
+        NodeProgram(module_folder / "node", **SMALL) as node,
+        GatewayProgram(node.endpoint, "--node", "office") as gateway,
+        Peer(gateway) as peer,
+    ):
+        yield peer
+
+
+BAD = {
+    "office": "zenostat/v2/NODE/… expected",
+    "zenostat/v2/office/rpc/status": "zenostat/v2/NODE/… expected",
+    "zenostat/v2/*/rpc/status": "cannot stand in a topic",
+    "zenostat/v2/**": "zenostat/v2/NODE/… expected",
+    "zenostat/v2/office/command/*": "cannot stand in a topic",
+    "zenostat/v2/office/command/": "cannot stand in a topic",
+    "zenostat/v2/office/command/a/b": "cannot stand in a topic",
+    "zenostat/v2/office/@live/controller/x": "no request '@live/controller/x'",
+    "zenostat/v2/office/sensor/x": "no request 'sensor/x'",
+    "zenostat/v2/office/event": "no request 'event'",
+    "zenostat/v2/office/wake": "no request 'wake'",
+    "zenostat/v2/office/rpc/sing": "no request 'rpc/sing'",
+    "zenostat/v2/plant/rpc/status": "for node 'office' alone",
+}
+
+
+@pytest.mark.parametrize("topic", BAD)
+def test_bad_topics_are_denied_by_name(open_gateway, topic):
+    open_gateway.requests.send_multipart([topic.encode(), msgpack.packb({})])
+    echoed, _, payload = open_gateway.requests.recv_multipart()
+    assert echoed.decode() == topic
+    assert BAD[topic] in msgpack.unpackb(payload)["message"]
+
+
+@pytest.mark.parametrize(
+    ("what", "payload", "words"),
+    [
+        ("rpc/claim", b"", "not msgpack"),
+        ("rpc/claim", msgpack.packb([]), "a Claim is a map"),
+        ("rpc/claim", msgpack.packb({"controller": "a/b"}), "controller"),
+        ("command/c", b"\xc1", "not msgpack"),
+        ("command/c", msgpack.packb({"episode": [0]}), "step: it is missing"),
+        ("actuator/x", msgpack.packb({"value": float("nan")}), "value"),
+        ("manifest", msgpack.packb({"x": 1}), "x: there is no such field"),
+        ("rpc/status", b"\x00" * (codec.MAX_BYTES + 1), "at most 8388608"),
+    ],
+)
+def test_bad_payloads_are_denied_with_the_reason(open_gateway, what, payload, words):
+    kind, denied = open_gateway.ask(what, payload)
+    assert (kind, denied["error"]) == ("Denied", "BadMessage")
+    assert words in denied["message"]
+
+
+WORDS = st.sampled_from([b"", b"zenostat/v2/office/rpc/status", b"zenostat/v2/office/command/c", b"\x80", b"\xff"])
+
+
+@settings(max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(frames=st.lists(st.one_of(WORDS, st.binary(max_size=40)), min_size=1, max_size=12))
+@example([b""])
+@example([b"", b""])
+@example([b"", b"", b"", b"", b""])
+def test_whatever_frames_come_there_is_one_answer(open_gateway, frames):
+    requests = open_gateway.requests
+    requests.send_multipart(frames)
+    answer = requests.recv_multipart()
+    peer, rest = split([b"route", *frames], 0)
+    assert answer[:-3] == list(peer.envelope)
+    assert answer[-3] == rest[0][:256]
+    kind = answer[-2].decode().rpartition(".")[2]
+    sound = len(rest) <= 2 and rest[0].endswith(b"rpc/status") and rest[1:] in ([], [b""], [b"\x80"])
+    assert kind == ("Status" if sound else "Denied")
+    assert open_gateway.silent()
+
+
+def test_an_envelope_comes_back_as_it_was():
+    assert split([b"r", b"", b"t", b"p"], 3)[0].envelope == (b"",)
+    peer, rest = split([b"r", b"1", b"2", b"", b"t", b"p"], 3)
+    assert (peer.route, peer.envelope, list(rest)) == (b"r", (b"1", b"2", b""), [b"t", b"p"])
+    assert list(split([b"r", b"t", b""], 3)[1]) == [b"t", b""]
+
+
+def test_a_sample_follows_only_what_all_answered_slots_answered():
+    command = messages.Command(episode=[1, 4], step=[7, 2], values=b"")
+    assert view.leads_to(view.answers(command), [1, 4], [8, 3])
+    assert not view.leads_to(view.answers(command), [1, 4], [8, 2])
+    assert not view.leads_to(view.answers(command), [2, 4], [8, 3])
+    assert not view.leads_to(frozenset(), [1, 4], [8, 3])
+
+
+# The command line
+
+
+def _fails(*options: str) -> str:
+    done = subprocess.run([sys.executable, "-P", "-m", "cli.main", "zmq", *options], capture_output=True, text=True)
+    assert done.returncode in (1, 2)
+    assert "Traceback" not in done.stderr
+    return done.stderr
+
+
+def test_what_cannot_be_is_said_before_anything_starts(node, gateway):
+    at = ("--connect", node.endpoint)
+    assert "another program listens on" in _fails(*at, "--publish", gateway.publish)
+    assert "another program listens on" in _fails(*at, "--command", gateway.command, "--publish", ANY)
+    assert "can be reached from other machines" in _fails(*at, "--publish", "tcp://0.0.0.0:5556")
+    assert "is no ZeroMQ endpoint" in _fails(*at, "--command", "tcp/127.0.0.1:5557")
+    assert "no node 'plant'" in _fails(*at, "--node", "plant", "--publish", ANY, "--command", ANY)
+    assert "a lease of 0.0 s" in _fails(*at, "--lease", "0")
+    assert "nobody listens on" in _fails("--connect", f"tcp/127.0.0.1:{free_port()}")
+
+
+def test_ctrl_c_ends_it_in_good_order(node, gateway):
+    with Peer(gateway) as peer:
+        assert peer.ask("rpc/status")[0] == "Status"
+        assert peer.ask("rpc/sing")[0] == "Denied"
+        code, out, err = gateway.interrupt()
+    assert (code, err) == (0, "")
+    assert out.endswith("0 samples, 2 requests, 1 of them denied\n")
+
+
+# Examples
+
+
+def test_python_example(gateway):
+    command = [sys.executable, str(EXAMPLES / "zeromq_controller.py")]
+    command += ["--publish", gateway.publish, "--command", gateway.command]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=90)
+    assert (done.stdout, done.stderr) == ("96 timesteps to 2017-07-04T00:00:00\n", "")
+
+
+def test_c_example(gateway, scratch):
+    compiler = shutil.which("cc") or shutil.which("gcc")
+    if compiler is None:
+        pytest.skip("there is no C compiler")
+    program = scratch / "controller"
+    options = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-o", str(program)]
+    source = EXAMPLES / "zeromq_controller.c"
+    made = subprocess.run([compiler, *options, str(source), "-lzmq"], capture_output=True, text=True)
+    if "zmq.h" in made.stderr and "No such file" in made.stderr:
+        pytest.skip("libzmq's header is not installed; on Debian: apt install libzmq3-dev")
+    assert made.returncode == 0, made.stderr
+    done = subprocess.run([program, gateway.publish, gateway.command], capture_output=True, text=True, timeout=90)
+    assert (done.stdout, done.stderr) == ("96 timesteps to 2017-07-04T00:00:00\n", "")
+    with Peer(gateway) as peer:
+        peer.listen("sample")
+        sample = peer.hear(Sample)
+        names = [a["name"] for a in peer.ask("manifest")[1]["actuators"]]
+    assert np.frombuffer(sample.effective)[names.index(SETPOINT)] == 26.0
+    assert sample.sources[np.frombuffer(sample.source_index, "<u2")[names.index(SETPOINT)]] == "from-c"

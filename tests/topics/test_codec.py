@@ -1,0 +1,329 @@
+"""Bytes to messages and back: what was sent arrives, and everything else is `BadMessage` and nothing else."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import struct
+from typing import Any
+
+import msgpack
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from support.builders import actuator, manifest, meter, sensor
+
+from topics import codec
+from topics.errors import BadMessage
+from topics.messages import (
+    Ack,
+    Claim,
+    Command,
+    ControllerStatus,
+    CreateBranch,
+    EngineStart,
+    EpisodeStart,
+    ErrorReply,
+    Event,
+    EventKind,
+    Manifest,
+    Message,
+    Mode,
+    PointValue,
+    Query,
+    Reset,
+    Sample,
+    SnapshotTaken,
+    State,
+    Status,
+    Stop,
+    Write,
+)
+
+TRAVELLING = (
+    Ack, Query, Claim, Command, ErrorReply, Event, CreateBranch, Manifest, PointValue, Reset, Sample, SnapshotTaken,
+    Status, Stop, Write,
+)  # fmt: skip
+NUMBERS = {
+    "value of a Write": (Write, {"value": 1.0}, "value"),
+    "for_s of a Write": (Write, {"value": 1.0, "duration_s": 1.0}, "duration_s"),
+    "value of a PointValue": (PointValue, {"value": 1.0, "unit": "W", "episode": 0, "step": 0, "time": ""}, "value"),
+}
+
+counts = st.integers(0, 2**63)
+lists = st.lists(counts, max_size=3)
+finite = st.floats(allow_nan=False, allow_infinity=False)
+names = st.from_regex(r"[A-Za-z0-9_][A-Za-z0-9_.\-]{0,20}", fullmatch=True)
+texts = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
+priorities = st.integers(1, 16)
+
+whatever = st.one_of(
+    st.builds(
+        Ack,
+        episode=lists,
+        episode_starts=st.lists(
+            st.builds(
+                EpisodeStart, engine_start=st.sampled_from(EngineStart), weather=texts, noise_parameters=st.dictionaries(texts, finite), output_dir=texts
+            )
+        ),
+    ),
+    st.builds(CreateBranch, controller=texts, snapshot=texts, relinquished=st.booleans(), slot=counts),
+    st.builds(SnapshotTaken, snapshot=texts, episode=lists, step=lists),
+    st.builds(Query),
+    st.builds(Claim, controller=names, priority=priorities, actuators=st.none() | st.lists(texts), required=st.booleans()),
+    st.builds(Command, episode=lists, step=lists, operations=st.none() | st.binary(), values=st.binary()),
+    st.builds(ErrorReply, error=texts, message=texts),
+    st.builds(Event, kind=st.sampled_from(EventKind), text=texts, source=texts, error=texts, episode=counts),
+    st.builds(PointValue, value=finite, unit=texts, episode=counts, step=counts, time=texts),
+    st.builds(Reset, controller=texts, seed=st.none() | counts | st.lists(st.none() | counts), snapshot=texts),
+    st.builds(
+        Sample, episode=lists, step=lists, time=st.lists(texts, max_size=2), elapsed_s=st.lists(finite, max_size=2),
+        flags=st.just([0]), values=st.binary(), effective=st.binary(), source_index=st.binary(),
+        sources=st.lists(texts, max_size=3), late=counts, rejected=counts,
+    ),
+    st.builds(
+        Status, node=names, state=st.sampled_from(State), building=texts, weather=texts, mode=st.sampled_from(Mode),
+        episode=lists, step=lists, steps=counts, time=st.lists(texts, max_size=2),
+        controllers=st.lists(
+            st.builds(
+                ControllerStatus, controller=texts, priority=priorities, actuators=counts, required=st.booleans(),
+                connected=st.booleans(), accepted=counts,
+            ),
+            max_size=2,
+        ),
+        accepted=counts, rejected=counts, late=counts, duplicate=counts, failure=texts,
+    ),
+    st.builds(Stop, source=texts),
+    st.builds(
+        Write, value=st.none() | finite, priority=priorities,
+        duration_s=st.none() | st.floats(0, exclude_min=True, allow_infinity=False), source=texts,
+    ),
+)  # fmt: skip
+
+anything = st.recursive(
+    st.none() | st.booleans() | st.integers(-(2**63), 2**64 - 1) | st.floats() | st.text(max_size=5) | st.binary(),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=8), inner, max_size=4),
+    max_leaves=10,
+)
+
+
+def refused(message: type[Message], payload: bytes, said: str = "") -> str:
+    with pytest.raises(BadMessage) as raised:
+        codec.decode(message, payload, said)
+    return str(raised.value)
+
+
+@given(whatever)
+def test_what_is_sent_arrives(message: Message) -> None:
+    kind = type(message)
+    assert codec.decode(kind, codec.encode(message), codec.encoding(kind)) == message
+
+
+def test_a_manifest_arrives_with_its_points() -> None:
+    sent = manifest(sensors=[sensor("t")], meters=[meter("e")], actuators=[actuator("heat", 15.0, 22.5)], slots=2)
+    arrived = codec.decode(Manifest, codec.encode(sent), codec.encoding(Manifest))
+    assert arrived == sent
+    assert arrived.actuators[0].low == 15.0
+
+
+@given(st.lists(st.floats(), max_size=6))
+def test_arrays_arrive_to_the_last_bit(values: list[float]) -> None:
+    raw = struct.pack(f"<{len(values)}d", *values)
+    sent = Command(episode=[0], step=[0], values=raw)
+    array = codec.floats(codec.decode(Command, codec.encode(sent)).values, (1, len(values)), "values")
+    assert array.shape == (1, len(values))
+    assert array.astype("<f8").tobytes() == raw
+
+
+@given(whatever)
+def test_the_hot_path_packs_what_encode_packs(message: Message) -> None:
+    assume(not isinstance(message, Ack | Status))  # the hot path has no messages within messages
+    assert codec.pack(**message.__dict__) == codec.encode(message)
+
+
+@given(lists, lists, st.binary(max_size=300))
+def test_a_command_is_its_head_and_its_values(episode: list[int], step: list[int], values: bytes) -> None:
+    whole = codec.encode(Command(episode=episode, step=step, values=values))
+    assert codec.command_head(episode, step, len(values)) + values == whole
+
+
+def test_the_values_stand_in_the_payload_as_little_endian_float64() -> None:
+    assert codec.encode(Command(episode=[0], step=[0], values=struct.pack("<d", 26.0))).endswith(
+        b"\x00\x00\x00\x00\x00\x00\x3a\x40"  # 26 = 1.625 * 2**4: sign 0, exponent 1027 = 0x403, fraction 0xA…
+    )
+
+
+# What does not come in
+
+
+@given(st.sampled_from(TRAVELLING), st.binary(max_size=200))
+def test_garbage_is_a_bad_message_and_nothing_else(kind: type[Message], payload: bytes) -> None:
+    with contextlib.suppress(BadMessage):
+        assert isinstance(codec.decode(kind, payload), kind)
+
+
+@given(st.sampled_from(TRAVELLING), anything)
+def test_any_other_value_is_a_bad_message_and_nothing_else(kind: type[Message], value: Any) -> None:
+    with contextlib.suppress(BadMessage):
+        assert isinstance(codec.decode(kind, msgpack.packb(value)), kind)
+
+
+@given(whatever, anything, st.data())
+def test_a_field_with_any_other_value_is_a_bad_message_and_nothing_else(
+    message: Message, value: Any, data: st.DataObject
+) -> None:
+    fields = dict(message.__dict__)
+    if fields:
+        fields[data.draw(st.sampled_from(sorted(fields)))] = value
+    with contextlib.suppress(BadMessage):
+        assert isinstance(codec.decode(type(message), msgpack.packb(fields, default=vars)), type(message))
+
+
+@given(whatever, st.data())
+def test_a_truncated_message_is_refused(message: Message, data: st.DataObject) -> None:
+    payload = codec.encode(message)
+    refused(type(message), payload[: data.draw(st.integers(0, len(payload) - 1))])
+
+
+@given(whatever, st.binary(min_size=1, max_size=4))
+def test_a_message_with_a_tail_is_refused(message: Message, tail: bytes) -> None:
+    refused(type(message), codec.encode(message) + tail)
+
+
+@pytest.mark.parametrize("depth", [100, 500, 600, 5000, 500_000])
+@pytest.mark.parametrize("opening", [b"\x91", b"\x81\xa1a"], ids=["lists", "maps"])
+def test_a_nested_bomb_is_refused(opening: bytes, depth: int) -> None:
+    bomb = opening * depth + b"\xc0"
+    refused(Write, bomb)
+    refused(Write, b"\x81\xa5value" + bomb)
+    refused(Sample, b"\x81\xa7episode" + bomb)
+
+
+@pytest.mark.parametrize("head", [b"\xdd\xff\xff\xff\xff", b"\xdf\xff\xff\xff\xff", b"\xc6\xff\xff\xff\xff"])
+def test_a_length_that_lies_is_refused(head: bytes) -> None:
+    refused(Write, head)
+    refused(Write, b"\x81\xa5value" + head)
+
+
+def test_an_oversized_payload_is_refused_unread() -> None:
+    blank = bytes(codec.MAX_BYTES)
+    said = refused(Command, codec.encode(Command(episode=[0], step=[0], values=blank)))
+    assert str(codec.MAX_BYTES) in said
+    assert "Command" in said
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("where", NUMBERS)
+def test_a_number_that_is_not_finite_is_refused_by_its_path(where: str, bad: float) -> None:
+    kind, fields, name = NUMBERS[where]
+    codec.decode(kind, msgpack.packb(fields))
+    said = refused(kind, msgpack.packb(fields | {name: bad}))
+    assert f"{kind.__name__}: {name}: " in said
+    assert str(bad) in said
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_a_number_that_is_not_finite_is_refused_in_free_options_too(bad: float) -> None:
+    refused(Reset, msgpack.packb({"seed": bad}))
+    refused(EpisodeStart, msgpack.packb({"engine_start": "reused", "weather": "", "noise_parameters": {"sigma": bad}}))
+
+
+def test_a_wrong_type_deep_within_is_refused_by_its_path() -> None:
+    fields = msgpack.unpackb(codec.encode(manifest(actuators=[actuator("heat"), actuator("cool")])))
+    fields["actuators"][1]["low"] = [1.0]
+    assert "actuators.1.low" in refused(Manifest, msgpack.packb(fields))
+
+
+def test_all_faults_are_named_at_once() -> None:
+    said = refused(Write, msgpack.packb({"value": "warm", "priority": 17, "duration_s": 0, "colour": "red"}))
+    assert all(f"{name}: " in said for name in ("value", "priority", "duration_s", "colour"))
+    assert "'warm'" in said
+    assert "17" in said
+
+
+def test_a_fault_quotes_no_more_than_a_line() -> None:
+    assert len(refused(Write, msgpack.packb({"value": "x" * 100_000}))) < 300
+
+
+@pytest.mark.parametrize("value", [None, 3, "text", [], [1.0]], ids=["nothing", "number", "text", "empty list", "list"])
+def test_a_message_is_a_map_of_its_fields(value: object) -> None:
+    assert "map of its fields" in refused(Write, msgpack.packb(value))
+
+
+@pytest.mark.parametrize("key", [1, b"value", None], ids=["number", "bytes", "nothing"])
+def test_field_names_are_text(key: object) -> None:
+    refused(Write, msgpack.packb({key: 1.0}))
+
+
+def test_another_version_is_refused_by_name() -> None:
+    payload = codec.encode(Write(value=1.0))
+    said = refused(Write, payload, "application/msgpack;zenostat/2.Write")
+    assert "zenostat/1.Write" in said
+    assert "zenostat/2.Write" in said
+
+
+def test_another_class_is_refused_by_name() -> None:
+    said = refused(Write, codec.encode(Write(value=1.0)), codec.encoding(Command))
+    assert "zenostat/1.Write" in said
+    assert "zenostat/1.Command" in said
+
+
+@pytest.mark.parametrize(
+    "said", ["text/plain", "application/json", "zenoh/string", "application/msgpack;other/1.Write"]
+)
+def test_an_encoding_that_is_no_msgpack_is_refused_by_name(said: str) -> None:
+    assert f"got {said!r}" in refused(Write, codec.encode(Write(value=1.0)), said)
+
+
+@pytest.mark.parametrize(
+    ("payload", "source"),
+    [
+        (codec.pack(value="x", source="panel"), "panel"),
+        (codec.pack(source="p" * 200), "p" * 128),
+        (codec.pack(value=math.nan, other={"source": "inner"}), ""),
+        (codec.pack(source=7), ""),
+        (b"\xc1", ""),
+        (b"", ""),
+        (b"\x91\xa5panel", ""),
+    ],
+)
+def test_a_text_is_read_of_what_else_is_wrong(payload: bytes, source: str) -> None:
+    assert codec.text_field(payload, "source", 128) == source
+
+
+@pytest.mark.parametrize("said", ["", "zenoh/bytes", "application/msgpack"])
+def test_a_stranger_that_names_no_version_is_checked_like_any_other(said: str) -> None:
+    assert codec.decode(Write, msgpack.packb({"value": 21}), said) == Write(value=21.0)
+    refused(Write, msgpack.packb({"value": 21, "priority": 0}), said)
+
+
+# Arrays
+
+
+@given(st.integers(0, 64), st.integers(0, 4), st.integers(0, 4))
+def test_an_array_has_the_size_of_its_shape_or_is_refused(size: int, slots: int, points: int) -> None:
+    raw = bytes(size)
+    if size == 8 * slots * points:
+        assert codec.floats(raw, (slots, points), "values").shape == (slots, points)
+    else:
+        with pytest.raises(BadMessage, match=f"values has {size} bytes; {8 * slots * points} expected"):
+            codec.floats(raw, (slots, points), "values")
+    if size == slots * points:
+        assert codec.uint8s(raw, (slots, points), "operations").shape == (slots, points)
+    else:
+        with pytest.raises(BadMessage, match=f"mask has {size} bytes; {slots * points} expected"):
+            codec.uint8s(raw, (slots, points), "operations")
+
+
+def test_arrays_stand_in_c_order_slots_first() -> None:
+    raw = struct.pack("<6d", 0, 1, 2, 10, 11, 12)
+    assert codec.floats(raw, (2, 3), "values").tolist() == [[0, 1, 2], [10, 11, 12]]
+    assert codec.uint8s(bytes([1, 2, 3, 4]), (2, 2), "operations").tolist() == [[1, 2], [3, 4]]
+
+
+def test_a_message_cannot_be_changed_through_its_arrays() -> None:
+    array = codec.floats(bytes(8), (1, 1), "values")
+    assert not array.flags.writeable
+    with pytest.raises(ValueError, match="read-only"):
+        array[0, 0] = np.pi

@@ -1,0 +1,362 @@
+"""The contract as an AsyncAPI 3.0 document and as a page: they are what the code gives, and real messages fit them."""
+
+from __future__ import annotations
+
+import enum
+import re
+import struct
+import subprocess
+import sys
+import types
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
+
+import jsonschema
+import msgpack
+import pytest
+import yaml
+from pydantic_core import PydanticUndefined
+from support import contract_page
+from support.contract_page import COMMAND, DOCUMENT, MASKED, PAGE, SAMPLE
+
+from bridge.faults import read_plan
+from topics import codec, keys, messages, yaml12
+from topics.asyncapi import channel_name, document, travelling
+from topics.errors import ZenostatError
+from topics.fault_plan import FaultPlan
+from topics.keys import TOPICS, Delivery, Role, Topic
+from topics.messages import ErrorReply, Message
+
+MADE = document()
+CLASSES = sorted(travelling(), key=lambda kind: kind.__name__)
+EVERY = sorted(
+    (c for c in vars(messages).values() if isinstance(c, type) and issubclass(c, Message) and c is not Message),
+    key=lambda kind: kind.__name__,
+)
+
+rows = pytest.mark.parametrize("topic", TOPICS, ids=lambda t: t.key)
+every_class = pytest.mark.parametrize("kind", CLASSES, ids=lambda c: c.__name__)
+
+_NAME = "^[A-Za-z0-9._-]+$"
+_REF = {
+    "type": "object",
+    "required": ["$ref"],
+    "additionalProperties": False,
+    "properties": {"$ref": {"type": "string"}},
+}
+_REFS = {"type": "array", "items": _REF, "minItems": 1}
+
+
+def _object(required: list[str] | None = None, **properties: Any) -> dict[str, Any]:
+    """An object of the specification: these fields, and extensions."""
+    return {
+        "type": "object",
+        "required": required or [],
+        "properties": properties,
+        "patternProperties": {"^x-": {}},
+        "additionalProperties": False,
+    }
+
+
+def _map(of: dict[str, Any]) -> dict[str, Any]:
+    return {"type": "object", "patternProperties": {_NAME: of}, "additionalProperties": False}
+
+
+_TEXT = {"type": "string", "minLength": 1}
+ASYNCAPI = _object(
+    ["asyncapi", "info"],
+    asyncapi={"const": "3.0.0"},
+    info=_object(["title", "version"], title=_TEXT, version=_TEXT, description=_TEXT),
+    defaultContentType=_TEXT,
+    channels=_map(
+        _object(
+            address=_TEXT,
+            title=_TEXT,
+            summary=_TEXT,
+            messages=_map(_REF),
+            parameters=_map(_object(description=_TEXT, enum={}, default={}, examples={}, location={})),
+        )
+    ),
+    operations=_map(
+        _object(
+            ["action", "channel"],
+            action={"enum": ["send", "receive"]},
+            summary=_TEXT,
+            channel=_REF,
+            messages=_REFS,
+            reply=_object(channel=_REF, messages=_REFS),
+        )
+    ),
+    components=_object(
+        messages=_map(_object(name=_TEXT, title=_TEXT, summary=_TEXT, contentType=_TEXT, payload=_REF)),
+        schemas=_map({"type": "object"}),
+    ),
+)
+"""What the specification says of the objects that we use; a schema of its own is not to be had offline."""
+
+
+def walk(value: Any) -> Iterator[dict[str, Any]]:
+    """All maps of a document."""
+    if isinstance(value, dict):
+        yield value
+        for inner in value.values():
+            yield from walk(inner)
+    elif isinstance(value, list):
+        for inner in value:
+            yield from walk(inner)
+
+
+def resolved(reference: str) -> Any:
+    """What a `$ref` refers to; KeyError if nothing."""
+    found: Any = MADE
+    assert reference.startswith("#/")
+    for part in reference[2:].split("/"):
+        found = found[part.replace("~1", "/").replace("~0", "~")]
+    return found
+
+
+# The document
+
+
+def test_it_has_the_form_of_asyncapi_3() -> None:
+    jsonschema.Draft7Validator(ASYNCAPI).validate(MADE)
+
+
+def test_all_references_lead_somewhere() -> None:
+    references = [found["$ref"] for found in walk(MADE) if isinstance(found.get("$ref"), str)]
+    assert len(references) > len(TOPICS)
+    for reference in references:
+        resolved(reference)
+
+
+@rows
+def test_a_row_has_a_channel_at_its_key(topic: Topic) -> None:
+    channel = MADE["channels"][channel_name(topic)]
+    address = channel["address"]
+    assert address.format(node="office", name="one") == topic.at("office", name="one")
+    assert set(channel["parameters"]) == set(re.findall(r"\{(\w+)\}", address))
+    assert channel["x-zenoh"].get("congestion_control", "") == (
+        str(topic.delivery) if topic.delivery in (Delivery.DROP, Delivery.BLOCK) else ""
+    )
+
+
+def test_no_two_rows_share_a_channel() -> None:
+    assert len(MADE["channels"]) == len(TOPICS)
+    assert len({channel["address"] for channel in MADE["channels"].values()}) == len(TOPICS)
+
+
+def _named(references: list[dict[str, str]]) -> list[str]:
+    return [reference["$ref"].rpartition("/")[2] for reference in references]
+
+
+@rows
+def test_a_row_has_an_operation_with_its_messages_and_replies(topic: Topic) -> None:
+    operation = MADE["operations"][channel_name(topic)]
+    assert operation["action"] == ("send" if topic.sender is Role.NODE else "receive")
+    assert _named(operation["messages"]) == [topic.message.__name__ if topic.message else "Presence"]
+    asked = operation if topic.delivery is Delivery.QUERY else MADE["operations"].get(f"{channel_name(topic)}.get")
+    assert (asked is not None) == (topic.reply is not None)
+    if asked is not None and topic.reply is not None:
+        assert asked["action"] == "receive"
+        denied = [ErrorReply.__name__] if topic.delivery is Delivery.QUERY else []
+        assert _named(asked["reply"]["messages"]) == [topic.reply.__name__, *denied]
+
+
+def test_operations_speak_of_messages_of_their_own_channel() -> None:
+    # The specification: an operation's messages, and its reply's, are references into the channel.
+    for operation in MADE["operations"].values():
+        for side in (operation, operation.get("reply")):
+            for reference in side["messages"] if side else ():
+                assert reference["$ref"].startswith(f"{side['channel']['$ref']}/messages/")
+
+
+@every_class
+def test_a_message_has_its_encoding_and_a_schema(kind: type[Message]) -> None:
+    message = MADE["components"]["messages"][kind.__name__]
+    assert message["contentType"] == codec.encoding(kind)
+    assert resolved(message["payload"]["$ref"])["properties"].keys() == kind.model_fields.keys()
+
+
+@pytest.mark.parametrize("kind", EVERY, ids=lambda c: c.__name__)
+def test_every_class_has_a_schema_that_is_closed(kind: type[Message]) -> None:
+    schema = MADE["components"]["schemas"][kind.__name__]
+    jsonschema.Draft7Validator.check_schema(schema)
+    assert schema["additionalProperties"] is False
+
+
+def test_schemas_need_nothing_that_is_newer_than_draft_7() -> None:
+    # Schemas of AsyncAPI 3.0 that name no other format are a superset of JSON Schema draft 7.
+    newer = {"$defs", "prefixItems", "unevaluatedProperties", "dependentRequired", "dependentSchemas", "minContains"}
+    for schema in walk(MADE["components"]["schemas"]):
+        assert not newer & {key for key, value in schema.items() if not isinstance(value, dict) or "type" not in value}
+
+
+def test_every_error_is_named() -> None:
+    named = MADE["components"]["messages"]["Denied"]["x-errors"]
+    assert {"ZenostatError", "RequestRejected", "UnknownName", "NodeLost"} <= named.keys()
+    assert all(issubclass(getattr(sys.modules["topics.errors"], name), ZenostatError) for name in named)
+
+
+# Real messages
+
+
+def example(annotation: Any, name: str = "", *, full: bool) -> Any:
+    """A value of an annotation; `full`: optional ones are there and lists have an entry."""
+    origin, parts = get_origin(annotation), get_args(annotation)
+    if origin is Annotated:
+        return example(parts[0], name, full=full)
+    if origin in (Union, types.UnionType):
+        rest = [part for part in parts if part is not type(None)]
+        return example(rest[0], name, full=full) if full or len(rest) == len(parts) else None
+    if origin is Literal:
+        return parts[0]
+    if origin in (list, tuple):
+        return [example(parts[0], name, full=full)]
+    if origin is dict:
+        return {"key": example(parts[1], name, full=full)} if full else {}
+    if annotation is Any:
+        return 1.5
+    if issubclass(annotation, Message):
+        return made(annotation, full=full)
+    if issubclass(annotation, enum.Enum):
+        return next(iter(annotation)).value
+    return {bool: True, int: 2, float: 2.5, str: "name", bytes: struct.pack("<d", 2.5)}[annotation]
+
+
+def made(kind: type[Message], *, full: bool) -> Message:
+    """A message of a class: with every field given, or with those alone that it wants."""
+    if kind is FaultPlan and full:
+        return read_plan(
+            Path(__file__).parents[2] / "examples" / "faults.yaml"
+        )  # its times and shares are no numbers at will
+    given = {
+        name: example(field.annotation, name, full=full)
+        for name, field in kind.model_fields.items()
+        if full or (field.default is PydanticUndefined and field.default_factory is None)
+    }
+    return kind.model_validate(given)
+
+
+def validator(kind: type[Message]) -> jsonschema.Draft7Validator:
+    """Of a class, where msgpack's `bin` is what the schema calls a string of the format `binary`."""
+    types_ = jsonschema.Draft7Validator.TYPE_CHECKER.redefine("string", lambda _, value: isinstance(value, str | bytes))
+    checks = jsonschema.FormatChecker(formats=())
+    checks.checks("binary")(lambda value: isinstance(value, bytes))
+    strict = jsonschema.validators.extend(jsonschema.Draft7Validator, type_checker=types_)
+    schema = {"$ref": f"#/components/schemas/{kind.__name__}", "components": MADE["components"]}
+    return strict(schema, format_checker=checks)
+
+
+def fields_of(message: Message) -> dict[str, Any]:
+    """What a stranger reads from the bytes."""
+    return msgpack.unpackb(codec.encode(message))
+
+
+@pytest.mark.parametrize("full", [True, False], ids=["full", "bare"])
+@every_class
+def test_a_real_message_fits_its_schema(kind: type[Message], full: bool) -> None:
+    message = made(kind, full=full)
+    assert codec.decode(kind, codec.encode(message)) == message
+    validator(kind).validate(fields_of(message))
+
+
+@every_class
+def test_what_a_node_would_refuse_does_not_fit(kind: type[Message]) -> None:
+    fields = fields_of(made(kind, full=True))
+    assert not validator(kind).is_valid({**fields, "colour": "red"})
+    required = [name for name, field in kind.model_fields.items() if field.is_required()]
+    assert MADE["components"]["schemas"][kind.__name__].get("required", []) == required
+    for name in required:
+        assert not validator(kind).is_valid({k: v for k, v in fields.items() if k != name})
+    for name, value in fields.items():
+        if isinstance(value, bytes):
+            assert not validator(kind).is_valid({**fields, name: 5})
+            assert not validator(kind).is_valid({**fields, name: "a text"})
+
+
+def test_raw_arrays_tell_their_elements() -> None:
+    schemas = MADE["components"]["schemas"]
+    assert schemas["Sample"]["properties"]["values"]["x-items"] == "float64"
+    assert schemas["Sample"]["properties"]["source_index"]["x-items"] == "uint16"
+    mask = next(form for form in schemas["Command"]["properties"]["operations"]["anyOf"] if form["type"] == "string")
+    assert mask["x-items"] == "uint8"
+    for schema in walk(schemas):
+        assert (schema.get("format") == "binary") == ("x-items" in schema)
+
+
+# The file and the page
+
+
+def test_the_file_is_what_the_command_gives(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-P", "-m", "cli.main", "contract", "--output", str(tmp_path / "asyncapi.yaml")],
+        capture_output=True,
+        text=True,
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    text = (tmp_path / "asyncapi.yaml").read_text(encoding="utf-8")
+    assert yaml.safe_load(text) == MADE
+    assert yaml12.parse(text, "the document") == MADE
+    assert DOCUMENT.read_text(encoding="utf-8") == text, "python tests/support/contract_page.py writes it again"
+
+
+def test_the_command_prints_it_and_names_a_folder_that_is_not_there() -> None:
+    command = [sys.executable, "-P", "-m", "cli.main", "contract"]
+    printed = subprocess.run(command, capture_output=True, text=True)
+    assert yaml.safe_load(printed.stdout) == MADE
+    missing = subprocess.run([*command, "--output", "nowhere/a.yaml"], capture_output=True, text=True)
+    assert (missing.returncode, missing.stdout) == (2, "")
+    assert "there is no folder" in missing.stderr
+
+
+def test_the_page_is_what_the_code_gives() -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    assert set(re.findall(r"<!-- made: (\w+) -->", text)) == contract_page.parts().keys()
+    assert contract_page.page(text) == text, "python tests/support/contract_page.py writes it again"
+
+
+def test_the_page_names_every_array() -> None:
+    told = set(
+        re.findall(r"^\| `(\w+)` \| `(\w+)` \| (?:float64|uint16|uint8) \|$", PAGE.read_text(encoding="utf-8"), re.M)
+    )
+    assert told == {
+        (kind.__name__, name)
+        for kind in CLASSES
+        for name, field in kind.model_fields.items()
+        if bytes in {field.annotation, *get_args(field.annotation), *map(_plain, get_args(field.annotation))}
+    }
+
+
+def _plain(annotation: Any) -> Any:
+    return get_args(annotation)[0] if get_origin(annotation) is Annotated else annotation
+
+
+def _bytes_on_the_page(part: str) -> bytes:
+    text = re.search(rf"<!-- made: {part} -->\n```text\n.*?\n\n(.*?)\n```", PAGE.read_text(encoding="utf-8"), re.S)
+    return bytes.fromhex("".join(line[:50] for line in text[1].splitlines()).replace(" ", ""))
+
+
+def test_the_bytes_on_the_page_are_these_messages() -> None:
+    """By hand: a stranger's msgpack, and floats as IEEE 754 has them."""
+    command = msgpack.unpackb(_bytes_on_the_page("command"))
+    assert command == {"episode": [0], "step": [3], "operations": None, "values": command["values"]}
+    assert command["values"] == bytes.fromhex("00000000000034400000000000003a40")  # 1.25 * 2^4, 1.625 * 2^4
+    masked = msgpack.unpackb(_bytes_on_the_page("masked"))
+    assert (masked["operations"], masked["values"][8:]) == (b"\x00\x01", command["values"][8:])
+    sample = msgpack.unpackb(_bytes_on_the_page("sample"))
+    assert struct.unpack("<3d", sample["values"]) == (17.3, 23.5, 1.8e6)
+    assert [sample["sources"][place] for place in struct.unpack("<2H", sample["source_index"])] == ["mine", ""]
+    for message, part in ((COMMAND, "command"), (MASKED, "masked"), (SAMPLE, "sample")):
+        assert codec.decode(type(message), _bytes_on_the_page(part)) == message
+
+
+def test_the_command_on_the_page_is_one_that_a_node_knows_by_its_first_bytes() -> None:
+    head = codec.command_head([0], [3], 16)
+    assert _bytes_on_the_page("command") == head + COMMAND.values
+
+
+def test_keys_on_the_page_are_the_table() -> None:
+    told = re.findall(r"^\| `zenostat/v2/\{node\}/(\S+)` \|", PAGE.read_text(encoding="utf-8"), re.M)
+    assert told == [topic.key for topic in TOPICS]
+    assert keys.PREFIX == "zenostat/v1"
