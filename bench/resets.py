@@ -36,7 +36,7 @@ def _reset_ms(env: Any, expected: EngineStart) -> float:
     _, info = env.reset()
     spent_ms = 1e3 * (time.perf_counter() - begin)
     if info["engine_start"] != expected:
-        raise RuntimeError(f"the reset was {info['start']}, {expected} expected")
+        raise RuntimeError(f"the reset was {info['engine_start']}, {expected} expected")
     return spent_ms
 
 

@@ -11,7 +11,7 @@ import typer
 from topics.errors import InvalidConfig
 
 
-def contract(
+def asyncapi(
     output: Annotated[Path | None, typer.Option(help="Write it into this file.")] = None,
 ) -> None:
     """Prints the contract of the bus as an AsyncAPI 3.0 document (YAML).

@@ -41,11 +41,16 @@ _GROUPS: dict[str, tuple[Callable[..., None] | typer.Typer, ...]] = {
         lifecycle.stop,
     ),
     "Choose what is simulated": (scenarios, buildings.buildings, weathers.weathers, points.points, data_packs.app),
-    "Connect others": (keys.app, router.router, gateway.zmq, asyncapi.contract),
+    "Connect others": (keys.app, router.router, gateway.app, asyncapi.asyncapi),
 }  # fmt: skip
 """The commands by the heading under which `--help` lists them, in its order."""
 
-_SUBCOMMANDS = {id(scenarios): "scenarios", id(data_packs.app): "packs", id(keys.app): "keys"}
+_SUBCOMMANDS = {
+    id(scenarios): "scenarios",
+    id(data_packs.app): "data-packs",
+    id(keys.app): "keys",
+    id(gateway.app): "gateway",
+}
 
 
 class _Ordered(typer.core.TyperGroup):

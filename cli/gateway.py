@@ -1,4 +1,4 @@
-"""`zenostat gateway zeromq`: controllers that speak only ZeroMQ join a bus."""
+"""`zenostat gateway`: clients of other protocols join a bus."""
 
 from __future__ import annotations
 
@@ -15,8 +15,19 @@ from topics.errors import InvalidConfig
 from topics.extras import install_command
 from topics.keys import Role
 
+app = typer.Typer(add_completion=False, rich_markup_mode="markdown", no_args_is_help=True)
 
-def zmq(
+
+@app.callback(epilog="Example: `zenostat gateway zeromq --node office`")
+def gateway() -> None:
+    """Let clients of other protocols use the nodes of a bus.
+
+    Example: `zenostat gateway zeromq --node office`
+    """
+
+
+@app.command()
+def zeromq(
     connect: Connect = None,
     keys: Keys = None,
     certificate: CertificateName = None,
@@ -38,12 +49,12 @@ def zmq(
     connect = connect or default_endpoint(keys)
     with (
         open_session(connect=[connect], keys=keys, role=Role.CONTROLLER, certificate=certificate) as session,
-        Gateway(session, node, publish=publish, command=command, lease_s=lease, expose=expose) as gateway,
-        override_signals(lambda *_: gateway.stop(), *TERMINATION_SIGNALS),
+        Gateway(session, node, publish=publish, command=command, lease_s=lease, expose=expose) as running,
+        override_signals(lambda *_: running.stop(), *TERMINATION_SIGNALS),
     ):
         of = "all nodes" if node == "*" else node
-        where = f"samples on {gateway.publish}, requests to {gateway.command}"
+        where = f"samples on {running.publish}, requests to {running.command}"
         out.print(f"ready: {of} of {connect}: {where}; Ctrl-C ends it", soft_wrap=True)
-        gateway.run()
-    counts = gateway.counts
+        running.run()
+    counts = running.counts
     out.print(f"{counts.samples} samples, {counts.requests} requests, {counts.denied} of them denied")

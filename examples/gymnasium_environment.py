@@ -48,6 +48,6 @@ while not truncated:
     total_reward += float(reward)
 
 print(f"{info['step']} timesteps to {info['time']}: {energy_kwh:.0f} kWh, reward {total_reward:.1f}")
-print(f"applied in the last one: {dict(zip(('heating', 'cooling'), info['applied'].tolist(), strict=True))}")
+print(f"effective in the last one: {dict(zip(('heating', 'cooling'), info['effective'].tolist(), strict=True))}")
 env.close()
 assert agent_sdk

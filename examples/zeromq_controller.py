@@ -32,7 +32,7 @@ def ask(what: str, **fields: object) -> dict:
     requests.send_multipart([f"{root}/{what}".encode(), msgpack.packb(fields)])
     _, encoding, payload = requests.recv_multipart()
     answer = msgpack.unpackb(payload)
-    if encoding.endswith(b".Denied"):
+    if encoding.endswith(b".ErrorReply"):
         raise SystemExit(f"{answer['error']}: {answer['message']}")
     return answer
 

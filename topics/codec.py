@@ -73,9 +73,9 @@ def pack(**fields: Any) -> bytes:
 
 
 def command_head(episode: list[int], step: list[int], size: int) -> bytes:
-    """How a `Command` without a mask and with `size` bytes of values begins; the values follow."""
+    """How a `Command` without `operations` and with `size` bytes of values begins; the values follow."""
     blank = bytes(size)
-    return pack(episode=episode, step=step, mask=None, values=blank)[: -size or None]
+    return pack(episode=episode, step=step, operations=None, values=blank)[: -size or None]
 
 
 def decode(message: type[M], payload: bytes, said: str = "") -> M:

@@ -306,7 +306,7 @@ class Sample(Message):
 
     `values` are the sensors, then the meters. `effective` says what each actuator really was in the
     timestep that this sample closes; NaN where EnergyPlus has no variable that tells. `source_index` is an
-    index into `sources`: who set it, with `rulers[0]` the building's own control. `baseline`, like `values`, is the
+    index into `sources`: who set it, with `sources[0]` the building's own control. `baseline`, like `values`, is the
     same building left to its own control since sample 0, and `baseline_applied`, like `effective`, what that control set
     its actuators to; empty unless the manifest says so. `undisturbed`, like `values`, is what EnergyPlus said, where
     faults are injected into `values`.

@@ -55,7 +55,7 @@ class LocalNode:
         self._held: list[subprocess.Popen[bytes]] = []
         self._owner = os.getpid()
         self._let_go = weakref.finalize(
-            self, _let_go, self._held, scratch, os.getpid(), _END_S if settings.get("keep") is None else _FINISH_S
+            self, _let_go, self._held, scratch, os.getpid(), _END_S if settings.get("output_dir") is None else _FINISH_S
         )
         self.endpoint = f"unixsock-stream/{self.folder}/bus"
         engine_core, self.core = affinity.pick_cores(placement)

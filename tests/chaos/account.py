@@ -87,6 +87,8 @@ class Account:
                 self._write(event)
 
     def _write(self, event: Event) -> None:
+        if " had nothing to re" in event.text:
+            return
         found = _WRITTEN.fullmatch(event.text)
         assert found, event.text
         entry = _FREE if found[2] is None else (float(found[2]), event.source)

@@ -23,7 +23,7 @@ weather: {SMALL["weather"]}
 steps_per_hour: {SMALL["steps_per_hour"]}
 begin: "07-03"
 end: "12-31"
-variability: {{dry_bulb_temperature: {{sigma: 1.0, mu: 0.0, tau_h: 24.0}}}}
+weather_noise: {{dry_bulb_temperature: {{sigma: 1.0, mu: 0.0, tau_h: 24.0}}}}
 reward: {{kind: linear}}
 """
 DAY = ["--begin", "07-03", "--end", "07-03"]

@@ -213,7 +213,7 @@ def test_a_file_is_utf_8_wherever_it_is_read(tmp_path: Path) -> None:
     file = tmp_path / "mine.yaml"
     file.write_text("building: b\nweather: w\nabout: Bürogebäude\n", encoding="utf-8")
     program = (
-        "import sys; from pathlib import Path; from models.scenario import load_scenario; "
+        "import sys; from pathlib import Path; from models.scenario.schema import load_scenario; "
         "print(ascii(load_scenario(Path(sys.argv[1])).about))"
     )
     plain = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
@@ -234,7 +234,7 @@ def test_points_may_be_lists_or_named_fields(load: Load) -> None:
         """
 sensors:
   a: {variable: Zone Air Temperature, key: Core_ZN}
-  b: {variable: Zone Air Temperature, key: Core_ZN, reading: mean}
+  b: {variable: Zone Air Temperature, key: Core_ZN, aggregation: mean}
 actuators:
   c: {component_type: Fan, control_type: Flow, key: FAN 1}
   d: {component_type: Fan, control_type: Flow, key: FAN 1, low: 0, high: 2.5}
@@ -300,8 +300,8 @@ def test_a_number_is_a_number_however_it_is_written(load: Load, number: str) -> 
     """YAML 1.1, as PyYAML reads it, takes a number with an exponent and no dot for a text."""
     scenario = load(
         f"""
-variability: {{dry_bulb_temperature: {{sigma: {number}, mu: [{number}, 1]}}}}
-changes: {{Material: {{Wall: {{conductivity: {number}}}}}}}
+weather_noise: {{dry_bulb_temperature: {{sigma: {number}, mu: [{number}, 1]}}}}
+edits: {{Material: {{Wall: {{conductivity: {number}}}}}}}
 actuators: {{a: [Fan, Flow, FAN 1, {number}, 1]}}
 reward: {{kind: linear, lambda_energy: {number}}}
 """
@@ -316,15 +316,15 @@ reward: {{kind: linear, lambda_energy: {number}}}
 def test_what_only_looks_like_a_number_stays_text(load: Load) -> None:
     fields = {"a": "1e", "b": "e4", "c": "1e-4 m", "d": "1.2.3", "e": "-"}
     written = ", ".join(f"{name}: {text}" for name, text in fields.items() if name != "e") + ", e: '-'"
-    assert load(f"changes: {{M: {{n: {{{written}}}}}}}").edits == {"M": {"n": fields}}
-    assert load("changes: {M: {n: {a: '1e-4'}}}").edits == {"M": {"n": {"a": "1e-4"}}}
+    assert load(f"edits: {{M: {{n: {{{written}}}}}}}").edits == {"M": {"n": fields}}
+    assert load("edits: {M: {n: {a: '1e-4'}}}").edits == {"M": {"n": {"a": "1e-4"}}}
 
 
 def test_a_part_may_be_written_once_and_used_again(load: Load) -> None:
     """YAML's anchors and merges."""
     scenario = load(
         """
-variability:
+weather_noise:
   dry_bulb_temperature: &noise {sigma: 1.0, mu: 0.5}
   wind_speed: *noise
   relative_humidity: {<<: *noise, sigma: 3.0}
@@ -342,7 +342,7 @@ variability:
     [
         ("control: zone\ncontrol: point", "control", 4),
         ("sensors: {a: [v, k], a: [v, l]}", "a", 3),
-        ("changes:\n  Material:\n    Wall:\n      conductivity: 1\n      conductivity: 2", "conductivity", 7),
+        ("edits:\n  Material:\n    Wall:\n      conductivity: 1\n      conductivity: 2", "conductivity", 7),
         ("discrete: [{actions: [a], values: [[1]], actions: [b]}]", "actions", 3),
         ("building: other", "building", 3),
     ],
@@ -358,7 +358,7 @@ UNKNOWN = {
     "sensors.a.colour": "sensors: {a: {variable: v, key: k, colour: red}}",
     "actuators.a.min": "actuators: {a: {component_type: c, control_type: t, key: k, min: 1}}",
     "actions.a.actuator": "actions: {a: {actuators: [x], actuator: y}}",
-    "variability.wind_speed.tau": "variability: {wind_speed: {sigma: 1, tau: 24}}",
+    "weather_noise.wind_speed.tau": "weather_noise: {wind_speed: {sigma: 1, tau: 24}}",
     "discrete.0.valuez": "discrete: [{actions: [a], values: [[1]], valuez: [[1]]}]",
 }
 
@@ -372,8 +372,8 @@ WRONG = {
     "control": "control: zones",
     "weather_order": "weather_order: shuffled",
     "sizing": "sizing: none",
-    "aggregation": "reading: sum",
-    "sensors.a.reading": "sensors: {a: [v, k, average]}",
+    "aggregation": "aggregation: sum",
+    "sensors.a.aggregation": "sensors: {a: [v, k, average]}",
     "time.1": "time: [hour, second]",
     "begin": "begin: 5",
     "steps_per_hour": "steps_per_hour: often",
@@ -382,10 +382,10 @@ WRONG = {
     "discrete.0.values": "discrete: [{actions: [a], values: []}]",
     "actions.a.actuators": "actions: {a: {actuators: []}}",
     "actuators.a.low": "actuators: {a: [c, t, k, .inf, 2]}",
-    "variability.wind_speed.sigma": "variability: {wind_speed: {sigma: [2, 1]}}",
+    "weather_noise.wind_speed.sigma": "weather_noise: {wind_speed: {sigma: [2, 1]}}",
     "sensors.a": "sensors: {a: [Zone Air Temperature]}",
     "actuators.a": "actuators: {a: [c, t, k, 1, 2, 3]}",
-    "changes.Material": "changes: {Material: thick}",
+    "edits.Material": "edits: {Material: thick}",
     "reward": "reward: 1",
 }
 

@@ -283,7 +283,7 @@ def test_facts_are_made_once_for_a_file(tmp_path: Path, monkeypatch: pytest.Monk
     first = listed_summaries(entry)
     assert isinstance(first, BuildingSummary)
     assert first.floor_area_m2 == 5.0
-    monkeypatch.setattr(summary, "building_facts", lambda _: pytest.fail("made again"))
+    monkeypatch.setattr(summary, "building_summary", lambda _: pytest.fail("made again"))
     assert listed_summaries(entry) == first
 
 

@@ -127,7 +127,7 @@ def test_a_known_change_is_converted(
     partly = functools.partial(
         schema.schema_errors, complete=False
     )  # the objects here have only the fields that matter
-    monkeypatch.setattr(transition.schema, "faults", lambda objects, complete: partly(objects))
+    monkeypatch.setattr(transition.schema, "schema_errors", lambda objects, complete: partly(objects))
     result = check_epjson(model(version) | {kind: {"it": old}}, name="m")
     assert result.objects[kind] == {"it": new}
     assert result.objects["Version"] == OWN["Version"]

@@ -152,7 +152,7 @@ def test_an_unknown_building_and_weather_are_named_at_once() -> None:
         ({"sensors": {"a b": ("Zone Air Temperature", "CORE_ZN")}}, r"the point name 'a b' cannot stand in a topic"),
         (
             {"sensors": {"inside": ("Zone Air Temperature", "CORE_ZN", "avg")}},
-            r"sensors.inside.reading: .*'mean', 'sum' or 'instant', got 'avg'",
+            r"sensors.inside.aggregation: .*'mean', 'sum' or 'instant', got 'avg'",
         ),
         ({"sensors": {"inside": "Zone Air Temperature"}}, r"sensors 'inside': a tuple of EnergyPlus's names expected"),
         ({"building": None}, r"name a building and a weather, a scenario, a file .file=., or the bus"),

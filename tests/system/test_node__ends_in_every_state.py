@@ -112,7 +112,7 @@ def test_while_an_engine_starts_that_does_not_answer(folder: Path, told: str) ->
 @pytest.mark.parametrize("settings", [{}, {"slots": 2}, {"baseline": True}, {"keep": True}], ids=str)
 def test_in_mid_step_of_engines_that_stand_still(folder: Path, settings: dict[str, Any]) -> None:
     if "keep" in settings:
-        settings = {"keep": str(folder / "kept")}
+        settings = {"output_dir": str(folder / "kept")}
     with office(folder, **SMALL, **settings) as (node, bus), bus.controller("office", name="mine") as link:
         sample = link.reset()
         engines = freeze(node)

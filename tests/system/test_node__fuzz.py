@@ -226,7 +226,7 @@ def test_what_may_change_something_leaves_the_node_in_order(scratch: Path) -> No
                 (keys.FAULTS, {"faults": []}), (keys.RESUME, {}), (keys.PACE, {"mode": "lockstep"}), (keys.RESET, {}),
             ):  # fmt: skip
                 for reply in bus.session.get(verb.at("office"), payload=msgpack.packb(fields), timeout=60):
-                    assert str(reply.ok.encoding) == "application/msgpack;zenostat/2.Accepted"
+                    assert str(reply.ok.encoding) == "application/msgpack;zenostat/2.Ack"
             until(lambda: bus.status("office").state is State.WAITING, "the node waits again")
             until_quiet(bus.session)
         with bus.controller("office", priority=2) as link:

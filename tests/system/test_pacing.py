@@ -505,17 +505,17 @@ def test_a_gateways_command_in_a_pause_is_answered_though_no_sample_comes(node: 
     with GatewayProgram(node.endpoint) as gateway, Peer(gateway) as peer:
         peer.listen("sample")
         sample = peer.hear(Sample)
-        assert peer.ask("rpc/claim", controller="c")[0] == "Accepted"
+        assert peer.ask("rpc/claim", controller="c")[0] == "Ack"
         for steps in range(3):
-            assert peer.ask("command/c", **keeping(sample))[0] == "Accepted"
+            assert peer.ask("command/c", **keeping(sample))[0] == "Ack"
             assert bus.status("office").step == [steps]
             bus.step("office", 1)
             sample = peer.after(sample)
         bus.resume("office")
-        assert peer.ask("command/c", **keeping(sample))[0] == "Accepted"
+        assert peer.ask("command/c", **keeping(sample))[0] == "Ack"
         sample = peer.after(sample)
         bus.pause("office")
-        assert peer.ask("command/c", **keeping(sample))[0] == "Accepted"
+        assert peer.ask("command/c", **keeping(sample))[0] == "Ack"
 
 
 def test_a_reset_forgets_the_steps_that_were_left(scratch: Path) -> None:

@@ -28,7 +28,7 @@ MIB = 1 << 20
 
 def test_controller_that_starts_again_takes_its_identity_from_a_connection_that_is_still_open(node, gateway):
     with Program(NAMED, gateway.command) as program, Peer(gateway) as new:
-        assert program.line().endswith(".Accepted")
+        assert program.line().endswith(".Ack")
         program.process.send_signal(signal.SIGSTOP)
         new.requests.disconnect(gateway.command)
         new.requests.routing_id = IDENTITY
@@ -36,13 +36,13 @@ def test_controller_that_starts_again_takes_its_identity_from_a_connection_that_
         new.listen("sample")
         sample = new.after(None)
         kind, denied = new.ask("command/doomed", **keeping(sample))
-        assert (kind, denied["error"]) == ("Denied", "RequestRejected")
+        assert (kind, denied["error"]) == ("ErrorReply", "RequestRejected")
         assert denied["message"].startswith("'doomed' has claimed nothing; claim first, through this connection")
-        assert new.ask("rpc/claim", controller="doomed")[0] == "Accepted"
-        assert new.ask("command/doomed", **keeping(sample))[0] == "Accepted"
+        assert new.ask("rpc/claim", controller="doomed")[0] == "Ack"
+        assert new.ask("command/doomed", **keeping(sample))[0] == "Ack"
         program.process.kill()
         program.process.wait()
-        assert new.ask("command/doomed", **keeping(new.after(sample)))[0] == "Accepted"
+        assert new.ask("command/doomed", **keeping(new.after(sample)))[0] == "Ack"
         with agent_sdk.connect(node.endpoint, affinity="off") as bus:
             assert [c.connected for c in bus.status("office").controllers] == [True]
 
@@ -90,7 +90,7 @@ def test_message_that_is_large_or_long_in_coming_is_read(gateway: GatewayProgram
             assert peer.ask("rpc/status")[0] == "Status"
         connection.sendall(bytes(4 * MIB))
         came = b""
-        while b"Denied" not in came:
+        while b"ErrorReply" not in came:
             came += (more := connection.recv(MIB))
             assert more, "the connection has ended"
 
@@ -100,7 +100,7 @@ def test_request_with_too_many_frames_has_one_proper_answer(gateway: GatewayProg
         for frames in ([b"one", b"two", b"three"], [b"t"] * 12, [b"", b"one", b"two", b"three"]):
             peer.requests.send_multipart(frames)
             topic, encoding, payload = peer.requests.recv_multipart()[-3:]
-            assert encoding.endswith(b".Denied")
+            assert encoding.endswith(b".ErrorReply")
             assert b"frames; a request has a topic" in payload
             assert topic == frames[0]
         assert peer.ask("rpc/status")[0] == "Status"

@@ -27,11 +27,11 @@ def test_command_that_is_taken_after_the_deadline_is_accepted(scratch):
         watcher.listen("manifest")
         watcher.hear(Manifest)  # the gateway knows of both subscriptions
         peer.listen("sample")
-        assert peer.ask("rpc/claim", controller="c")[0] == "Accepted"
+        assert peer.ask("rpc/claim", controller="c")[0] == "Ack"
         sample: Sample | None = None
         for _ in range(90):
             sample = peer.after(sample)
-            assert peer.ask("command/c", **keeping(sample))[0] == "Accepted"
+            assert peer.ask("command/c", **keeping(sample))[0] == "Ack"
             if bus.status("office").statistics.accepted_late:
                 break
         event = watcher.event(EventKind.ACCEPTED_LATE)
@@ -39,7 +39,7 @@ def test_command_that_is_taken_after_the_deadline_is_accepted(scratch):
         assert (event.late_s or 0.0) > 0.0
         sample = peer.after(sample)
         stale = peer.ask("command/c", **keeping(sample, step=[0]))
-        assert stale[0] == "Denied"
+        assert stale[0] == "ErrorReply"
         assert "answers episode [0] step [0]" in stale[1]["message"]
         assert watcher.event(EventKind.LATE).source == "c"
         status = bus.status("office")

@@ -41,7 +41,7 @@ def test_sockets_that_were_there_before_a_gateway_hear_and_are_answered(node, en
                 assert gateway.said.startswith("ready: all nodes of ")
                 assert early.answer()[0] == "Status"
                 assert early.hear(Sample).step == [0]
-                assert early.ask("rpc/claim", controller="c")[0] == "Accepted"
+                assert early.ask("rpc/claim", controller="c")[0] == "Ack"
                 if end == "interrupted":
                     assert gateway.interrupt()[0] == 0
             assert lost.poll(60_000), "its socket knows that the gateway has gone, and keeps what is sent from now on"
@@ -81,8 +81,8 @@ def test_what_is_asked_of_a_node_waits_until_it_has_said_what_it_is(node, gatewa
         query = asked.get(timeout=60)
         to.listen("")
         to.say("rpc/status")
-        assert peer.ask("rpc/sing")[0] == "Denied"
-        assert to.ask("rpc/sing")[0] == "Denied", "the gateway has taken both"
+        assert peer.ask("rpc/sing")[0] == "ErrorReply"
+        assert to.ask("rpc/sing")[0] == "ErrorReply", "the gateway has taken both"
         assert to.silent()
         with query:
             query.reply(keys.MANIFEST.at("slow"), manifest, encoding=zenoh.Encoding(codec.encoding(Manifest)))
@@ -93,4 +93,4 @@ def test_what_is_asked_of_a_node_waits_until_it_has_said_what_it_is(node, gatewa
             one.undeclare()
         assert to.event(EventKind.FAILED).error == "NodeLost"
         kind, gone = to.ask("rpc/status")
-        assert (kind, gone["error"]) == ("Denied", "NodeNotFound")
+        assert (kind, gone["error"]) == ("ErrorReply", "NodeNotFound")

@@ -38,7 +38,7 @@ class GatewayProgram:
     """`zenostat gateway zeromq` as a program, on free ports."""
 
     def __init__(self, endpoint: str, *options: str) -> None:
-        command = [sys.executable, "-P", "-u", "-m", "cli.main", "zmq", "--connect", endpoint]
+        command = [sys.executable, "-P", "-u", "-m", "cli.main", "gateway", "zeromq", "--connect", endpoint]
         command += [*(() if "--publish" in options else ("--publish", ANY, "--command", ANY)), *options]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         line = self.said = self.process.stdout.readline()
@@ -154,7 +154,7 @@ def test_episode_gives_the_same_samples_as_over_zenoh_to_the_bit(node, gateway, 
         while (last := peer.hear(Sample)).step != [96]:
             pass  # the gateway hears by itself
         manifest = Manifest(**peer.ask("manifest")[1])
-        assert peer.ask("rpc/claim", controller="c")[0] == "Accepted"
+        assert peer.ask("rpc/claim", controller="c")[0] == "Ack"
         assert peer.ask("rpc/reset", controller="c")[1]["episode"] == [1]
         sample = peer.after(last)
         while True:
@@ -162,7 +162,7 @@ def test_episode_gives_the_same_samples_as_over_zenoh_to_the_bit(node, gateway, 
             if sample.flags[0] & messages.Flag.TRUNCATED:
                 break
             command = answering(sample, plan(manifest, sample.step[0]))
-            assert peer.ask("command/c", **command) == ("Accepted", peer_accepted(1))
+            assert peer.ask("command/c", **command) == ("Ack", peer_accepted(1))
             sample = peer.after(sample)
     assert len(through) == 97
     assert through == direct
@@ -178,12 +178,12 @@ def test_two_controllers_in_lockstep_each_answered_although_the_other_has_not_sp
         sample = one.after(None)
         names = [a["name"] for a in one.ask("manifest")[1]["actuators"]]
         for peer, name, mine in ((one, "one", names[::2]), (two, "two", names[1::2])):
-            assert peer.ask("rpc/claim", controller=name, actuators=mine)[0] == "Accepted"
+            assert peer.ask("rpc/claim", controller=name, actuators=mine)[0] == "Ack"
         for step in range(20):
             first, second = ((one, "one"), (two, "two"))[:: 1 if step % 2 else -1]
             for peer, name in (first, second):
                 assert one.ask("sample")[1]["step"] == [step] if peer is one else True
-                assert peer.ask(f"command/{name}", **keeping(sample))[0] == "Accepted"
+                assert peer.ask(f"command/{name}", **keeping(sample))[0] == "Ack"
             sample = one.after(sample)
             assert sample.step == [step + 1]
         status = messages.Status(**one.ask("rpc/status")[1])
@@ -201,7 +201,7 @@ def test_commands_sent_without_waiting_are_answered_in_order(gateway):
         peer.say("command/c", **keeping(sample, step=[1]))
         peer.say("command/c", **keeping(sample, step=[9]))
         answers = [peer.answer() for _ in range(5)]
-    assert [kind for kind, _ in answers] == ["Accepted", "Accepted", "Denied", "Accepted", "Denied"]
+    assert [kind for kind, _ in answers] == ["Ack", "Ack", "ErrorReply", "Ack", "ErrorReply"]
     assert "present are episode" in answers[2][1]["message"]
     assert "answers episode [0] step [9]" in answers[4][1]["message"]
 
@@ -213,12 +213,12 @@ def test_command_to_a_node_that_runs_freely(scratch):
         Peer(gateway) as peer,
     ):
         peer.listen("sample")
-        assert peer.ask("rpc/claim", controller="c") == ("Accepted", peer_accepted(0))
+        assert peer.ask("rpc/claim", controller="c") == ("Ack", peer_accepted(0))
         kinds = [peer.ask("command/c", **keeping(peer.hear(Sample)))[0] for _ in range(20)]
         status = messages.Status(**peer.ask("rpc/status")[1])
-    assert set(kinds) <= {"Accepted", "Denied"}
+    assert set(kinds) <= {"Ack", "ErrorReply"}
     (controller,) = status.controllers
-    assert controller.accepted == kinds.count("Accepted")
+    assert controller.accepted == kinds.count("Ack")
     assert controller.accepted + status.late + status.duplicate + status.rejected == 20
 
 
@@ -232,18 +232,18 @@ def test_refusals_say_what_the_node_said(gateway):
         count = len(sample.effective) // 8
         assert peer.ask("command/c", **keeping(sample))[1]["message"].startswith("'c' has claimed nothing")
         assert peer.ask("rpc/claim", controller="c", actuators=["chair"])[1]["error"] == "RequestRejected"
-        assert peer.ask("rpc/claim", controller="c")[0] == "Accepted"
+        assert peer.ask("rpc/claim", controller="c")[0] == "Ack"
         kind, denied = other.ask("rpc/claim", controller="d")
-        assert (kind, denied["error"]) == ("Denied", "RequestRejected")
+        assert (kind, denied["error"]) == ("ErrorReply", "RequestRejected")
         assert "is claimed by 'c'" in denied["message"]
         assert other.ask("command/c", **keeping(sample))[1]["message"].startswith(
             "'c' was claimed again through another"
         )
         for _ in range(30):  # more than the node tells of in a step
             kind, denied = peer.ask("command/c", **answering(sample, np.full(count, 99.0)))
-            assert (kind, denied["error"]) == ("Denied", "RequestRejected")
+            assert (kind, denied["error"]) == ("ErrorReply", "RequestRejected")
         assert "did not say why" in denied["message"]
-        assert peer.ask("command/c", **keeping(sample))[0] == "Accepted"
+        assert peer.ask("command/c", **keeping(sample))[0] == "Ack"
         assert peer.ask("rpc/weather", columns=["no such"])[1]["error"] == "UnknownName"
         assert peer.ask("rpc/scenario")[0] == "ScenarioText"
 
@@ -252,7 +252,7 @@ def test_writes_are_answered(gateway):
     with Peer(gateway) as peer:
         peer.listen("sample")
         sample = peer.after(None)
-        assert peer.ask(f"actuator/{SETPOINT}", value=26.5, source="panel")[0] == "Accepted"
+        assert peer.ask(f"actuator/{SETPOINT}", value=26.5, source="panel")[0] == "Ack"
         denied = peer.ask(f"actuator/{SETPOINT}", value=99.0, source="panel")[1]
         assert "its bounds are" in denied["message"]
         assert "no actuator 'chair'" in peer.ask("actuator/chair", value=1.0)[1]["message"]
@@ -295,21 +295,21 @@ def test_killed_controller_is_noticed_by_the_node_and_may_come_back(node, gatewa
     with Peer(gateway) as peer, Peer(gateway) as back:
         peer.listen("event")
         with Program(KILLED, gateway.command) as program:
-            assert program.line().endswith(".Accepted")
+            assert program.line().endswith(".Ack")
             with agent_sdk.connect(node.endpoint, affinity="off") as bus:
                 until(lambda: bus.controllers() == [("office", "doomed")], "its token is there")
             program.process.kill()
             assert peer.event(EventKind.DISCONNECTED).source == "doomed"
-        assert back.ask("rpc/claim", controller="doomed")[0] == "Accepted"
+        assert back.ask("rpc/claim", controller="doomed")[0] == "Ack"
         back.listen("sample")
-        assert back.ask("command/doomed", **keeping(back.after(None)))[0] == "Accepted"
+        assert back.ask("command/doomed", **keeping(back.after(None)))[0] == "Ack"
 
 
 def test_frozen_controller_is_gone_after_its_lease(node):
     with GatewayProgram(node.endpoint, "--lease", "0.5") as gateway, Peer(gateway) as peer:
         peer.listen("event")
         with Program(KILLED, gateway.command) as program:
-            assert program.line().endswith(".Accepted")
+            assert program.line().endswith(".Ack")
             program.process.send_signal(signal.SIGSTOP)
             assert peer.event(EventKind.DISCONNECTED).source == "doomed"
 
@@ -317,13 +317,13 @@ def test_frozen_controller_is_gone_after_its_lease(node):
 def test_controller_that_comes_back_under_its_name_keeps_it(node, gateway):
     with Peer(gateway) as new, agent_sdk.connect(node.endpoint, affinity="off") as bus:
         with Peer(gateway) as old:
-            assert old.ask("rpc/claim", controller="c")[0] == "Accepted"
-            assert new.ask("rpc/claim", controller="c")[0] == "Accepted"
+            assert old.ask("rpc/claim", controller="c")[0] == "Ack"
+            assert new.ask("rpc/claim", controller="c")[0] == "Ack"
         new.listen("sample")
         sample = None
         for _ in range(3):
             sample = new.after(sample)
-            assert new.ask("command/c", **keeping(sample))[0] == "Accepted"
+            assert new.ask("command/c", **keeping(sample))[0] == "Ack"
         until(lambda: bus.controllers() == [("office", "c")], "the controller is there")
 
 
@@ -331,8 +331,8 @@ def test_killed_gateway_breaks_nothing_of_the_node(node):
     with agent_sdk.connect(node.endpoint, affinity="off") as bus:
         with GatewayProgram(node.endpoint) as gateway, Peer(gateway) as peer:
             peer.listen("sample")
-            assert peer.ask("rpc/claim", controller="c")[0] == "Accepted"
-            assert peer.ask("command/c", **keeping(peer.after(None)))[0] == "Accepted"
+            assert peer.ask("rpc/claim", controller="c")[0] == "Ack"
+            assert peer.ask("command/c", **keeping(peer.after(None)))[0] == "Ack"
             gateway.process.kill()
             gateway.process.wait()
             until(lambda: [c.connected for c in bus.status("office").controllers] == [False], "the node misses it")
@@ -348,24 +348,24 @@ def test_end_of_the_node_is_told_and_answered(scratch, node, gateway, end):
         peer.published.unsubscribe(f"{peer.root}/sample")
         peer.listen("event")
         for one, name, mine in ((waiting, "waiting", [SETPOINT]), (slow, "slow", ["core_zn_heating_setpoint"])):
-            assert one.ask("rpc/claim", controller=name, actuators=mine)[0] == "Accepted"
-        assert waiting.ask("command/waiting", **keeping(sample))[0] == "Accepted"
+            assert one.ask("rpc/claim", controller=name, actuators=mine)[0] == "Ack"
+        assert waiting.ask("command/waiting", **keeping(sample))[0] == "Ack"
         if end == "killed":
             psutil.Process(node.pid).send_signal(signal.SIGSTOP)
             slow.say("command/slow", **keeping(sample))
             slow.say("rpc/reset")
-            assert slow.ask("rpc/sing")[0] == "Denied", "the gateway has taken both"
+            assert slow.ask("rpc/sing")[0] == "ErrorReply", "the gateway has taken both"
             node.kill()
             said = sorted(slow.answer()[1]["error"] for _ in range(2))
             assert said == ["NodeLost", "NodeLost"]
             event = peer.event(EventKind.FAILED)
             assert (event.error, event.text) == ("NodeLost", "node 'office' is gone")
         else:
-            assert peer.ask("rpc/stop")[0] == "Accepted"
+            assert peer.ask("rpc/stop")[0] == "Ack"
             assert peer.event(EventKind.STOPPED)
-            until(lambda: peer.ask("rpc/status")[0] == "Denied", "it is gone")
+            until(lambda: peer.ask("rpc/status")[0] == "ErrorReply", "it is gone")
         kind, denied = peer.ask("command/slow", **keeping(sample))
-        assert (kind, denied["error"]) == ("Denied", "NodeNotFound")
+        assert (kind, denied["error"]) == ("ErrorReply", "NodeNotFound")
 
 
 def test_failure_of_the_engine_is_the_answer_of_who_waits(node, gateway):
@@ -378,9 +378,9 @@ def test_failure_of_the_engine_is_the_answer_of_who_waits(node, gateway):
         until(lambda: peer.silent() and agent_status(node).state is State.RUNNING, "the node computes")
         node.engine.kill()
         kind, denied = peer.answer()
-        assert (kind, denied["error"]) == ("Denied", "EngineDied")
-        assert peer.ask("rpc/reset")[0] == "Accepted"
-        assert peer.ask("command/c", **keeping(peer.after(sample)))[0] == "Accepted"
+        assert (kind, denied["error"]) == ("ErrorReply", "EngineDied")
+        assert peer.ask("rpc/reset")[0] == "Ack"
+        assert peer.ask("command/c", **keeping(peer.after(sample)))[0] == "Ack"
 
 
 def agent_status(node: NodeProgram) -> messages.Status:
@@ -441,7 +441,7 @@ def test_bad_topics_are_denied_by_name(open_gateway, topic):
 )
 def test_bad_payloads_are_denied_with_the_reason(open_gateway, what, payload, words):
     kind, denied = open_gateway.ask(what, payload)
-    assert (kind, denied["error"]) == ("Denied", "BadMessage")
+    assert (kind, denied["error"]) == ("ErrorReply", "BadMessage")
     assert words in denied["message"]
 
 
@@ -462,7 +462,7 @@ def test_whatever_frames_come_there_is_one_answer(open_gateway, frames):
     assert answer[-3] == rest[0][:256]
     kind = answer[-2].decode().rpartition(".")[2]
     sound = len(rest) <= 2 and rest[0].endswith(b"rpc/status") and rest[1:] in ([], [b""], [b"\x80"])
-    assert kind == ("Status" if sound else "Denied")
+    assert kind == ("Status" if sound else "ErrorReply")
     assert open_gateway.silent()
 
 
@@ -485,7 +485,9 @@ def test_a_sample_follows_only_what_all_answered_slots_answered():
 
 
 def _fails(*options: str) -> str:
-    done = subprocess.run([sys.executable, "-P", "-m", "cli.main", "zmq", *options], capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-P", "-m", "cli.main", "gateway", "zeromq", *options], capture_output=True, text=True
+    )
     assert done.returncode in (1, 2)
     assert "Traceback" not in done.stderr
     return done.stderr
@@ -505,7 +507,7 @@ def test_what_cannot_be_is_said_before_anything_starts(node, gateway):
 def test_ctrl_c_ends_it_in_good_order(node, gateway):
     with Peer(gateway) as peer:
         assert peer.ask("rpc/status")[0] == "Status"
-        assert peer.ask("rpc/sing")[0] == "Denied"
+        assert peer.ask("rpc/sing")[0] == "ErrorReply"
         code, out, err = gateway.interrupt()
     assert (code, err) == (0, "")
     assert out.endswith("0 samples, 2 requests, 1 of them denied\n")

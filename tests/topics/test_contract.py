@@ -193,7 +193,7 @@ def test_schemas_need_nothing_that_is_newer_than_draft_7() -> None:
 
 
 def test_every_error_is_named() -> None:
-    named = MADE["components"]["messages"]["Denied"]["x-errors"]
+    named = MADE["components"]["messages"]["ErrorReply"]["x-errors"]
     assert {"ZenostatError", "RequestRejected", "UnknownName", "NodeLost"} <= named.keys()
     assert all(issubclass(getattr(sys.modules["topics.errors"], name), ZenostatError) for name in named)
 
@@ -290,7 +290,7 @@ def test_raw_arrays_tell_their_elements() -> None:
 
 def test_the_file_is_what_the_command_gives(tmp_path: Path) -> None:
     done = subprocess.run(
-        [sys.executable, "-P", "-m", "cli.main", "contract", "--output", str(tmp_path / "asyncapi.yaml")],
+        [sys.executable, "-P", "-m", "cli.main", "asyncapi", "--output", str(tmp_path / "asyncapi.yaml")],
         capture_output=True,
         text=True,
     )
@@ -302,7 +302,7 @@ def test_the_file_is_what_the_command_gives(tmp_path: Path) -> None:
 
 
 def test_the_command_prints_it_and_names_a_folder_that_is_not_there() -> None:
-    command = [sys.executable, "-P", "-m", "cli.main", "contract"]
+    command = [sys.executable, "-P", "-m", "cli.main", "asyncapi"]
     printed = subprocess.run(command, capture_output=True, text=True)
     assert yaml.safe_load(printed.stdout) == MADE
     missing = subprocess.run([*command, "--output", "nowhere/a.yaml"], capture_output=True, text=True)
@@ -359,4 +359,4 @@ def test_the_command_on_the_page_is_one_that_a_node_knows_by_its_first_bytes() -
 def test_keys_on_the_page_are_the_table() -> None:
     told = re.findall(r"^\| `zenostat/v2/\{node\}/(\S+)` \|", PAGE.read_text(encoding="utf-8"), re.M)
     assert told == [topic.key for topic in TOPICS]
-    assert keys.PREFIX == "zenostat/v1"
+    assert keys.PREFIX == "zenostat/v2"
