@@ -42,8 +42,8 @@ class NodeConfig(BaseModel):
         config: a Sinergym configuration instead, and which `variant` of it (`hot-continuous`; None: its first).
         what: fields of a scenario, which go before those of `scenario`.
         own_reward: the agent has a reward of its own; that of a Sinergym configuration is not read.
-        output_dir: a folder for EnergyPlus's own files, an episode each; those of the last `keep_last` finished episodes
-            and of the running one (None: of all, or as many as the Sinergym configuration says).
+        output_dir: a folder for EnergyPlus's own files, an episode each; those of the last `keep_last` finished
+            episodes and of the running one (None: of all, or as many as the Sinergym configuration says).
         check: only check everything, and start nothing.
         listen: endpoints; none for a node that only connects, to a router or another node.
         unresponsive_s: time after which an engine that neither answers nor uses processor time is killed.
@@ -188,7 +188,7 @@ def plan(config: NodeConfig) -> Plan:
     sources = tuple(faults.collect(lambda name=name: _source(name, scenario)) for name in scenario.weather if name)  # type: ignore[misc]
     faults.collect(lambda: noise.checked(scenario.weather_noise))
     if config.output_dir is not None and config.output_dir.exists() and not config.output_dir.is_dir():
-        faults.found.append(InvalidConfig(f"keep={config.output_dir} is a file; name a folder"))
+        faults.found.append(InvalidConfig(f"output_dir={config.output_dir} is a file; name a folder"))
     period = chosen = task = None
     if _dates_are_right(scenario, faults) and model is not None:
         period = faults.collect(lambda: model.period(scenario.begin, scenario.end, scenario.steps_per_hour))

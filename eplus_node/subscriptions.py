@@ -51,10 +51,10 @@ Handler = Callable[[str, bytes, str], None]
 
 
 class Subscriptions:
-    """The subscribers and queryables of a node; `with Inlets(session, node) as inlets`.
+    """The subscribers and queryables of a node; `with Subscriptions(session, node) as subscriptions`.
 
     Attributes:
-        flooded: messages and requests that were too many.
+        rate_limited: messages and requests that were too many.
     """
 
     def __init__(self, session: zenoh.Session, node: str) -> None:
@@ -107,7 +107,7 @@ class Subscriptions:
         """
         if wait:
             self._owner = threading.get_ident()
-            self._waits = True  # before the look at the shelf, while `wake` looks after something was put there
+            self._waits = True  # before the look at the shelf, while `notify` looks after something was put there
         if not self._shelf:
             message = self._recv() if wait else self._try_recv()
             self._waits = False

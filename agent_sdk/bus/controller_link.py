@@ -75,7 +75,7 @@ class ControllerLink:
 
     One thread at a time may wait for samples; another thread may send, or close.
 
-    A node of several slots has them all in one sample and one command: see `SampleView.wire`.
+    A node of several slots has them all in one sample and one command: see `SampleView.message`.
 
     Attributes:
         manifest: what the node is.
@@ -363,7 +363,7 @@ class ControllerLink:
         steps = [None if slot in still else step for slot, step in enumerate(wire.step)] if still else wire.step
         self._answered = True
         try:
-            self._put_command(codec.pack(episode=wire.episode, step=steps, mask=mask, values=raw))
+            self._put_command(codec.pack(episode=wire.episode, step=steps, operations=mask, values=raw))
         except (zenoh.ZError, RuntimeError):
             if self._ended is None:
                 raise

@@ -21,7 +21,7 @@ from topics.messages import Manifest
 
 NAME = "building"
 AGENT = "agent"
-"""What an environment is called in its own `info["ruled_by"]`; its name on the bus differs from run to run."""
+"""What an environment is called in its own `info["value_source"]`; its name on the bus differs from run to run."""
 RENDER_MODES = ("rgb_array", "rerun")
 BUSY = "another thread is in step() or reset() of this environment; one thread at a time, or an environment for each"
 _REAPED_S = 1.0
@@ -32,13 +32,13 @@ class NodeConnection:
     """Finds a node elsewhere, or starts one, which tells its manifest before anybody joins its bus.
 
     Args:
-        given: what the user decided of the node, by the names of `arguments.OF_A_NODE`.
-        reward, connect, node, level, affinity, render_mode, keys, link: see `BuildingEnv`.
+        given: what the user decided of the node, by the names of `arguments.NODE_ARGUMENTS`.
+        reward, connect, node, priority, affinity, render_mode, keys, link: see `BuildingEnv`.
         slots: how many engines the node has.
 
     Attributes:
         manifest: what the node is.
-        own_node: the node that was started; None if it runs elsewhere.
+        local_node: the node that was started; None if it runs elsewhere.
         reward: what rewards; None if nothing does.
 
     Raises:

@@ -49,7 +49,7 @@ class BuildingVectorEnv(SpaceNames, VectorEnv[Observations, Any, NDArray[Any]]):
         autoreset_mode: `NextStep`: a slot whose episode has ended begins anew at the next step, whose action it does
             not read; `SameStep`: at once, the end's observation and info standing in `final_obs` and `final_info`;
             `Disabled`: only by `reset(options={"reset_mask": …})`.
-        reward, connect, node, level, affinity, render_mode, link: see `BuildingEnv`. A reward of your own gets an
+        reward, connect, node, priority, affinity, render_mode, link: see `BuildingEnv`. A reward of your own gets an
             array for each point and a list of times, with an entry a slot.
         given: what is simulated, as `BuildingEnv` takes it.
 

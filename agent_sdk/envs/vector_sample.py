@@ -71,9 +71,9 @@ class VectorSample:
 
     Attributes:
         sample: as the link gave it.
-        wire: the message.
+        message: as it came.
         values: sensors, then meters, shape (slots, points), in manifest order and units; read-only.
-        truth: what EnergyPlus said: `values`, but for the faults that the node injects into them.
+        fault_free_values: what EnergyPlus said: `values`, but for the faults that the node injects into them.
         truncated: of which slots the run period is over, shape (slots,).
     """
 
@@ -95,7 +95,7 @@ class VectorSample:
 
     @property
     def baseline(self) -> dict[str, Floats]:
-        """Points (`baseline`) and actuators (`baseline_applied`) of the building left to its own control, if it runs.
+        """Points (`baseline`) and actuators (`baseline_effective`) of the building left to its own control, if it runs.
 
         Shapes (slots, points) and (slots, actuators).
         """

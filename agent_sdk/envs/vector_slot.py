@@ -18,8 +18,8 @@ Seeds = int | Sequence[int | None] | None
 """Of slot 0, the next slot having the next one; or each slot's own."""
 
 _OF_ALL = (
-    "action_names", "link", "manifest", "metadata", "observation_dict", "observation_names", "local_node", "render_mode",
-    "reward", "spec",
+    "action_names", "link", "local_node", "manifest", "metadata", "observation_dict", "observation_names",
+    "render_mode", "reward", "spec",
 )  # fmt: skip
 
 

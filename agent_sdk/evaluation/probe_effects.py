@@ -31,8 +31,8 @@ class HoldExperiment:
         value: that value, in the actuator's unit.
         time: where both began.
         points: shape (timesteps, points), of the branch that was held; of fewer timesteps if EnergyPlus gave up.
-        alone: the same of the other one.
-        applied: shape (timesteps,), what the actuator really was; NaN where EnergyPlus does not tell.
+        reference: the same of the other one.
+        effective: shape (timesteps,), what the actuator really was; NaN where EnergyPlus does not tell.
         failure: why EnergyPlus gave up; empty if it did not.
     """
 
@@ -81,9 +81,9 @@ class Effect:
         felt: points that differ beyond rounding, what moves most in its own range first; none: it has no effect.
         first_min: the end of the first timestep at which one of them differs, simulated minutes after the branch's
             begin; the soonest of all branches. None if there are none.
-        identical: no point but `echoes` differs in any bit, in any branch.
-        echoes: sensors that only repeat what the actuator is set to.
-        obeyed: whether EnergyPlus says that it was what it was held at, always; None where it does not tell.
+        identical: no point but `pass_through` differs in any bit, in any branch.
+        pass_through: sensors that only repeat what the actuator is set to.
+        tracked: whether EnergyPlus says that it was what it was held at, always; None where it does not tell.
         notes: what is known that works against it, and branches in which EnergyPlus gave up.
     """
 

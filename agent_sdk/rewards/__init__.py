@@ -70,7 +70,7 @@ def read_reward(given: AnyReward) -> Reward:
 
     Args:
         given: a kind alone, or one with its parameters (`{"kind": "linear", "weight": 0.3}`); an object that can be
-            bound, which is taken as it is; a function or a class of the user's, see `of_function`.
+            bound, which is taken as it is; a function or a class of the user's, see `from_function`.
 
     Raises:
         InvalidConfig: no such kind, or parameters that cannot be, all faults at once; or nothing of all that.

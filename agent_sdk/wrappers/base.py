@@ -145,7 +145,7 @@ class WrapperLogic:
         observation_space, action_space, reward_space: of one slot; None if unchanged.
         observation_names, action_names: the same.
         added: what goes into the infos after a `start` or `step`, by key and name, a value for each row.
-        goes_back: whether it remembers again, at a snapshot, what it remembered there.
+        snapshot_aware: whether it remembers again, at a snapshot, what it remembered there.
     """
 
     snapshot_aware: ClassVar[bool] = True

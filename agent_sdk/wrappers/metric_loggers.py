@@ -90,7 +90,7 @@ class MeansLog(WrapperLogic):
         count, total = episode.counts["reward"], episode.sums["reward"]
         self.write(episode.means("episode") | {"episode/return": total, "episode/steps": float(count)}, self.steps)
 
-    goes_back = False  # steps that were taken were taken
+    snapshot_aware = False  # steps that were taken were taken
 
     def get_state(self) -> list[dict[str, Any]]:
         """The number of steps, so that a training that goes on goes on counting."""

@@ -16,7 +16,7 @@ class ReducedObservation(ObservationLogic):
     """Keeps named observations, in the order asked; the others stand in `info["dropped"]` by name.
 
     Args:
-        output_dir: names of observations.
+        keep: names of observations.
 
     Raises:
         InvalidConfig: a name that the observation does not have, or none at all.

@@ -36,7 +36,7 @@ class WeatherForecast(Single):
 
 
 class Signals(Single):
-    """A `time_series_observation.Signals`, which documents it."""
+    """A `time_series_observation.TimeSeriesObservation`, which documents it."""
 
     core = time_series_observation.TimeSeriesObservation
 

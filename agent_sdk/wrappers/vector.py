@@ -36,7 +36,7 @@ class WeatherForecast(Vector):
 
 
 class Signals(Vector):
-    """A `time_series_observation.Signals`, which documents it."""
+    """A `time_series_observation.TimeSeriesObservation`, which documents it."""
 
     core = time_series_observation.TimeSeriesObservation
 

@@ -738,7 +738,7 @@ def test_a_module_in_the_present_folder(
 
 def test_a_file_beside_modules_that_are_called_like_ours(tmp_path: Path, modules: dict[str, Any]) -> None:
     """Its `models` is its own while it is loaded, its `topics` is ours; afterwards each is what it was."""
-    import models.points
+    import models.points.selection
     import topics.errors
 
     (tmp_path / "models.py").write_text("SETPOINT = 27.5\n")
@@ -751,17 +751,17 @@ def test_a_file_beside_modules_that_are_called_like_ours(tmp_path: Path, modules
     made = load_controller(f"{tmp_path / 'mine.py'}:Mine")(node())
     assert made.act(view(node())) == {"cooling_setpoint": 28.0}
     assert sys.modules["models"] is models
-    assert sys.modules["models.points.selection"] is models.points
+    assert sys.modules["models.points.selection"] is models.points.selection
     assert sys.modules["topics"] is topics
 
 
 def test_our_own_rooms_beside_a_file_stay_the_same(modules: dict[str, Any]) -> None:
     """As for a file that lies in the project's own folder."""
-    import models.points
+    import models.points.selection
 
     with _beside(Path(models.__file__).parent.parent):
         assert sys.modules["models"] is models
-        assert importlib.import_module("models.points.selection").Points is models.points.Points
+        assert importlib.import_module("models.points.selection").Points is models.points.selection.Points
 
 
 @pytest.mark.parametrize(

@@ -115,8 +115,8 @@ def _huge_bytes(process: psutil.Process) -> int:
 
 def _can_put_together() -> bool:
     huge = Path("/sys/kernel/mm/transparent_hugepage/enabled")
-    relinquish = tuple(int(part) for part in os.uname().relinquish.split(".")[:2])
-    return relinquish >= (6, 1) and huge.exists() and "[never]" not in huge.read_text()
+    kernel = tuple(int(part) for part in os.uname().release.split(".")[:2])
+    return kernel >= (6, 1) and huge.exists() and "[never]" not in huge.read_text()
 
 
 def test_an_engine_that_is_forked_often_puts_its_pages_together_and_goes_on_the_same(scratch: Path) -> None:

@@ -62,7 +62,7 @@ def test_arguments_replace_a_reward_and_choices_in_code(scratch: Path) -> None:
 def test_files_of_the_last_episodes_are_kept(given: dict[str, int], kept: int, scratch: Path) -> None:
     """As many as the configuration says (`max_ep_store: 3`) or the argument, and those of the running episode."""
     path = of_the_five_zones(scratch)
-    with gym.make("zenostat/Sinergym-v1", config=path, keep=scratch / "runs", **given, **DAY) as env:
+    with gym.make("zenostat/Sinergym-v1", config=path, output_dir=scratch / "runs", **given, **DAY) as env:
         for _ in range(6):
             env.reset()
             env.step(env.action_space.sample())

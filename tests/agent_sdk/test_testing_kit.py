@@ -483,7 +483,7 @@ def answering(function: Callable[[Any], Any]) -> type:
 
 
 def lengthens(sample: Any) -> Any:
-    sample.wire.sources.append("me")
+    sample.message.sources.append("me")
     return {}
 
 
@@ -690,7 +690,7 @@ REWARD_MUTANTS: dict[str, tuple[Any, dict[str, Any]]] = {
         {"the terms add up to the reward": r"at timestep 0 the reward is -[\d.]+, and its terms add up to -"},
     ),
     "not finite": (
-        changed(lambda s, v, b, out: out._replace(measures={"share": np.float64("nan")})),
+        changed(lambda s, v, b, out: out._replace(metrics={"share": np.float64("nan")})),
         {"all is finite": "share = nan"},
     ),
     "another each time": (
@@ -801,7 +801,10 @@ ENVIRONMENT_MUTANTS: dict[str, tuple[Any, dict[str, Any]]] = {
     ),
     "mute": (
         with_(info=lambda env, i: {k: v for k, v in i.items() if k not in ("effective", "weather")}),
-        {"info has its keys, and counts": "the info of reset lacks applied, weather the info of step lacks applied"},
+        {
+            "info has its keys, and counts": "the info of reset lacks effective, weather "
+            "the info of step lacks effective"
+        },
     ),
     "miscounts": (
         with_(info=lambda env, i: {**i, "step": 2 * i["step"]}),

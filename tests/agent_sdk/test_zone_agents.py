@@ -332,7 +332,7 @@ def test_only_the_zones_that_are_set_have_agents() -> None:
 
 
 def test_without_pettingzoo_one_sentence_says_what_to_do() -> None:
-    text = "import sys; sys.modules['pettingzoo'] = None; import agent_sdk.multi_agent"
+    text = "import sys; sys.modules['pettingzoo'] = None; import agent_sdk.envs.zone_agents"
     done = subprocess.run([sys.executable, "-P", "-c", text], capture_output=True, text=True)
     assert done.returncode != 0
     last = done.stderr.strip().splitlines()[-1]

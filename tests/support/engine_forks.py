@@ -108,13 +108,13 @@ def kill(process: psutil.Process) -> None:
 _NODE_STARTS_THEM = """
 import sys
 if sys.orig_argv[-2:] == ["-m", "eplus_node"]:
-    import eplus_node.link
-    eplus_node.link.ISOLATED = (sys.executable, "-P", {engine!r})
+    import eplus_node.engine.client
+    eplus_node.engine.client.ISOLATED = (sys.executable, "-P", {engine!r})
 """
 
 _ENGINE = """
 import errno, os, signal, sys
-from eplus_node import engine
+from eplus_node.engine import process as engine
 
 def fault():
     try:

@@ -200,7 +200,7 @@ def day(link: agent_sdk.link.ControllerLink, meanwhile: Any = lambda _: None) ->
     """A day at 25 degC, in lockstep; all values of all samples."""
     sample, values = link.reset(), []
     while True:
-        values.append(sample.wire.values)
+        values.append(sample.message.values)
         meanwhile(sample)
         if sample.truncated:
             return values
@@ -219,7 +219,7 @@ def test_a_monitor_s_attacks_leave_the_day_as_it_is(
 
         def attack(sample: agent_sdk.sample.SampleView) -> None:
             extreme = np.full(len(link.manifest.actuators), 22.5).astype("<f8").tobytes()
-            command = Command(episode=sample.wire.episode, step=sample.wire.step, values=extreme)
+            command = Command(episode=sample.message.episode, step=sample.wire.step, values=extreme)
             attacker.put(keys.COMMAND.at("office", name=link.name), codec.encode(command))
             attacker.put(keys.ACTUATOR.at("office", name=POINT), codec.encode(Write(value=29.0, priority=1)))
             attacker.delete(keys.ACTUATOR.at("office", name=POINT))
