@@ -51,7 +51,7 @@ def node(
     faults: Annotated[Path | None, typer.Option(help="Faults to inject (YAML); see docs/faults.md.")] = None,
     policy: Annotated[
         Policy,
-        typer.Option(help="Without a required controller: wait, hold or release what it commanded, or abort."),
+        typer.Option(help="Without a required controller: wait, hold or relinquish what it commanded, or abort."),
     ] = Policy.WAIT,
     grace: Annotated[
         float, typer.Option(metavar="SECONDS", help="How long a controller may be gone before that; wall time.")

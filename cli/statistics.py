@@ -40,4 +40,4 @@ def _counts(statistics: Statistics) -> str:
     names = ("late", "rejected", "duplicate", "rate_limited", "missed", "overruns")
     behind = f" ({statistics.max_lag_s:.3g} s behind at worst)" if statistics.overruns else ""
     taken = f", {statistics.accepted_late} accepted late" if statistics.accepted_late else ""
-    return ", ".join(f"{getattr(statistics, name)} {name}" for name in names) + behind + taken
+    return ", ".join(f"{getattr(statistics, name)} {name.replace('_', ' ')}" for name in names) + behind + taken

@@ -154,7 +154,7 @@ static void next_sample(void) {
 
 int main(int argc, char **argv) {
     void *context = zmq_ctx_new();
-    static byte request[MOST], mask[512];
+    static byte request[MOST], operations[512];
     static double values[512];
     uint32_t actuators, setpoint, episode, step;
     const byte *at;
@@ -188,12 +188,12 @@ int main(int argc, char **argv) {
     while (!(number(sample, "flags") & 2)) { /* 2: the run period is over */
         episode = number(sample, "episode");
         step = number(sample, "step");
-        mask[setpoint] = 1; /* 0: keep, 1: set, 2: release */
+        operations[setpoint] = 1; /* 0: keep, 1: set, 2: relinquish */
         values[setpoint] = 26.0;
         end = request;
         *end++ = 0x84;
         end = put_list(put_list(end, "episode", episode), "step", step);
-        end = put_bytes(put_text(end, "mask"), mask, actuators);
+        end = put_bytes(put_text(end, "operations"), operations, actuators);
         end = put_bytes(put_text(end, "values"), values, actuators * sizeof(double)); /* little-endian machines */
         ask("command/" ME, request, (size_t)(end - request));
         while (number(sample, "episode") == episode && number(sample, "step") == step) next_sample();

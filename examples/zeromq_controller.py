@@ -42,10 +42,13 @@ setpoint = actuators.index("core_zn_cooling_setpoint")
 sample = msgpack.unpackb(samples.recv_multipart()[2])  # whoever subscribes gets the latest
 ask("rpc/claim", controller=me, actuators=[actuators[setpoint]])
 while not sample["flags"][0] & 2:  # 2: the run period is over
-    values, mask = array.array("d", [0.0] * len(actuators)), bytearray(len(actuators))  # 0: keep, 1: set, 2: release
-    values[setpoint], mask[setpoint] = (26.0 if sample["time"][0][11:13] >= "12" else 24.0), 1
+    values, operations = (
+        array.array("d", [0.0] * len(actuators)),
+        bytearray(len(actuators)),
+    )  # 0: keep, 1: set, 2: release
+    values[setpoint], operations[setpoint] = (26.0 if sample["time"][0][11:13] >= "12" else 24.0), 1
     answered = sample["episode"], sample["step"]
-    ask(f"command/{me}", episode=answered[0], step=answered[1], mask=bytes(mask), values=values.tobytes())
+    ask(f"command/{me}", episode=answered[0], step=answered[1], operations=bytes(operations), values=values.tobytes())
     while (sample["episode"], sample["step"]) == answered:  # one that is known already may come again
         sample = msgpack.unpackb(samples.recv_multipart()[2])
 print(f"{sample['step'][0]} timesteps to {sample['time'][0]}")

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.builders import actuator, manifest, sensor
+from support.builders import actuator, manifest, sensor, view
 
 from agent_sdk.bus.sample import SampleView
 from agent_sdk.controllers import (
@@ -38,7 +38,7 @@ from agent_sdk.controllers.loader import _beside
 from agent_sdk.controllers.setback import weekdays
 from agent_sdk.envs.spaces import action_space
 from topics.errors import InvalidAction, InvalidConfig, UnknownName
-from topics.messages import Action, Actuator, DiscreteAction, Manifest, Sample, Task
+from topics.messages import Action, Actuator, DiscreteAction, Manifest, Task
 
 WINTER = datetime(2017, 1, 16, 12)  # a Monday
 SUMMER = datetime(2017, 7, 17, 12)
@@ -46,23 +46,6 @@ HEAT, COOL = actuator("heating_setpoint", 15.0, 22.5), actuator("cooling_setpoin
 ROOM = sensor("air", key="ROOM")
 PEOPLE = sensor("people", "Zone People Occupant Count", "ROOM", "1")
 QUARTER = timedelta(minutes=15)
-
-
-def view(of: Manifest, at: datetime = WINTER, *, step: int = 0, episode: int = 0, **values: float) -> SampleView:
-    """A sample with these values by name, and 21 for all others."""
-    row = np.array([values.get(name, 21.0) for name in of.names], "<f8")
-    wire = Sample(
-        episode=[episode],
-        step=[step],
-        time=[at.isoformat()],
-        elapsed_s=[0.0],
-        flags=[0],
-        values=row.tobytes(),
-        effective=np.full(len(of.actuators), np.nan).tobytes(),
-        source_index=bytes(2 * len(of.actuators)),
-        sources=[""],
-    )
-    return SampleView(wire, of, {name: i for i, name in enumerate(of.names)})
 
 
 def node(*actuators: Actuator, sensors: tuple[Any, ...] = (ROOM,), task: Task | None = None) -> Manifest:

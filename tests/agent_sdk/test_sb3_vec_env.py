@@ -172,7 +172,7 @@ def test_what_cannot_be() -> None:
 
 
 def test_without_stable_baselines_it_says_what_to_install() -> None:
-    program = "import sys; sys.modules['stable_baselines3'] = None\nimport agent_sdk.sb3"
+    program = "import sys; sys.modules['stable_baselines3'] = None\nimport agent_sdk.envs.sb3_vec_env"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert "[train]'" in done.stderr
 

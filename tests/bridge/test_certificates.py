@@ -9,6 +9,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
+from support.certificates import expire
 
 from bridge.transport import certificates
 from bridge.transport.certificates import add, identity, make, show
@@ -23,14 +24,6 @@ ROLES = ("node", "controller", "monitor")
 def made(tmp_path: Path) -> Path:
     make(tmp_path / "keys")
     return tmp_path / "keys"
-
-
-def expire(folder: Path, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Makes a controller's certificate whose last day was yesterday."""
-    with monkeypatch.context() as patch:
-        patch.setattr(certificates, "_BACKDATED", timedelta(days=3))
-        patch.setattr(certificates, "_days", lambda *_: None)
-        add(folder, Role.CONTROLLER, name, days=-1, force=True)
 
 
 def openssl(*arguments: object) -> subprocess.CompletedProcess[str]:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from datetime import datetime
 
 import numpy as np
 
+from agent_sdk.bus.sample import SampleView
 from bridge.exchange.episode import StepExchange
 from topics import codec
 from topics.messages import (
@@ -20,12 +22,14 @@ from topics.messages import (
     Meter,
     Mode,
     Policy,
+    Sample,
     Sensor,
     Task,
     Versions,
 )
 
 NAN = float("nan")
+NOON = datetime(2017, 1, 16, 12)
 
 
 def actuator(name: str, low: float | None = None, high: float | None = None) -> Actuator:
@@ -141,3 +145,20 @@ def ruling(at: StepExchange) -> tuple[list[float], list[str]]:
 def wire(of: Command) -> bytes:
     """A command's bytes."""
     return codec.encode(of)
+
+
+def view(of: Manifest, at: datetime = NOON, *, step: int = 0, episode: int = 0, **values: float) -> SampleView:
+    """A sample with these values by name, and 21 for all others."""
+    row = np.array([values.get(name, 21.0) for name in of.names], "<f8")
+    wire = Sample(
+        episode=[episode],
+        step=[step],
+        time=[at.isoformat()],
+        elapsed_s=[0.0],
+        flags=[0],
+        values=row.tobytes(),
+        effective=np.full(len(of.actuators), np.nan).tobytes(),
+        source_index=bytes(2 * len(of.actuators)),
+        sources=[""],
+    )
+    return SampleView(wire, of, {name: i for i, name in enumerate(of.names)})

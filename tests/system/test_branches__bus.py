@@ -20,7 +20,7 @@ from topics.messages import CreateBranch, Reset
 OWNER = """
 import sys
 import agent_sdk  # registers the environments
-from agent_sdk.environment import BuildingEnv
+from agent_sdk.envs.building_env import BuildingEnv
 env = BuildingEnv(connect=sys.argv[1], node="office", affinity="off")
 env.reset()
 for _ in range(3):
@@ -151,7 +151,7 @@ def test_a_killed_environment_leaves_a_shared_node_without_its_forks(bus: Bus) -
         assert cooling_of(link, 3) == 3
 
 
-def cooling_of(link: agent_sdk.client.ControllerLink, steps: int) -> int:
+def cooling_of(link: agent_sdk.ControllerLink, steps: int) -> int:
     sample = link.current()
     for _ in range(steps):
         sample.send({"core_zn_cooling_setpoint": 24.0})

@@ -55,10 +55,10 @@ with zenoh.open(config) as session:
             pass
         say(written=event["text"])
         sample = unpacked(samples.recv())
-        applied = struct.unpack(f"<{len(manifest['actuators'])}d", sample["applied"])[which]
-        ruler = sample["rulers"][struct.unpack_from("<H", sample["ruler"], 2 * which)[0]]
+        effective = struct.unpack(f"<{len(manifest['actuators'])}d", sample["effective"])[which]
+        source = sample["sources"][struct.unpack_from("<H", sample["source_index"], 2 * which)[0]]
         values = {str(m.key_expr): unpacked(m) for m in (point.recv() for point in points)}
-        say(step=sample["step"], applied=applied, ruler=ruler, values=values)
+        say(step=sample["step"], effective=effective, source=source, values=values)
 """
 
 TAKES_THREE_STEPS = """
@@ -75,7 +75,7 @@ with agent_sdk.connect(sys.argv[1], affinity="off") as bus, bus.controller("offi
 LISTENS_TO_ALL = """
 import sys
 import zenoh
-from bridge.session import open_session
+from bridge.transport.session import open_session
 with open_session(connect=[sys.argv[1]]) as session:
     with session.declare_subscriber("zenostat/**") as subscriber:
         next(iter(session.get("zenostat/v2/office/manifest")))
@@ -147,12 +147,12 @@ def test_a_stranger_reads_and_writes_with_msgpack_alone(endpoint: str, bus: agen
             assert seen["step"] == [sample.step]
             assert seen["effective"] == sample.effective[place]
             assert (seen["effective"] == 26.0) == (source_index == "anonymous")
-            assert seen["source_index"] == source_index == sample.value_source["core_zn_cooling_setpoint"]
+            assert seen["source"] == source_index == sample.value_source["core_zn_cooling_setpoint"]
             _check_points(seen["values"], sample)
         assert stranger.end()[0] == 0
 
 
-def _check_points(values: dict[str, dict[str, object]], sample: agent_sdk.sample.SampleView) -> None:
+def _check_points(values: dict[str, dict[str, object]], sample: agent_sdk.bus.sample.SampleView) -> None:
     """Each point came under its own key, equal to the sample to the bit."""
     manifest = sample.manifest
     points = {f"zenostat/v2/office/sensor/{s.name}": s for s in manifest.sensors}

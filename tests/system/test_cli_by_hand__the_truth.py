@@ -57,9 +57,8 @@ def test_step_says_where_the_node_stands_after_its_steps(node: NodeProgram) -> N
 
 def second_node(endpoint: str, *arguments: str, cwd: Path) -> subprocess.Popen[str]:
     """`zenostat node` on a machine whose default endpoint is `endpoint`."""
-    program = (
-        f"import bridge.session; bridge.session.DEFAULT_ENDPOINT = {endpoint!r}; from cli.main import main; main()"
-    )
+    elsewhere = f"from bridge.transport import session; session.DEFAULT_ENDPOINT = {endpoint!r}"
+    program = f"{elsewhere}; from cli.main import main; main()"
     day = ("--building", SMALL["building"], "--weather", SMALL["weather"], "--begin", "07-03", "--end", "07-03")
     command = [sys.executable, "-P", "-u", "-c", program, "node", *day, "--name", "annex", "--affinity", "off"]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}

@@ -9,9 +9,8 @@ from typing import Any
 
 import pytest
 from support import data_packs as packs
-from support.builders import actuator, manifest, sensor
+from support.builders import actuator, manifest, sensor, view
 from support.nodes import SMALL
-from test_controllers import view
 
 from agent_sdk.controllers import Agent, PIDController
 from agent_sdk.controllers.comfort_band import inside

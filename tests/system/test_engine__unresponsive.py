@@ -91,10 +91,10 @@ def test_an_event_says_so(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "given", "place", "engine_start"),
     [("zenostat/Building-v1", SMALL, 0, EngineStart.FORKED), (NOISE, DAY, 1, EngineStart.PREFETCHED)],
-    ids=["waiting", "started ahead"],
+    ids=["waiting", "prefetched"],
 )
 def test_one_that_waits_for_the_next_episode_is_replaced_with_a_warning(
-    name: str, given: dict[str, Any], place: int, start: EngineStart
+    name: str, given: dict[str, Any], place: int, engine_start: EngineStart
 ) -> None:
     """And harms no episode."""
     with gym.make(name, **given, **SOON) as env:
@@ -107,7 +107,7 @@ def test_one_that_waits_for_the_next_episode_is_replaced_with_a_warning(
             agent_sdk.connect(own.endpoint, affinity="off") as bus,
             bus.session.declare_subscriber(keys.EVENT.at("building"), FifoChannel(1024)) as heard,
         ):
-            assert env.reset()[1]["engine_start"] == start
+            assert env.reset()[1]["engine_start"] == engine_start
             assert env.step(env.action_space.low)[-1]["step"] == 1
             assert "replaced: the engine process neither answered" in next_of(heard, EventKind.WARNING).text
 

@@ -67,7 +67,7 @@ def test_infos_of_a_vector_have_one_form(mode: AutoresetMode) -> None:
 
 
 def test_infos_of_a_real_building_have_one_form(scratch: Path) -> None:
-    settings = {**SMALL, "end": SMALL["begin"], "keep": scratch / "kept", "affinity": "off"}
+    settings = {**SMALL, "end": SMALL["begin"], "output_dir": scratch / "kept", "affinity": "off"}
     with gym.make("zenostat/Building-v1", **settings) as env:
         expected, ended = form(env.reset(seed=0)[1]), False
         while not ended:

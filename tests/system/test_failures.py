@@ -286,7 +286,7 @@ import sys
 import gymnasium as gym, agent_sdk
 env = gym.make("zenostat/Building-v1", **{SMALL!r}, affinity="off")
 env.reset()
-print(env.unwrapped.own_node.folder, flush=True)
+print(env.unwrapped.local_node.folder, flush=True)
 sys.stdin.readline()
 """
     with Program(text) as program:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -343,9 +344,9 @@ def zenostat(*arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 def row(text: str, first: str) -> list[list[str]]:
-    """The cells of the lines of tables whose first cell begins so."""
-    lines = [line.strip("│┃ ").replace("┃", "│") for line in text.splitlines()]
-    return [[cell.strip() for cell in line.split("│")] for line in lines if line.startswith(first)]
+    """The cells of the rows of tables whose first cell begins so."""
+    lines = [re.split(r" {2,}", line.strip()) for line in text.splitlines()]
+    return [cells for cells in lines if cells[0].startswith(first)]
 
 
 def test_the_command_line_says_what_the_policy_is_and_whom_it_met(scratch: Path) -> None:
@@ -396,7 +397,7 @@ def test_the_command_line_says_what_the_policy_is_and_whom_it_met(scratch: Path)
         ("--deadline", "0", "deadline_s"),
         ("--deadline", "inf", "deadline_s"),
         ("--grace", "nan", "grace_s"),
-        ("--policy", "give-up", "'wait', 'hold', 'release', 'abort'"),
+        ("--policy", "give-up", "'wait', 'hold', 'relinquish', 'abort'"),
     ],
 )
 def test_settings_that_cannot_be_are_refused_before_anything_starts(option: str, value: str, words: str) -> None:

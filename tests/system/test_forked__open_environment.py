@@ -23,7 +23,7 @@ else:
 env.reset(seed=0)
 action = env.action_space.sample()
 env.step(action)
-bus = agent_sdk.connect(env.unwrapped.own_node.endpoint, affinity="off")
+bus = agent_sdk.connect(env.unwrapped.local_node.endpoint, affinity="off")
 listening = bus.listen("building")
 samples = listening.__enter__()
 pid = os.fork()

@@ -175,7 +175,7 @@ def test_what_a_killed_program_and_its_killed_node_left_is_swept_at_the_next_sta
     text = f"""
 import gymnasium as gym, agent_sdk, os, signal
 env = gym.make("zenostat/Building-v1", **{SMALL!r}, affinity="off").unwrapped
-os.kill(env.own_node.pid, signal.SIGKILL)
+os.kill(env.local_node.pid, signal.SIGKILL)
 os.kill(os.getpid(), signal.SIGKILL)
 """
     with Program(text) as program:
@@ -187,7 +187,7 @@ os.kill(os.getpid(), signal.SIGKILL)
 
 
 def test_a_folder_whose_owner_lives_is_not_swept(scratch: Path) -> None:
-    with Program("from bridge.scratch import Scratch; print(Scratch().folder, flush=True); input()") as program:
+    with Program("from bridge.runtime.scratch import Scratch; print(Scratch().folder, flush=True); input()") as program:
         theirs, mine = Path(program.line()), Scratch()
         joined = Scratch(theirs)
         sweep()

@@ -29,7 +29,7 @@ FUZZER = r"""
 import json, random, sys
 import msgpack, zenoh
 from zenoh.handlers import Callback
-from bridge.session import open_session
+from bridge.transport.session import open_session
 from topics import codec
 
 endpoint, seed, tame, own = sys.argv[1], int(sys.argv[2]), sys.argv[3] == "tame", sys.argv[4]
@@ -41,7 +41,7 @@ reading = ["rpc/status", "rpc/scenario", "rpc/weather", "manifest", "sample", "r
 names = ["x", "é", "名", "with space", "-", "a" * 3000, "'quoted'", "..", "%2F", "\t", "@at", "~"]
 points = ["core_zn_cooling_setpoint", "core_zn_heating_setpoint", "core_zn_coling_setpoint"]
 encodings = ["", "application/msgpack", "zenoh/bytes", "application/msgpack;zenostat/2.Command", ";zenostat/",
-             "application/msgpack;zenostat/2.Write", "text/plain"]
+             "application/msgpack;zenostat/1.Write", "text/plain"]
 
 
 def anything(depth=0):
@@ -66,7 +66,8 @@ def payload():
     if kind == 4 and draw.random() < 0.004:
         return bytes(64 * 2**20)
     if kind == 5:
-        fields = {"episode": [draw.randrange(9)], "step": [10**6], "mask": None, "values": bytes(draw.randrange(99))}
+        fields = {"episode": [draw.randrange(9)], "step": [10**6], "operations": None}
+        fields["values"] = bytes(draw.randrange(99))
         return msgpack.packb(fields)
     fields = draw.sample(["value", "controller", "source", "priority", "speed", "steps", "seed", "faults", "step"], 3)
     return msgpack.packb({"nowhere": 0} | {name: anything() for name in fields})
@@ -74,8 +75,8 @@ def payload():
 
 def valid():
     return draw.choice([
-        ("claim", {"controller": "fuzz", "level": draw.randrange(1, 17), "required": False}),
-        ("claim", {"controller": "fuzz", "level": 1, "actuators": ["nowhere"]}),
+        ("claim", {"controller": "fuzz", "priority": draw.randrange(1, 17), "required": False}),
+        ("claim", {"controller": "fuzz", "priority": 1, "actuators": ["nowhere"]}),
         ("reset", {}), ("snapshot", {"controller": "fuzz"}), ("drop", {"snapshot": f"s{draw.randrange(9)}"}),
         ("branch", {"controller": "fuzz"}), ("pace", {"mode": "free"}), ("pace", {"mode": "lockstep"}),
         ("pace", {"mode": "paced", "speed": 3600.0}), ("pause", {}), ("resume", {}), ("step", {"steps": 3}),
@@ -135,13 +136,15 @@ FLOOD = """
 import sys
 import zenoh
 from zenoh.handlers import Callback
-from bridge.session import open_session
+from bridge.transport.session import open_session
 from topics import codec, keys
 kind, endpoint, own = sys.argv[1:]
 point = keys.ACTUATOR.at("office", name="core_zn_cooling_setpoint")
 what = {
     "malformed": (keys.COMMAND.at("office", name="stranger"), b"\\xc1"),
-    "duplicates": (keys.COMMAND.at("office", name=own), codec.pack(episode=[0], step=[0], operations=None, values=bytes(80))),
+    "duplicates": (
+        keys.COMMAND.at("office", name=own), codec.pack(episode=[0], step=[0], operations=None, values=bytes(80))
+    ),
     "writes": (point, codec.pack(value=80.0)),
     "requests": (keys.PACE.at("office"), b"\\xc1"),
 }
@@ -191,7 +194,7 @@ def test_what_may_change_nothing_changes_nothing(scratch: Path) -> None:
     with node_and_bus(scratch) as (node, bus), bus.controller("office") as link:
         quiet = day(link)
         assert day(link) == quiet
-        with bus.session.declare_subscriber(keys.EVENT.at("office"), agent_sdk.client.RingChannel(100_000)) as events:
+        with bus.session.declare_subscriber(keys.EVENT.at("office"), RingChannel(100_000)) as events:
             with Program(FUZZER, node.endpoint, str(SEED), "tame", link.name) as fuzzer:
                 fuzzer.line()
                 warm, until_s = None, time.monotonic() + FUZZ_S

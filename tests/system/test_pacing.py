@@ -491,7 +491,7 @@ def test_a_paced_node_tells_in_the_end_how_it_kept_up(scratch: Path) -> None:
     assert program.returncode == 0
     said = " ".join(said.split())
     assert re.search(r"step │ 96 │ +[\d.e+]+", said)
-    assert re.search(r"0 late, 0 rejected, 0 duplicate, 0 flooded, 0 missed, 96 overruns \([\d.]+ s behind", said)
+    assert re.search(r"0 late, 0 rejected, 0 duplicate, 0 rate limited, 0 missed, 96 overruns \([\d.]+ s behind", said)
 
 
 # A gateway
@@ -499,7 +499,7 @@ def test_a_paced_node_tells_in_the_end_how_it_kept_up(scratch: Path) -> None:
 
 def test_a_gateways_command_in_a_pause_is_answered_though_no_sample_comes(node: NodeProgram, bus: Bus) -> None:
     pytest.importorskip("zmq", reason="pyzmq is not installed")
-    from test_zeromq import GatewayProgram, Peer, keeping
+    from test_zeromq_gateway import GatewayProgram, Peer, keeping
 
     bus.pause("office")
     with GatewayProgram(node.endpoint) as gateway, Peer(gateway) as peer:

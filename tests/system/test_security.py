@@ -19,8 +19,8 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import zenoh
+from support.certificates import expire
 from support.nodes import SMALL, NodeProgram, free_port, until
-from test_certificates import expire
 from zenoh.handlers import FifoChannel
 
 import agent_sdk
@@ -196,7 +196,7 @@ def test_zenoh_denies_what_no_rule_allows() -> None:
 # What may be done
 
 
-def day(link: agent_sdk.link.ControllerLink, meanwhile: Any = lambda _: None) -> list[bytes]:
+def day(link: agent_sdk.bus.controller_link.ControllerLink, meanwhile: Any = lambda _: None) -> list[bytes]:
     """A day at 25 degC, in lockstep; all values of all samples."""
     sample, values = link.reset(), []
     while True:
@@ -217,7 +217,7 @@ def test_a_monitor_s_attacks_leave_the_day_as_it_is(
         assert len(quiet) == 97
         replies: list[bytes] = []
 
-        def attack(sample: agent_sdk.sample.SampleView) -> None:
+        def attack(sample: agent_sdk.bus.sample.SampleView) -> None:
             extreme = np.full(len(link.manifest.actuators), 22.5).astype("<f8").tobytes()
             command = Command(episode=sample.message.episode, step=sample.wire.step, values=extreme)
             attacker.put(keys.COMMAND.at("office", name=link.name), codec.encode(command))

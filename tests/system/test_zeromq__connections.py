@@ -13,7 +13,7 @@ pytest.importorskip("zmq", reason="pyzmq is not installed")
 
 import zmq
 from support.nodes import Program
-from test_zeromq import KILLED, GatewayProgram, Peer, gateway, keeping
+from test_zeromq_gateway import KILLED, GatewayProgram, Peer, gateway, keeping
 
 import agent_sdk
 from bridge.gateways.zeromq import connections

@@ -11,7 +11,7 @@ pytest.importorskip("zmq", reason="pyzmq is not installed")
 import zenoh
 import zmq
 from support.nodes import free_port
-from test_zeromq import GatewayProgram, Peer, gateway
+from test_zeromq_gateway import GatewayProgram, Peer, gateway
 from zenoh.handlers import Callback
 
 import agent_sdk

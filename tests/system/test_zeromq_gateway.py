@@ -403,7 +403,7 @@ def open_gateway(module_folder: Path) -> Iterator[Peer]:
 
 BAD = {
     "office": "zenostat/v2/NODE/… expected",
-    "zenostat/v2/office/rpc/status": "zenostat/v2/NODE/… expected",
+    "zenostat/v1/office/rpc/status": "zenostat/v2/NODE/… expected",
     "zenostat/v2/*/rpc/status": "cannot stand in a topic",
     "zenostat/v2/**": "zenostat/v2/NODE/… expected",
     "zenostat/v2/office/command/*": "cannot stand in a topic",
