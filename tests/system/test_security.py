@@ -219,7 +219,7 @@ def test_a_monitor_s_attacks_leave_the_day_as_it_is(
 
         def attack(sample: agent_sdk.bus.sample.SampleView) -> None:
             extreme = np.full(len(link.manifest.actuators), 22.5).astype("<f8").tobytes()
-            command = Command(episode=sample.message.episode, step=sample.wire.step, values=extreme)
+            command = Command(episode=sample.message.episode, step=sample.message.step, values=extreme)
             attacker.put(keys.COMMAND.at("office", name=link.name), codec.encode(command))
             attacker.put(keys.ACTUATOR.at("office", name=POINT), codec.encode(Write(value=29.0, priority=1)))
             attacker.delete(keys.ACTUATOR.at("office", name=POINT))
