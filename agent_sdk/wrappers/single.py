@@ -35,7 +35,7 @@ class WeatherForecast(Single):
     core = weather_forecast.WeatherForecast
 
 
-class Signals(Single):
+class TimeSeriesObservation(Single):
     """A `time_series_observation.TimeSeriesObservation`, which documents it."""
 
     core = time_series_observation.TimeSeriesObservation

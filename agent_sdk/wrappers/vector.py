@@ -35,7 +35,7 @@ class WeatherForecast(Vector):
     core = weather_forecast.WeatherForecast
 
 
-class Signals(Vector):
+class TimeSeriesObservation(Vector):
     """A `time_series_observation.TimeSeriesObservation`, which documents it."""
 
     core = time_series_observation.TimeSeriesObservation

@@ -54,7 +54,7 @@ CHAINS: dict[str, list[dict[str, Any]]] = {
         {"wrapper": "WeatherForecast", "columns": [DRY, "relative_humidity"],
          "errors": {DRY: 2.0, "relative_humidity": {"sigma": 80.0, "tau_h": 4.0}}}
     ],
-    "Signals": [{"wrapper": "Signals", "signals": {"price": PRICE}, "hours": [0, 2]}],
+    "TimeSeriesObservation": [{"wrapper": "TimeSeriesObservation", "signals": {"price": PRICE}, "hours": [0, 2]}],
     "SetpointDifference": [{"wrapper": "SetpointDifference", "pairs": {"core_excess": ["core", "core_setpoint"]}}],
     "ReducedObservation": [{"wrapper": "ReducedObservation", "keep": ["humidity", "core"]}],
     "IncrementalAction": [
@@ -234,7 +234,7 @@ def test_what_was_wrapped_by_hand_is_data_too() -> None:
     stack = {"wrapper": "FrameStackObservation", "stack_size": 3}
     assert w.wrappers_of(FrameStackObservation(fake(), 3)) == [stack]
     price = HourlySeries(hourly=tuple(range(8760)), unit="g/kWh")
-    (told,) = w.wrappers_of(w.Signals(fake(), {"carbon": price}))
+    (told,) = w.wrappers_of(w.TimeSeriesObservation(fake(), {"carbon": price}))
     assert w.apply_wrappers(fake(), [told]).reset()[0][-1] == 24 * (31 + 28 + 31 + 30 + 31 + 30 + 2)
 
 
@@ -519,7 +519,7 @@ def test_signals_now_and_ahead() -> None:
             return begin.day * 100 + begin.hour
 
     table = {"table": [{"value": 0.3, "hours": [8, 20]}], "otherwise": 0.1, "unit": "EUR/kWh"}
-    env = w.Signals(fake(), {"price": table, "clock": Clock(), "fee": 2}, hours=[0, 3])
+    env = w.TimeSeriesObservation(fake(), {"price": table, "clock": Clock(), "fee": 2}, hours=[0, 3])
     assert w.names_of(env)[-6:] == ("price", "price_in_3h", "clock", "clock_in_3h", "fee", "fee_in_3h")
     steps = episode(env, lambda: MIDDLE)
     told = [observation[-6:].tolist() for observation, *_ in steps]
@@ -527,10 +527,10 @@ def test_signals_now_and_ahead() -> None:
     assert told[0] == [small, small, 300, 303, 2, 2]
     assert told[5] == [small, large, 305, 308, 2, 2], "the timestep that the next action rules begins at 5:00"
     assert told[22] == [small, small, 322, 401, 2, 2]
-    with pytest.raises(InvalidConfig, match=r"Signals: price: .*a signal expected"):
-        w.Signals(fake(), {"price": "cheap"})
+    with pytest.raises(InvalidConfig, match=r"TimeSeriesObservation: price: .*a signal expected"):
+        w.TimeSeriesObservation(fake(), {"price": "cheap"})
     with pytest.raises(InvalidConfig, match="numbers from 0 on"):
-        w.Signals(fake(), {"price": 1}, hours=[-1])
+        w.TimeSeriesObservation(fake(), {"price": 1}, hours=[-1])
 
 
 # Actions
