@@ -134,7 +134,7 @@ def _written(outcome: Outcome, events: Iterable[Event]) -> list[str]:
     sent = Counter[tuple[str, str]]()
     for line in journal.lines(outcome.floods):
         for point, write in line.get("writes", []):
-            how = "relinquished" if write["value"] is None else f"= {write['value']:g}"
+            how = "released" if write["value"] is None else f"= {write['value']:g}"
             sent[write["source"], f"{point} {how}"] += 1
     for event in events:
         if event.kind is EventKind.WRITTEN:

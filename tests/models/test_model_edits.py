@@ -86,7 +86,7 @@ def test_a_misspelled_name_says_the_near_one_and_what_a_new_object_would_lack() 
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("edits", "said"),
     [
         ({"Materiel": {"Brick": {}}}, "EnergyPlus has no object type 'Materiel'; near names: 'Material'"),
         ({"Material": {"Brick": {"thicknes": 1.0}}}, "Material 'Brick' has no field 'thicknes'; near names"),

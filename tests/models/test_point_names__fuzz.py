@@ -100,7 +100,7 @@ def test_ten_thousand_actuators_are_ruled_as_two_are() -> None:
     values = np.arange(MANY) % 100
     mask = [CommandOp.SET if i % 2 == 0 else CommandOp.KEEP for i in range(MANY)]
     assert at.command("low", command(values)) is None
-    assert at.command("high", command(np.full(MANY, 50.0), mask=mask)) is None
+    assert at.command("high", command(np.full(MANY, 50.0), operations=mask)) is None
     assert at.write("a1", Write(value=7.0, source="somebody"), 0.0).kind is EventKind.WRITTEN
     ruling, sources = advance(at)
     expected = np.where(np.arange(MANY) % 2 == 0, 50.0, values)

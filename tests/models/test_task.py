@@ -283,7 +283,7 @@ CHOICES: dict[str, tuple[list[dict[str, Any]], str]] = {
 }
 
 
-@pytest.mark.parametrize(("discrete_actions", "words"), CHOICES.values(), ids=CHOICES)
+@pytest.mark.parametrize(("choices", "words"), CHOICES.values(), ids=CHOICES)
 def test_choices_that_cannot_be_are_refused(choices: list[dict[str, Any]], words: str) -> None:
     with pytest.raises(InvalidConfig, match=words):
         task(actions=PAIRS, discrete=choices)
