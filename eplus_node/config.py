@@ -171,7 +171,7 @@ def scenario_of(config: NodeConfig, errors: ErrorCollector | None = None) -> Sce
 
 
 def plan(config: NodeConfig) -> Plan:
-    """Finds and checks the scenario: building, changes, weather, run period, points, task.
+    """Finds and checks the scenario: building, edits, weather, run period, points, task.
 
     Raises:
         UnknownName: a scenario, building, weather or point that is not there.

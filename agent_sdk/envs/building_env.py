@@ -63,14 +63,15 @@ class BuildingEnv(SpaceNames, gym.Env[Observation, Any]):
         file: a scenario file (YAML).
         config: a Sinergym configuration (YAML), of which `variant` names the weather and form
             (`hot-continuous-stochastic`; its first one if left out).
-        sensors: name to (variable, key) or (variable, key, aggregation); aggregation is "mean", "sum" or "instant".
+        sensors: name to (variable, key) or (variable, key, aggregation); aggregation is "mean", "sum" or
+                "instant".
         meters: name to EnergyPlus's meter.
         actuators: name to (component type, control type, key), or that with low and high. Empty: the
             building's own control. Each of the three left out: a sensible set found in the model.
         begin, end: first and last day, MM-DD or YYYY-MM-DD.
         steps_per_hour: timesteps an hour; None is the model's own.
-        weather_order, weather_noise, sizing, edits, time, aggregation, actions, control, discrete, terminate: as in a
-            scenario file (`zenostat scenarios schema`).
+        weather_order, weather_noise, sizing, edits, time, aggregation, actions, control, discrete, terminate: as in
+            a scenario file (`zenostat scenarios schema`).
         reward: an object of `agent_sdk.rewards`, or a kind or a kind with its parameters, or a function or class of
             your own (`agent_sdk.rewards.from_function`); None gives 0.0; left out, the scenario's.
         connect: endpoint of a bus.
@@ -80,7 +81,7 @@ class BuildingEnv(SpaceNames, gym.Env[Observation, Any]):
         output_dir: folder in which EnergyPlus's own output files are kept, one folder an episode.
         keep_last: how many finished episodes' files are kept there beside the running one's; None is all.
         baseline: run the building under its own control beside the episode: `info["baseline"]` has its points,
-            `info["baseline_effective"]` what that control set the actuators to.
+            `info["baseline_applied"]` what that control set the actuators to.
         faults: a file of faults that the node injects (YAML); see docs/faults.md.
         branches: how many snapshots and branches there may be at a time; 64 if left out.
         unresponsive_s: how long an engine may neither answer nor use processor time, before it is killed and the
@@ -284,8 +285,8 @@ class BuildingEnv(SpaceNames, gym.Env[Observation, Any]):
 
         Args:
             snapshot: begin there instead.
-            relinquished: what was commanded up to now holds no more; until a step commands it, the building's own
-                control goes on.
+            relinquished: what was commanded up to now holds no more; until a step commands it, the building's own control
+                goes on.
 
         Raises:
             as for `snapshot`.
@@ -320,10 +321,10 @@ class BuildingEnv(SpaceNames, gym.Env[Observation, Any]):
         """Simulates one timestep under `action`.
 
         `info` has `time` and `step` of the sample; `action`: the value commanded for each actuator; `effective`: what
-        each really was (NaN where EnergyPlus does not tell); `value_source`: who set it ("agent" is this environment,
-        "" the building's own control); `reward_terms`, whose sum is the reward, and `reward_measures`; the node's
-        counts of `late` and `rejected` messages; and at the episode's end `output_dir`, the folder of EnergyPlus's
-        files, if they are kept.
+        each really was (NaN where EnergyPlus does not tell); `value_source`: who set it ("agent" is this environment, ""
+        the building's own control); `reward_terms`, whose sum is the reward, and `reward_measures`; the node's counts
+        of `late` and `rejected` messages; and at the episode's end `output_dir`, the folder of EnergyPlus's files, if
+        they are kept.
 
         Raises:
             InvalidAction: wrong shape, out of bounds, not finite, or no such choice; nothing was simulated.

@@ -187,13 +187,13 @@ def checked(weather_noise: Mapping[str, ColumnNoise]) -> list[tuple[Column, Colu
     for text, noise in weather_noise.items():
         column = find_column(text)
         if column.name in found:
-            raise InvalidConfig(f"variability names the column {column.name} twice, the second time as {text!r}")
+            raise InvalidConfig(f"weather_noise names the column {column.name} twice, the second time as {text!r}")
         if column.name in _NO_NOISE:
             raise InvalidConfig(f"the column {column.name} takes no noise: {_NO_NOISE[column.name]}")
         low, high = _limits(column, noise)
         if low >= high:
             raise InvalidConfig(
-                f"variability of {column.name}: its limits leave nothing of {column.low:g} to {_high(column):g}"
+                f"weather_noise of {column.name}: its limits leave nothing of {column.low:g} to {_high(column):g}"
             )
         found[column.name] = noise
     for one, others in _CONTRADICTIONS:
