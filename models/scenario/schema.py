@@ -94,7 +94,7 @@ class DiscreteActionSpec(_Part):
 
 
 class LimitSpec(_Part):
-    """Ends an episode when one of the points has been outside the range for `for_h` hours without a break."""
+    """Ends an episode when one of the points has been outside the range for `duration_h` hours without a break."""
 
     points: Annotated[tuple[SafeName, ...], Field(min_length=1)]
     low: Number | None = None
