@@ -28,8 +28,8 @@ class Ending:
     """Sees to it that a node ends once it is asked to; `with Ending(...) as ending`, in the main thread.
 
     Args:
-        stop_waiting: has the node wait for nothing any more; called after `PATIENCE_S`, and then again and again, with
-            the number of signals so far.
+        stop_waiting: makes the node stop waiting; called after `PATIENCE_S`, then repeatedly, with the number of
+            signals so far.
         give_up: ends the process; None leaves it be.
         limit_s: when; of a node that was asked a second time by a signal, after `LIMIT_S`.
     """

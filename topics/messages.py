@@ -1,8 +1,8 @@
 """Every message class of the bus.
 
 Each is frozen, refuses unknown fields and refuses NaN and infinities: a message that exists is
-valid. Arrays travel as raw little-endian float64 (`values`, `effective`), uint16 (`source_index`) or uint8 (`operations`)
-bytes in C order with the shape `(slots, points)`, in the manifest's order.
+valid. Arrays travel as raw little-endian float64 (`values`, `effective`), uint16 (`source_index`) or uint8
+(`operations`) bytes in C order with the shape `(slots, points)`, in the manifest's order.
 """
 
 from __future__ import annotations
@@ -307,9 +307,9 @@ class Sample(Message):
     `values` are the sensors, then the meters. `effective` says what each actuator really was in the
     timestep that this sample closes; NaN where EnergyPlus has no variable that tells. `source_index` is an
     index into `sources`: who set it, with `sources[0]` the building's own control. `baseline`, like `values`, is the
-    same building left to its own control since sample 0, and `baseline_applied`, like `effective`, what that control set
-    its actuators to; empty unless the manifest says so. `undisturbed`, like `values`, is what EnergyPlus said, where
-    faults are injected into `values`.
+    same building under its baseline control since sample 0, and `baseline_effective`, like `effective`, what that
+    control set its actuators to; empty unless the manifest says so. `fault_free_values`, like `values`, are the
+    plant's own where faults are injected into `values`.
     """
 
     episode: list[Count]
@@ -557,9 +557,9 @@ class Query(Message):
 class EpisodeStart(Message):
     """How an episode begins.
 
-    `start` says how its engine came to its first sample, `weather` is the weather file, `noise_parameters` the parameters of its
-    variability, by column (`dry_bulb_temperature.sigma`), and `output_dir` the folder of EnergyPlus's own files, if they
-    are kept.
+    `engine_start`: how its engine came to its first sample. `weather`: the weather file. `noise_parameters`: the
+    parameters of its noise, by column (`dry_bulb_temperature.sigma`). `output_dir`: the folder of EnergyPlus's own
+    files, if they are kept.
     """
 
     engine_start: EngineStart

@@ -86,8 +86,7 @@ def take(link: ControllerLink, sample: SampleView, memory: EpisodeState[Any]) ->
     """Keeps where a node stands, at `sample`, and the memory of its environment and of the wrappers around it.
 
     Raises:
-        RequestRejected: no episode runs; there are as many snapshots and branches as the node allows; or it is a
-            branch.
+        RequestRejected: no episode is running, the node has its maximum of snapshots and branches, or it is one.
         ForkFailed: the system has no memory for a fork; the episode goes on.
     """
     node, bus = link.manifest.node, link.bus

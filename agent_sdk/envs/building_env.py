@@ -285,8 +285,7 @@ class BuildingEnv(SpaceNames, gym.Env[Observation, Any]):
 
         Args:
             snapshot: begin there instead.
-            relinquished: what was commanded up to now holds no more; until a step commands it, the building's own control
-                goes on.
+            relinquished: drop all commands so far; the baseline control is in effect until a step commands.
 
         Raises:
             as for `snapshot`.
@@ -321,8 +320,8 @@ class BuildingEnv(SpaceNames, gym.Env[Observation, Any]):
         """Simulates one timestep under `action`.
 
         `info` has `time` and `step` of the sample; `action`: the value commanded for each actuator; `effective`: what
-        each really was (NaN where EnergyPlus does not tell); `value_source`: who set it ("agent" is this environment, ""
-        the building's own control); `reward_terms`, whose sum is the reward, and `reward_measures`; the node's counts
+        effective value (NaN where EnergyPlus does not tell); `value_source`: who set it ("agent" is this environment,
+        "" the baseline control); `reward_terms`, whose sum is the reward, and `reward_measures`; the node's counts
         of `late` and `rejected` messages; and at the episode's end `output_dir`, the folder of EnergyPlus's files, if
         they are kept.
 

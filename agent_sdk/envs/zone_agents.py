@@ -145,7 +145,7 @@ class ZonesEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo has no types
         return self._agents[self._known(agent)].actions
 
     def actuator_names(self, agent: str) -> tuple[str, ...]:
-        """Names of the actuators that an agent sets, in the order of `infos[agent]["effective"]`."""
+        """Names of the actuators that an agent sets, in the order of `infos[agent]["applied"]`."""
         actuators = self.env.manifest.actuators
         return tuple(actuators[place].name for place in self._agents[self._known(agent)].actuators)
 
@@ -184,8 +184,8 @@ class ZonesEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo has no types
     ) -> tuple[dict[str, Observation], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
         """Simulates one timestep under the actions of all agents.
 
-        `infos` has for each agent what `BuildingEnv.step` gives, with `effective`, `action` and `value_source` (its own
-        name where it ruled) for its own actuators alone, and the terms of its own reward as `reward_terms`.
+        `infos` has for each agent what `BuildingEnv.step` gives, with `effective`, `action` and `value_source` (its
+        own name where it is the source) for its own actuators alone, and the terms of its own reward as `reward_terms`.
 
         Raises:
             InvalidAction: an agent's action is missing, of the wrong shape or out of bounds, or somebody else acts;

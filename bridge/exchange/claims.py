@@ -36,10 +36,10 @@ class ControllerStats:
 
 @dataclass(slots=True)
 class ClaimHolder:
-    """A controller's claim: its level, which actuators, and how it is doing.
+    """A controller's claim: its priority, its actuators, and its statistics.
 
-    `bypassed`: it has gone, and the policy goes on without it. `unresponsive`: it missed the deadline, and has not answered
-    since. `joined_s`, `left_s`: when it claimed, and when it had gone (wall time).
+    `bypassed`: it is disconnected, and the policy applies. `unresponsive`: it missed the deadline and has not answered
+    since. `connected_at_s`, `disconnected_at_s`: when it claimed, and when it disconnected (wall time).
     """
 
     name: str
@@ -77,7 +77,8 @@ class Claims:
         """Takes or renews a claim; also returns the absent controllers that it replaces.
 
         Raises:
-            RequestRejected: unknown actuators, another present controller holds the level on one of them, or too many claims.
+            RequestRejected: unknown actuators, a priority that another connected controller has claimed, or too many
+                claims.
         """
         allowed = self._select(claim.actuators)
         self._refuse_held(claim, allowed)

@@ -188,7 +188,7 @@ class StepExchange:
     # The engine's side
 
     def ready(self, begun: Mapping[int, int] | None = None) -> None:
-        """The engines wait: those of `episode_starts` (slot to sample; None: all, at sample 0) at an episode's first sample."""
+        """Note that the engines wait: those of `begun` (slot to sample; None: all, at 0) at a first sample."""
         self.transition(Trigger.READY)
         self.step, self.modified, self.done = [*self.step], [*self.modified], [*self.done]
         for slot, step in (begun if begun is not None else dict.fromkeys(self._all, 0)).items():

@@ -156,7 +156,8 @@ def identity(folder: Path, role: Role, name: str | None = None) -> Identity:
     if not path.exists():
         known = [one.name for one in show(folder) if one.role is role]
         raise UnknownName(
-            f"no certificate {name!r} in {folder}; {did_you_mean(name, known)}. Make it with: zenostat keys add {role} {name}"
+            f"no certificate {name!r} in {folder}; {did_you_mean(name, known)}. "
+            f"Make it with: zenostat keys add {role} {name}"
         )
     certificate = _read(path)
     faults = ErrorCollector()

@@ -280,7 +280,8 @@ def find_actuator(survey: PointCatalog, name: str, component: str, control: str,
             + did_you_mean(control, (a.control_type for a in of_type))
         )
     raise UnknownName(
-        f"actuator {name!r}: {component!r}, {control!r} has no key {key!r}; {did_you_mean(key, (a.key for a in of_control))}"
+        f"actuator {name!r}: {component!r}, {control!r} has no key {key!r}; "
+        f"{did_you_mean(key, (a.key for a in of_control))}"
     )
 
 

@@ -1,7 +1,7 @@
 """Scenarios from a configuration file of Sinergym, and those of the data pack `sinergym`. No code of either is run.
 
-The form is that of Sinergym 3.12. What its files say in Python text is read by `models.sinergym.literals`; the choices of its
-discrete scenarios stand in its code, and are read from the syntax tree of that.
+The form is that of Sinergym 3.12. What its files say in Python text is read by `models.sinergym.literals`; the choices
+of its discrete scenarios stand in its code, and are read from the syntax tree of that.
 """
 
 from __future__ import annotations
@@ -67,8 +67,8 @@ def scenario_of(
         wanted: an id (`Eplus-` may stand before it), or the end of one that fits only one, as `hot-discrete`;
             None is the first.
         discrete_tables: as in `scenarios_of`.
-        overridden: arguments (see `models.sinergym.scenarios.config.OVERRIDDEN_BY`) that replace what the file says; mistakes
-            there do not matter.
+        overridden: arguments (see `models.sinergym.config.OVERRIDDEN_BY`) that replace fields of the file; errors in
+            those fields do not matter.
 
     Raises:
         UnknownName: none or several fit.

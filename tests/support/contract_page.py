@@ -44,7 +44,7 @@ SAMPLE = Sample(
 """Two sensors and a meter, two actuators of which the first is set by `mine`."""
 
 _A_LINE = 16
-_WIDTH = 50
+_WIDTH = 60
 
 
 def parts() -> dict[str, str]:

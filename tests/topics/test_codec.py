@@ -64,14 +64,20 @@ whatever = st.one_of(
         episode=lists,
         episode_starts=st.lists(
             st.builds(
-                EpisodeStart, engine_start=st.sampled_from(EngineStart), weather=texts, noise_parameters=st.dictionaries(texts, finite), output_dir=texts
+                EpisodeStart,
+                engine_start=st.sampled_from(EngineStart),
+                weather=texts,
+                noise_parameters=st.dictionaries(texts, finite),
+                output_dir=texts,
             )
         ),
     ),
     st.builds(CreateBranch, controller=texts, snapshot=texts, relinquished=st.booleans(), slot=counts),
     st.builds(SnapshotTaken, snapshot=texts, episode=lists, step=lists),
     st.builds(Query),
-    st.builds(Claim, controller=names, priority=priorities, actuators=st.none() | st.lists(texts), required=st.booleans()),
+    st.builds(
+        Claim, controller=names, priority=priorities, actuators=st.none() | st.lists(texts), required=st.booleans()
+    ),
     st.builds(Command, episode=lists, step=lists, operations=st.none() | st.binary(), values=st.binary()),
     st.builds(ErrorReply, error=texts, message=texts),
     st.builds(Event, kind=st.sampled_from(EventKind), text=texts, source=texts, error=texts, episode=counts),
@@ -258,9 +264,9 @@ def test_field_names_are_text(key: object) -> None:
 
 def test_another_version_is_refused_by_name() -> None:
     payload = codec.encode(Write(value=1.0))
-    said = refused(Write, payload, "application/msgpack;zenostat/2.Write")
+    said = refused(Write, payload, "application/msgpack;zenostat/1.Write")
     assert "zenostat/2.Write" in said
-    assert "zenostat/2.Write" in said
+    assert "zenostat/1.Write" in said
 
 
 def test_another_class_is_refused_by_name() -> None:
@@ -312,7 +318,7 @@ def test_an_array_has_the_size_of_its_shape_or_is_refused(size: int, slots: int,
     if size == slots * points:
         assert codec.uint8s(raw, (slots, points), "operations").shape == (slots, points)
     else:
-        with pytest.raises(BadMessage, match=f"mask has {size} bytes; {slots * points} expected"):
+        with pytest.raises(BadMessage, match=f"operations has {size} bytes; {slots * points} expected"):
             codec.uint8s(raw, (slots, points), "operations")
 
 

@@ -2,7 +2,7 @@
 
 What a node does with a command it says nowhere, but it shows:
 
-- RequestRejected: an event with the controller as its source. Events and samples of a node come in the order it sent them.
+- Rejected: an event with the controller as its source. A node's events and samples arrive in the order it sent them.
 - Taken, and nobody else was waited for: the next sample. A required controller that has not answered holds the node, so
   the sample after the one it answered cannot come before its command was taken, nor after its refusal was told.
 - Taken, and others are waited for (or nobody is): the count of its commands in the node's status.
