@@ -334,7 +334,7 @@ def _plain(annotation: Any) -> Any:
 
 def _bytes_on_the_page(part: str) -> bytes:
     text = re.search(rf"<!-- made: {part} -->\n```text\n.*?\n\n(.*?)\n```", PAGE.read_text(encoding="utf-8"), re.S)
-    return bytes.fromhex("".join(line[:50] for line in text[1].splitlines()).replace(" ", ""))
+    return bytes.fromhex("".join(line[:60] for line in text[1].splitlines()).replace(" ", ""))
 
 
 def test_the_bytes_on_the_page_are_these_messages() -> None:
