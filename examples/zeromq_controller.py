@@ -42,10 +42,8 @@ setpoint = actuators.index("core_zn_cooling_setpoint")
 sample = msgpack.unpackb(samples.recv_multipart()[2])  # whoever subscribes gets the latest
 ask("rpc/claim", controller=me, actuators=[actuators[setpoint]])
 while not sample["flags"][0] & 2:  # 2: the run period is over
-    values, operations = (
-        array.array("d", [0.0] * len(actuators)),
-        bytearray(len(actuators)),
-    )  # 0: keep, 1: set, 2: release
+    values = array.array("d", [0.0] * len(actuators))
+    operations = bytearray(len(actuators))  # 0: keep, 1: set, 2: relinquish
     values[setpoint], operations[setpoint] = (26.0 if sample["time"][0][11:13] >= "12" else 24.0), 1
     answered = sample["episode"], sample["step"]
     ask(f"command/{me}", episode=answered[0], step=answered[1], operations=bytes(operations), values=values.tobytes())
