@@ -75,7 +75,7 @@ class LocalNode:
             _nodes.add(process)
             self._wait_ready(process, config)
         except BaseException:
-            with fault_free_values():
+            with ignore_interrupts():
                 self.close()
             raise
 
@@ -113,7 +113,7 @@ class LocalNode:
 
 
 @contextlib.contextmanager
-def fault_free_values() -> Iterator[None]:
+def ignore_interrupts() -> Iterator[None]:
     """Ignore Ctrl-C while that which was interrupted already is cleared up, which takes some seconds at most."""
     if threading.current_thread() is not threading.main_thread():  # it interrupts no other
         yield

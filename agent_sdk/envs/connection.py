@@ -11,7 +11,7 @@ from typing import Any
 
 from agent_sdk.bus.bus import Bus
 from agent_sdk.bus.bus import connect as join
-from agent_sdk.bus.local_node import LocalNode, Monitor, fault_free_values
+from agent_sdk.bus.local_node import LocalNode, Monitor, ignore_interrupts
 from agent_sdk.bus.sample import SampleView
 from agent_sdk.envs import arguments
 from agent_sdk.rewards import AnyReward, Reward, read_reward
@@ -204,7 +204,7 @@ class NodeConnection:
 
     def abandon(self) -> None:
         """Closes what an error or Ctrl-C left half made; a second Ctrl-C does not disturb it."""
-        with fault_free_values():
+        with ignore_interrupts():
             self.close()
 
     def close(self) -> None:

@@ -322,10 +322,10 @@ def test_a_reset_by_another_is_told(folder: Path) -> None:
 
 
 def test_faulty_actions_change_nothing() -> None:
-    with make() as checked, make() as fault_free_values:
+    with make() as checked, make() as undisturbed:
         env = checked.unwrapped
         env.reset(seed=1)
-        fault_free_values.reset(seed=1)
+        undisturbed.reset(seed=1)
         good = env.action_space.low
         too_hot, not_a_number = good.copy(), good.copy()
         too_hot[1], not_a_number[0] = 99.0, np.nan
@@ -343,7 +343,7 @@ def test_faulty_actions_change_nothing() -> None:
                 env.step(action)
         observation, _, _, _, info = env.step(good)
         assert info["step"] == 1
-        assert observation.tobytes() == fault_free_values.step(good)[0].tobytes()
+        assert observation.tobytes() == undisturbed.step(good)[0].tobytes()
 
 
 def test_faulty_values_of_a_controller(folder: Path) -> None:
