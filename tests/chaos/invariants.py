@@ -139,7 +139,8 @@ def _written(outcome: Outcome, events: Iterable[Event]) -> list[str]:
     for event in events:
         if event.kind is EventKind.WRITTEN:
             words = event.text.split()
-            sent[event.source, " ".join(words[: 3 if words[1] == "=" else 2])] -= 1
+            what = words[:3] if words[1] == "=" else [words[0], "released"]  # or there was nothing to release
+            sent[event.source, " ".join(what)] -= 1
     return [f"{who} never wrote {what}" for (who, what), count in sent.items() if count < 0]
 
 

@@ -52,7 +52,7 @@ def test_a_wide_terminal_has_a_line_a_row_and_a_narrow_one_paragraphs() -> None:
 def test_no_help_cuts_anything_at_80_columns_and_each_command_stands_in_a_group() -> None:
     size = {**os.environ, "COLUMNS": "80", "TERMINAL_WIDTH": "80"}
     groups = subprocess.run([*ZENOSTAT, "--help"], capture_output=True, text=True, env=size, timeout=60).stdout
-    names = re.findall(r"^│ (\w+) ", groups.split("Simulate and control")[1], re.M)
+    names = re.findall(r"^│ ([\w-]+) ", groups.split("Simulate and control")[1], re.M)
     registered = {c.callback.__name__ for c in app.registered_commands} | {g.name for g in app.registered_groups}
     assert (len(names), set(names)) == (len(registered), registered)
     assert "╭─ Commands" not in groups
