@@ -7,10 +7,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.vec_env import VecNormalize
 
 from topics.errors import InvalidConfig
+from topics.extras import install_command
+
+try:
+    from stable_baselines3.common.base_class import BaseAlgorithm
+    from stable_baselines3.common.vec_env import VecNormalize
+except ImportError as error:
+    raise InvalidConfig(f"training needs stable-baselines3 ({error}): {install_command('train')}") from None
 
 _MARK = "observations_normalized"
 _SCALED = 10.0

@@ -314,7 +314,7 @@ class EnginePool:
     def _child(self, of: EngineTemplate | EngineClient, episode: int) -> EngineClient:
         folder = made(self._scratch / f"episode-{episode:04}-fork")
         try:
-            engine = of.fork(self._run(self.files, folder, self._cpus, output_dir=False, branch=self._branches))
+            engine = of.fork(self._run(self.files, folder, self._cpus, keep_output=False, branch=self._branches))
         except BaseException:
             shutil.rmtree(folder, ignore_errors=True)
             raise
@@ -322,7 +322,7 @@ class EnginePool:
 
     def _started(self, files: EpisodeFiles, cpus: Sequence[int]) -> EngineClient:
         try:
-            run = self._run(files, files.model.parent, cpus, output_dir=self._keep)
+            run = self._run(files, files.model.parent, cpus, keep_output=self._keep)
             return EngineClient(run, registry=self._registry)
         except OSError as error:
             raise EngineDied(f"no engine could be started: {error}") from None
@@ -360,7 +360,7 @@ class EnginePool:
             self._let_go(ahead.files, keeping=self.files)
 
     def _run(
-        self, files: EpisodeFiles, folder: Path, cpus: Sequence[int], *, output_dir: bool, branch: bool = False
+        self, files: EpisodeFiles, folder: Path, cpus: Sequence[int], *, keep_output: bool, branch: bool = False
     ) -> EngineSpec:
         plan = self._plan
         return EngineSpec(
@@ -370,7 +370,7 @@ class EnginePool:
             plan.period.steps,
             plan.period.steps_per_hour,
             plan.points,
-            keep_output=output_dir,
+            keep_output=keep_output,
             cpus=tuple(cpus),
             poll=self._poll,
             branch=branch,

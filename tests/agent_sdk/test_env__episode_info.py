@@ -198,7 +198,7 @@ def test_an_environment_goes_to_one_file_and_comes_back_equal(scratch: Path) -> 
     from agent_sdk.rewards import LinearReward
     from agent_sdk.wrappers import apply_wrappers, wrappers_of
 
-    wrappers = [{"wrapper": "CyclicTime"}, {"wrapper": "ReducedObservation", "output_dir": ["core_zn_air_temperature"]}]
+    wrappers = [{"wrapper": "CyclicTime"}, {"wrapper": "ReducedObservation", "keep": ["core_zn_air_temperature"]}]
     env = apply_wrappers(gym.make(NAME, **DAY, reward=LinearReward(weight=0.25), control="zone"), wrappers)
     save_env(env, scratch / "one.yaml")
     again = load_env(scratch / "one.yaml", affinity="off")

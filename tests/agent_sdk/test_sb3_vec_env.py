@@ -61,6 +61,8 @@ def same(one: Any, other: Any) -> bool:
         return set(one) == set(other) and all(same(one[key], other[key]) for key in one)
     if isinstance(one, np.ndarray):
         return one.dtype == other.dtype and np.array_equal(one, other, equal_nan=True)
+    if isinstance(one, float) and np.isnan(one):  # as within arrays
+        return isinstance(other, float) and bool(np.isnan(other))
     return (type(one) is type(other) and one == other) or (isinstance(other, np.generic) and one == other.item())
 
 

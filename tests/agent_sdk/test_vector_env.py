@@ -372,7 +372,7 @@ def test_nobody_reads_the_action_of_a_slot_that_begins_anew() -> None:
         _, rewards, _, _, infos = env.step(actions)
         assert (infos["step"] == 0).tolist() == ended.tolist()
         assert not rewards[ended].any()
-        assert infos["_action"].tolist() == (~ended).tolist()
+        assert np.isnan(infos["action"]).all(axis=-1).tolist() == ended.tolist()
 
 
 def test_unread_actions_are_zeros() -> None:
