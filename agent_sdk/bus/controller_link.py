@@ -130,6 +130,11 @@ class ControllerLink:
         self._put_command = commands.put
         self._take_claim()
 
+    @property
+    def lost(self) -> bool:
+        """Whether the node has been off the bus since this controller last joined it."""
+        return self._node.lost
+
     def _on_loss(self) -> None:
         self._claimed = False
         self._wake()

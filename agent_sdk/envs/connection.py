@@ -11,6 +11,7 @@ from typing import Any
 
 from agent_sdk.bus.bus import Bus
 from agent_sdk.bus.bus import connect as join
+from agent_sdk.bus.controller_link import ControllerLink
 from agent_sdk.bus.local_node import LocalNode, Monitor, ignore_interrupts
 from agent_sdk.bus.sample import SampleView
 from agent_sdk.envs import arguments
@@ -139,9 +140,13 @@ class NodeConnection:
         Raises:
             UsageError, BusError, SimulatorError: as when the environment was made; it can be tried again.
         """
-        how = self.local_node.end if self.local_node is not None else ""
-        if not how or self.closed:
+        own = self.local_node
+        if own is None or self.closed:
             return False
+        lost = isinstance(self._link, ControllerLink) and self._link.lost
+        if not own.end and not (lost and self._has_ended(own)):  # a killed process is off the bus before it has ended
+            return False
+        how = own.end
         _, node, priority, placement, _ = self._way
         self._close.close()
         self._link = self._bus = None
