@@ -201,14 +201,13 @@ def as_array(action: ArrayLike, kind: type[np.float64] | None) -> NDArray[Any]:
     Raises:
         InvalidAction: not numbers, complex ones, or values that a mask hides.
     """
+    if type(action) is not np.ndarray and np.ma.is_masked(action):
+        raise InvalidAction(f"action {action!r} has masked values; a number for each expected")
     try:
-        if type(action) is not np.ndarray:
-            if isinstance(action, np.ndarray) and np.ma.is_masked(action):
-                raise InvalidAction(f"action {action!r} has masked values; a number for each expected")
-            action = np.asarray(action)
-        if action.dtype.kind == "c":  # NumPy would drop the imaginary part
+        values = np.asarray(action)
+        if values.dtype.kind == "c":  # NumPy would drop the imaginary part
             raise InvalidAction(f"action {action!r} is complex; real numbers expected")
-        return np.asarray(action, kind)
+        return np.asarray(values, kind)
     except (TypeError, ValueError) as error:
         raise InvalidAction(f"action {action!r} is no array of numbers: {error}") from None
 
