@@ -38,7 +38,7 @@ class Scratch:
         self.folder = folder
         self._lock = _locked(folder)
 
-    def relinquish(self) -> None:
+    def release(self) -> None:
         """Does not own the folder any more; twice is fine."""
         lock, self._lock = self._lock, -1
         if lock >= 0:
@@ -51,7 +51,7 @@ class Scratch:
             if not self.folder.exists():
                 break
             time.sleep(_TRY_AGAIN_S)
-        self.relinquish()
+        self.release()
 
 
 def sweep() -> None:

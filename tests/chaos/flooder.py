@@ -24,7 +24,7 @@ from bridge.runtime.affinity import Affinity
 from chaos.acts import Act
 from chaos.journal import Journal
 from topics import codec, keys
-from topics.messages import Claim, Command, ErrorReply, Manifest, Reset, Sample, Write
+from topics.messages import SCHEMA_VERSION, Claim, Command, ErrorReply, Manifest, Reset, Sample, Write
 
 PERSONS = 12
 """Names of those who write; a few, since each sample tells the names of those that hold something."""
@@ -97,7 +97,7 @@ class Flooder:
                 good,
             ]
         )
-        return payload, codec.encoding(Command).replace("/1.", "/9.") if payload is good else ""
+        return payload, codec.encoding(Command).replace(f"/{SCHEMA_VERSION}.", "/9.") if payload is good else ""
 
     def _write(self, rng: random.Random) -> tuple[str, bytes]:
         actuator = rng.choice(self._manifest.actuators)

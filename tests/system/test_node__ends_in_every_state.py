@@ -196,7 +196,7 @@ def test_a_folder_whose_owner_lives_is_not_swept(scratch: Path) -> None:
         program.close()
         sweep()
         assert theirs.exists(), "another owner holds it"
-        joined.relinquish()
+        joined.release()
         sweep()
     assert not theirs.exists()
     mine.remove()

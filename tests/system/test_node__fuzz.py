@@ -40,8 +40,8 @@ verbs = ["claim", "reset", "snapshot", "drop", "branch", "stop", "pace", "pause"
 reading = ["rpc/status", "rpc/scenario", "rpc/weather", "manifest", "sample", "rpc/unknown", "command/x", "actuator/y"]
 names = ["x", "é", "名", "with space", "-", "a" * 3000, "'quoted'", "..", "%2F", "\t", "@at", "~"]
 points = ["core_zn_cooling_setpoint", "core_zn_heating_setpoint", "core_zn_coling_setpoint"]
-encodings = ["", "application/msgpack", "zenoh/bytes", "application/msgpack;zenostat/2.Command", ";zenostat/",
-             "application/msgpack;zenostat/1.Write", "text/plain"]
+encodings = ["", "application/msgpack", "zenoh/bytes", "application/msgpack;zenostat/1.Command", ";zenostat/",
+             "application/msgpack;zenostat/2.Write", "text/plain"]
 
 
 def anything(depth=0):
