@@ -89,8 +89,8 @@ class State(StrEnum):
 class EngineStart(StrEnum):
     """How the engine of an episode came to sample 0.
 
-    `READY`: it waited there untouched. `FORKED`: from one that waits there. `AHEAD`: it was started while the episode
-    before ran. `STARTED`: afresh. `SNAPSHOT`: from a snapshot, at that one's sample.
+    `REUSED`: it waited there untouched. `FORKED`: from one that waits there. `PREFETCHED`: it was started while the
+    episode before ran. `STARTED`: afresh. `SNAPSHOT`: from a snapshot, at that one's sample.
     """
 
     NONE = ""
@@ -192,7 +192,7 @@ class DiscreteAction(Message):
 
 
 class TerminationLimit(Message):
-    """An episode is terminated when one of the points has been outside the range for `for_s` without a break."""
+    """An episode is terminated when one of the points has been outside the range for `duration_s` without a break."""
 
     points: Annotated[tuple[SafeName, ...], Field(min_length=1)]
     low: float | None = None
@@ -238,7 +238,7 @@ class Statistics(Message):
     """How a node keeps up, in wall time.
 
     `step`: from the begin of a timestep to its sample. `cycle`: from sample to sample. `overruns`: paced timesteps
-    whose sample came after the next one was due, `behind_s` by how much at worst. `missed`: timesteps that went on
+    whose sample came after the next one was due, `max_lag_s` by how much at worst. `missed`: timesteps that went on
     without a required controller. `late`, `rejected`, `duplicate`, `rate_limited`: messages that changed nothing.
     `accepted_late`: commands that were taken although the deadline was over.
     """
@@ -348,7 +348,7 @@ class Write(Message):
     """One actuator, written by a device or a person; `value` None releases it.
 
     `priority` as in BACnet: 1 the highest, 16 the lowest, 8 a person's.
-    `for_s`: seconds of simulated time after which it is released by itself.
+    `duration_s`: seconds of simulated time after which it is released by itself.
     """
 
     value: Finite | None

@@ -81,7 +81,7 @@ class BuildingEnv(SpaceNames, gym.Env[Observation, Any]):
         output_dir: folder in which EnergyPlus's own output files are kept, one folder an episode.
         keep_last: how many finished episodes' files are kept there beside the running one's; None is all.
         baseline: run the building under its own control beside the episode: `info["baseline"]` has its points,
-            `info["baseline_applied"]` what that control set the actuators to.
+            `info["baseline_effective"]` what that control set the actuators to.
         faults: a file of faults that the node injects (YAML); see docs/faults.md.
         branches: how many snapshots and branches there may be at a time; 64 if left out.
         unresponsive_s: how long an engine may neither answer nor use processor time, before it is killed and the
@@ -319,7 +319,7 @@ class BuildingEnv(SpaceNames, gym.Env[Observation, Any]):
     def step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Simulates one timestep under `action`.
 
-        `info` has `time` and `step` of the sample; `action`: the value commanded for each actuator; `effective`: what
+        `info` has `time` and `step` of the sample; `action`: the value commanded for each actuator; `effective`: its
         effective value (NaN where EnergyPlus does not tell); `value_source`: who set it ("agent" is this environment,
         "" the baseline control); `reward_terms`, whose sum is the reward, and `reward_measures`; the node's counts
         of `late` and `rejected` messages; and at the episode's end `output_dir`, the folder of EnergyPlus's files, if

@@ -18,7 +18,7 @@ class StepSchedule:
 
     Attributes:
         overruns: timesteps whose sample came when the next one was due already.
-        behind_s: by how much at worst.
+        max_lag_s: by how much at worst.
     """
 
     step_s: float
