@@ -54,6 +54,9 @@ def bare(endpoint: str, kind: bytes) -> socket.socket:
     made.sendall(b"\xff" + bytes(8) + b"\x7f\x03\x00" + b"NULL".ljust(20, b"\0") + bytes(32))
     ready = b"\x05READY\x0bSocket-Type" + struct.pack(">I", len(kind)) + kind
     made.sendall(bytes([4, len(ready)]) + ready)
+    received = b""
+    while b"READY" not in received:  # a message before it is a protocol error
+        received += made.recv(1)
     return made
 
 

@@ -26,6 +26,7 @@ CHECK_S = 0.1
 
 _HEARTBEAT_BYTES = 256  # of one interval: a ping and a pong, and those of a peer that asks several times as often
 _TCP_INFO = struct.Struct("=128xQ")  # tcpi_bytes_received in struct tcp_info, linux/tcp.h
+_RESET_ON_CLOSE = struct.pack("ii", 1, 0)  # struct linger: on, for 0 s
 
 
 @dataclass(slots=True)
@@ -104,4 +105,7 @@ def _counted(connection: socket.socket) -> int:
 def _end(fd: int, read: int) -> None:
     with suppress(OSError), _of(fd) as connection:
         if _counted(connection) > read:  # else it is another connection by now
+            # libzmq closes it after the shutdown. That has to reset it: a peer whose window was zero would otherwise
+            # probe it for minutes before its send fails.
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESET_ON_CLOSE)
             connection.shutdown(socket.SHUT_RDWR)
