@@ -27,7 +27,7 @@ def main() -> NoReturn:
     except Exception as error:
         code = say_failure(error)
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_DFL)  # all is closed; a handler in Python would fail in the shutdown
+        signal.signal(number, signal.SIG_IGN)  # all is closed; a signal would only change the exit code
     sys.exit(code)
 
 

@@ -62,4 +62,7 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    code = main()
+    for ignored in TERMINATION_SIGNALS:  # all is closed; a signal would only change the exit code
+        signal.signal(ignored, signal.SIG_IGN)
+    sys.exit(code)
