@@ -1,0 +1,75 @@
+"""Check what the linters cannot: names that say nothing, imports against the layers, import cycles."""
+
+from __future__ import annotations
+
+import ast
+import io
+import sys
+import tokenize
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+VAGUE = frozenset({"said", "told", "given", "found", "made", "here", "there", "who", "_told", "_said"})
+# A package imports only from these, and from itself.
+LAYERS = {
+    "topics": set(),
+    "models": {"topics"},
+    "bridge": {"topics"},
+    "eplus_node": {"topics", "models", "bridge"},
+    "agent_sdk": {"topics", "bridge"},
+    "cli": {"topics", "models", "bridge", "eplus_node", "agent_sdk"},
+}
+
+
+def vague_names(path: Path, text: str) -> list[str]:
+    """Identifiers that name nothing."""
+    tokens = tokenize.generate_tokens(io.StringIO(text).readline)
+    return [
+        f"{path}:{token.start[0]}: {token.string!r} says nothing; name the thing"
+        for token in tokens
+        if token.type == tokenize.NAME and token.string in VAGUE
+    ]
+
+
+def imported(tree: ast.Module) -> list[tuple[int, str, bool]]:
+    """Modules of this project that a module imports: line, name, and whether it does so when it is itself imported."""
+    modules = []
+    at_import = {id(node) for node in tree.body}
+    for node in ast.walk(tree):
+        names = []
+        if isinstance(node, ast.ImportFrom) and node.module:
+            names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+        elif isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        modules += [(node.lineno, name, id(node) in at_import) for name in names if name.split(".")[0] in LAYERS]
+    return modules
+
+
+def main() -> int:
+    """Print each fault; the exit code says whether there is any."""
+    faults, graph = [], {}
+    paths = [path for package in LAYERS for path in sorted((ROOT / package).rglob("*.py"))]
+    modules = {".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path for path in paths}
+    for module, path in modules.items():
+        text = path.read_text(encoding="utf-8")
+        faults += vague_names(path.relative_to(ROOT), text)
+        package, needs = module.split(".")[0], set()
+        for line, name, at_import in imported(ast.parse(text)):
+            other = name.split(".")[0]
+            if other != package and other not in LAYERS[package]:
+                faults.append(f"{path.relative_to(ROOT)}:{line}: {package} must not import {name}")
+            if at_import and name in modules and name != module:
+                needs.add(name)
+        # A package's __init__ gathers what is below it; that is no cycle.
+        graph[module] = {name for name in needs if not module.startswith(f"{name}.")}
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        faults.append(f"import cycle: {' -> '.join(error.args[1])}")
+    print("\n".join(dict.fromkeys(faults)) or "names and imports: all checks passed")
+    return bool(faults)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
