@@ -74,6 +74,6 @@ def test_a_signal_during_the_shutdown_ends_without_a_traceback(number: signal.Si
     done = subprocess.run(
         [sys.executable, "-P", "-c", program], capture_output=True, text=True, env={**os.environ}, timeout=60
     )
-    assert done.returncode == -number
+    assert done.returncode == 0, "all was done before it came"
     assert done.stdout.startswith("zenostat ")
     assert done.stderr == ""
