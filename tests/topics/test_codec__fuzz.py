@@ -219,7 +219,7 @@ def test_the_limits_in_the_documentation_are_those_of_the_code() -> None:
     from eplus_node import publications, subscriptions
 
     page = (Path(__file__).parents[2] / "docs" / "security.md").read_text()
-    section = page.split("## What a stranger can send", 1)[1].split("\n## ", 1)[0]
+    section = page.split("## Limits on incoming messages", 1)[1].split("\n## ", 1)[0]
     numbers = (
         codec.MAX_BYTES // 2**20, session.MAX_MESSAGE_BYTES // 2**20, codec.MAX_ENTRIES, codec.MAX_ITEMS[Claim],
         episode.MAX_MESSAGES_PER_STEP, episode.MAX_SOURCE_NAME,
