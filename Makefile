@@ -1,4 +1,4 @@
-# The whole interface: make demo, make test, make check, make bench, make chaos, make docs.
+# The whole interface: make demo, make test, make test-fast, make test-all, make check, make bench, make chaos, make docs.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -7,7 +7,7 @@ INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c c
 WORKERS ?= 2
 SECONDS ?= 120
 
-.PHONY: demo test test-lowest check bench chaos docs clean
+.PHONY: demo test test-all test-fast test-lowest check bench chaos docs clean
 
 $(VENV):
 	$(PYTHON) -c 'import sys; sys.exit(None if sys.version_info >= (3, 11) else "Zenostat needs Python 3.11 or newer")'
@@ -25,8 +25,16 @@ $(READY)-dev: pyproject.toml constraints.txt | $(VENV)
 demo: $(READY)  ## A building, its controller and its monitor in separate processes; results in demo/
 	$(BIN)/zenostat demo --folder demo
 
-test: $(READY)-dev  ## All tests
-	$(BIN)/python -m pytest -n $(WORKERS)
+PYTEST := $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
+
+test: $(READY)-dev  ## What each change must pass: all tests but the long ones
+	$(PYTEST) -m "not slow"
+
+test-all: $(READY)-dev test-lowest  ## All tests: years of fidelity, every scenario, 120 s of chaos, a thousand branches
+	$(PYTEST)
+
+test-fast: $(READY)-dev  ## The rules alone: no simulation, no other process
+	$(PYTEST) -m "not slow and not process"
 
 LOWEST := .venv-lowest
 LOWEST_TESTS := tests/agent_sdk/test_lowest_versions.py tests/agent_sdk/test_actions.py \

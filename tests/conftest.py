@@ -23,6 +23,26 @@ settings.load_profile("zenostat")
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+SYSTEM = ("system", "chaos")
+"""Folders whose tests all start other processes."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the tests that start other processes, and all but the first variant of a test marked `variants` as slow.
+
+    A test starts processes if it is in one of the `SYSTEM` folders or uses a scratch folder.
+    """
+    root, first = Path(__file__).parent, set[tuple[Path, str]]()
+    for item in items:
+        if item.path.relative_to(root).parts[0] in SYSTEM or "scratch" in getattr(item, "fixturenames", ()):
+            item.add_marker(pytest.mark.process)
+        if item.get_closest_marker("variants"):
+            test = (item.path, getattr(item, "originalname", item.name))
+            if test in first:
+                item.add_marker(pytest.mark.slow)
+            first.add(test)
+
+
 @contextmanager
 def _short_folder() -> Iterator[Path]:
     # Not pytest's own: the path of a unix socket has 108 bytes at most.

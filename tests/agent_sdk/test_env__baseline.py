@@ -42,6 +42,7 @@ def run(env: BuildingEnv, actions: list[Any]) -> tuple[Rows, Rows]:
     return mine, its
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("kind", KINDS)
 def test_it_is_the_episode_that_nobody_commands(kind: str, scratch: Path) -> None:
     """Whatever the agent does, after a reset, and after going back; and the agent's episode is the same without it."""

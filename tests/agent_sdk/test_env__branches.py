@@ -49,6 +49,7 @@ ZENOH_THREADS = 6
 # The same to the bit
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_branch_goes_on_as_its_parent_and_nobody_feels_it(kind: str, scratch: Path) -> None:
     """At the first sample, in the middle and at the last but one, with everybody stepping in turn to the end.
@@ -78,6 +79,7 @@ def test_a_branch_goes_on_as_its_parent_and_nobody_feels_it(kind: str, scratch: 
     env.close()
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_was_commanded_holds_in_a_branch_that_nobody_commands(kind: str, scratch: Path) -> None:
     """And `released` gives the building its own control back, as the parent's own releasing does."""
@@ -194,6 +196,7 @@ def test_a_reward_with_a_memory_of_its_own_goes_along(scratch: Path) -> None:
 # Death
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("moment", ["waiting", "computing"])
 def test_a_killed_branch_harms_nobody(moment: str, scratch: Path) -> None:
     env = make(**FOUR)
@@ -268,6 +271,7 @@ CANNOT = {
 }
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("what", CANNOT)
 def test_a_fork_that_fails_leaves_the_episode_as_it_was(
     what: str, scratch: Path, monkeypatch: pytest.MonkeyPatch
@@ -393,6 +397,7 @@ def _kept(folder: Path) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("kind", ["five zones", "medium office with EMS", "photovoltaics and battery"])
 def test_the_files_that_are_kept_are_those_of_a_run_that_never_forked(kind: str, scratch: Path) -> None:
     """Branches end before and after it, one with the most that its actuators can be asked for."""

@@ -27,6 +27,7 @@ def back(env: BuildingEnv, snapshot: Any) -> dict[str, Any]:
     return env.reset(options={"snapshot": snapshot})[1]
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("kind", KINDS)
 def test_going_back_is_exact_any_number_of_times(kind: str, scratch: Path) -> None:
     """To the first sample, the middle and the last but one; the episode that is left may stand anywhere."""
@@ -374,6 +375,7 @@ def test_wrappers_know_where_a_snapshot_stands(scratch: Path) -> None:
     env.close()
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("slots", [0, 3])
 def test_wrappers_remember_what_they_did(slots: int, scratch: Path) -> None:
     """Moved setpoints, what was observed before, the errors of forecasts; a log counts the steps that were taken."""

@@ -51,6 +51,7 @@ def office() -> ProbeReport:
 # What is right of a real building
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("begin", ["01-16", "07-03"])
 def test_the_one_zone_data_centre_does_not_feel_its_only_action(begin: str, scratch: Path) -> None:
     """Approach temperatures rule its supply air; the node knows it from the model, and the probe sees it."""
@@ -88,6 +89,7 @@ def test_a_heating_setpoint_far_below_a_summer_s_day_changes_nothing(office: Pro
     assert (heating.felt, heating.identical, heating.pass_through) == ((), True, ())
 
 
+@pytest.mark.slow
 def test_branching_is_only_a_shortcut(scratch: Path) -> None:
     """Three whole episodes, two of them held from 15 o'clock on, differ as the branches do, to the last bit."""
     step, length = 15 * 4, 8

@@ -479,6 +479,7 @@ def real(request: pytest.FixtureRequest) -> Iterator[list[VectorEnv[Any, Any, An
             env.close()
 
 
+@pytest.mark.variants
 @each_mode
 def test_each_slot_of_a_node_is_what_a_single_environment_is(
     real: list[VectorEnv[Any, Any, Any]], mode: AutoresetMode

@@ -116,6 +116,7 @@ def test_gymnasiums_checker_passes(chain: list[dict[str, Any]]) -> None:
     check_env(w.apply_wrappers(fake(), fixed))
 
 
+@pytest.mark.slow
 @each_chain
 def test_observations_lie_in_their_space_for_a_year(chain: list[dict[str, Any]]) -> None:
     env = w.apply_wrappers(fake(begin="2016-01-01T00:00:00", days=366), chain)
@@ -452,6 +453,7 @@ def test_errors_by_hand() -> None:
     assert two == pytest.approx([spread, phi * spread + spread])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("error", "deviation"),
     [

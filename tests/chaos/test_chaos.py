@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -24,9 +25,9 @@ from topics.messages import Actuator, Event, EventKind, Flag, Manifest, Mode, Po
 PAGE = Path(__file__).parents[2] / "docs" / "reliability.md"
 
 
-@pytest.mark.slow
+@pytest.mark.variants
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize(("seconds", "seed"), [(120, 6), (10, 2026)])
+@pytest.mark.parametrize(("seconds", "seed"), [(45, 6), (120, 6), (10, 2026)])
 def test_a_run_with_this_seed_holds(seconds: int, seed: int, scratch: Path) -> None:
     """On a failure, the seed and what broke stand in the output."""
     done = subprocess.run(
@@ -40,6 +41,7 @@ def test_a_run_with_this_seed_holds(seconds: int, seed: int, scratch: Path) -> N
     assert done.returncode == 0, done.stdout + done.stderr
     assert f"seed {seed}" in done.stdout
     assert "broken" not in done.stdout
+    assert seconds < 45 or not re.search(r"│ +0 │", done.stdout), "every act occurs"
 
 
 @pytest.mark.parametrize(

@@ -106,6 +106,7 @@ def test_an_unknown_scenario_lists_near_ones(scratch: Path) -> None:
     assert "ref-small-office-USA_CO_Denver-continuous-v1" in done.stderr
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_who_ends_it_is_left_nothing(scratch: Path, number: signal.Signals) -> None:
     (scratch / "office.yaml").write_text(SCENARIO)

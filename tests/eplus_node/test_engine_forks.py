@@ -37,6 +37,7 @@ def play_on(env: BuildingEnv) -> None:
         env.step(env.action_space.sample())
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("kind", ALL)
 def test_a_fork_is_a_fresh_start_to_the_bit(kind: str, scratch: Path) -> None:
     """An environment that keeps EnergyPlus's files starts each episode afresh; the other one forks.
@@ -112,6 +113,7 @@ def test_a_killed_fork_is_an_error_that_says_so_and_the_next_episode_runs(scratc
     env.close()
 
 
+@pytest.mark.slow
 def test_the_engine_of_the_next_weather_is_started_ahead(scratch: Path) -> None:
     """It is the one that a start at the time would have given; a seed that was not foreseen starts another."""
     name = SMALL.replace("continuous", "continuous-stochastic")

@@ -40,6 +40,7 @@ def no_room(env: Any) -> Iterator[None]:
         aside.rename(folder)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("times", [2, 3])
 @pytest.mark.parametrize("given", [IN_TURN | {"name": SMALL}, {"name": STOCHASTIC}], ids=["in turn", "noise"])
 def test_a_seed_that_is_given_again_at_once_begins_the_same_sequence(
@@ -63,6 +64,7 @@ def test_a_seed_that_is_given_again_at_once_begins_the_same_sequence(
     again.close()
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(("name", "error"), [(SMALL, ForkFailed), (STOCHASTIC, EngineDied)])
 def test_a_node_without_room_for_files_says_so_and_begins_when_there_is_some(
     scratch: Path, name: str, error: type[SimulatorError]

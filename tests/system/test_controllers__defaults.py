@@ -35,6 +35,7 @@ def outside_kh(scenario: str, *controllers: str) -> dict[str, float]:
     return {row["controller"]: row["outside_kh"] for row in found.table()}
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(
     "scenario",
     [
@@ -93,6 +94,7 @@ def test_pid_does_not_swing_in_a_building() -> None:
     assert sum(airs) / len(airs) == pytest.approx(24.0, abs=0.3)
 
 
+@pytest.mark.slow
 def test_evaluate_goes_on_without_a_controller_that_does_not_fit() -> None:
     day = {**SMALL, "affinity": "off"}
     found = evaluate(day, ["building", "pid", "rbc"], parameters={"setpoint": 24.0})

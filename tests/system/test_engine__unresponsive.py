@@ -88,6 +88,7 @@ def test_an_event_says_so(folder: Path) -> None:
         assert bus.status("office").failure_error == "EngineUnresponsive"
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(
     ("name", "given", "place", "engine_start"),
     [("zenostat/Building-v1", SMALL, 0, EngineStart.FORKED), (NOISE, DAY, 1, EngineStart.PREFETCHED)],

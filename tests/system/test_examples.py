@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 from support import data_packs as packs
 from support.nodes import SMALL, NodeProgram
 
@@ -33,6 +34,7 @@ def test_controller_on_the_bus(scratch):
     assert "is ruled by saver-" in said
 
 
+@pytest.mark.slow
 def test_mpc_by_branching(scratch):
     """After the first moves it follows the rules, so that it is never worse than they are."""
     packs.sinergym()

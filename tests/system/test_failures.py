@@ -454,6 +454,7 @@ while True:
 WITH = "with env:" + STEPS.replace("\n", "\n    ")
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("text", [ENVIRONMENT + WITH, ENVIRONMENT + STEPS], ids=["with", "bare"])
 def test_ctrl_c_in_a_script_with_an_environment(text: str) -> None:
     """As the terminal sends it, and also if the script has no `with`."""

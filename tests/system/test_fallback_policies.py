@@ -237,6 +237,7 @@ def test_a_controller_that_joins_late_and_is_silent_meets_its_deadline(scratch: 
 # Aborted
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("how", ["killed", "unresponsive"])
 def test_abort_is_told_to_the_other_controller_and_a_reset_begins_anew(scratch: Path, how: str) -> None:
     silent = {"deadline_s": 4.0} if how == "unresponsive" else {}

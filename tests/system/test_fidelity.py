@@ -20,7 +20,7 @@ from models.catalog import find_building, find_weather
 from models.points import discovery, selection
 from topics.messages import Aggregation, Manifest
 
-ZONE = {"office-small": "Core_ZN", "office-medium": "Core_mid", "ref-small-office": "Core_ZN"}
+ZONE = {"ref-small-office": "Core_ZN", "office-small": "Core_ZN", "office-medium": "Core_mid"}
 """A zone of each building."""
 
 WEEKS = [
@@ -164,7 +164,7 @@ def test_energy_follows_from_means(divided) -> None:
     assert (~np.isclose(wrong_j, energy_j, rtol=1e-6, atol=1e-3)).sum() > 50
 
 
-@pytest.mark.slow
+@pytest.mark.variants
 @pytest.mark.parametrize("case", YEARS, ids=_name)
 def test_a_year_equals_energyplus_alone(case: Case, folder: Path) -> None:
     manifest, got, expected = _both(case, folder)

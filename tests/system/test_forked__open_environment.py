@@ -59,6 +59,7 @@ print("done", flush=True)
 """
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("slots", [1, 2])
 def test_the_child_is_told_and_the_parent_goes_on(slots: int) -> None:
     with Program(PROGRAM, str(slots), json.dumps(SMALL)) as program:

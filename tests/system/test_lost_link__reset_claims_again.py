@@ -63,6 +63,7 @@ def node_behind_link(folder: Path, **given: Any) -> Iterator[tuple[NodeProgram, 
         yield node, link, port
 
 
+@pytest.mark.variants
 @SLOTS
 def test_a_cut_connection(scratch: Path, slots: int) -> None:
     with node_behind_link(scratch, slots=slots) as (_, link, _):
@@ -88,6 +89,7 @@ def test_a_link_that_is_down(scratch: Path) -> None:
         env.close()
 
 
+@pytest.mark.variants
 @SLOTS
 def test_an_own_node_that_was_frozen(slots: int) -> None:
     env = make(slots, **SMALL)

@@ -128,6 +128,7 @@ def test_late_monitor_learns_the_manifest_and_the_sample_the_node_stands_at(scra
     assert plot[10][0] == outdoor
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("fate", [signal.SIGSTOP, signal.SIGKILL])
 def test_monitor_that_is_frozen_or_killed_changes_nothing(scratch, fate):
     with NodeProgram(scratch / "node", **SMALL) as node:
@@ -183,6 +184,7 @@ def test_no_picture_without_a_vulkan_driver(scratch, monkeypatch):
     assert not screenshot(path, scratch / "run.png")
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_monitor_that_waits_for_its_bus_says_so_and_can_be_ended(scratch, number):
     command = [sys.executable, "-P", "-m", "cli.main", "monitor", "--save", "run.rrd"]
@@ -214,6 +216,7 @@ def test_a_monitor_may_come_before_its_node(scratch):
     assert "0 missed" in said
 
 
+@pytest.mark.slow
 def test_a_node_that_starts_again_is_recorded_from_its_beginning(scratch):
     """Also with other points than it had before."""
     endpoint, path = f"tcp/127.0.0.1:{free_port()}", scratch / "run.rrd"

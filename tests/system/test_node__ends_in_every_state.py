@@ -81,6 +81,7 @@ def ends(node: NodeProgram, engines: list[psutil.Process]) -> None:
     until(lambda: not any(map(runs, engines)), "its engines have ended")
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("told", TOLD)
 def test_while_a_reset_forks_an_engine_that_does_not_answer(folder: Path, told: str) -> None:
     with office(folder, **SMALL) as (node, bus):
@@ -95,6 +96,7 @@ def test_while_a_reset_forks_an_engine_that_does_not_answer(folder: Path, told: 
                     ends(node, engines)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("told", ["SIGTERM", "stop"])
 def test_while_an_engine_starts_that_does_not_answer(folder: Path, told: str) -> None:
     """Another seed, and so another weather: the engine is started anew, and the one of the next episode after it."""
@@ -109,6 +111,7 @@ def test_while_an_engine_starts_that_does_not_answer(folder: Path, told: str) ->
             ends(node, new)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("settings", [{}, {"slots": 2}, {"baseline": True}, {"keep": True}], ids=str)
 def test_in_mid_step_of_engines_that_stand_still(folder: Path, settings: dict[str, Any]) -> None:
     if "keep" in settings:

@@ -237,6 +237,7 @@ def test_what_may_change_something_leaves_the_node_in_order(scratch: Path) -> No
     assert node.process.returncode == 0
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("kind", ["malformed", "duplicates", "writes", "requests"])
 def test_a_flood_is_bounded_and_others_are_served(scratch: Path, kind: str) -> None:
     with node_and_bus(scratch) as (node, bus), bus.controller("office") as link:

@@ -254,6 +254,7 @@ def test_a_command_that_comes_in_time_rules_the_next_timestep(bus: Bus) -> None:
         assert link.receive().effective[index] == 28.0
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("mode", ["free", "paced"])
 def test_a_paused_node_stands_until_it_goes_on(scratch: Path, mode: str) -> None:
     with (

@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 from support.data_packs import sinergym
 from support.nodes import NodeProgram
 
@@ -60,6 +61,7 @@ sys.exit(code)
 """
 
 
+@pytest.mark.slow
 def test_a_trajectory_equals_a_bare_script_in_all_columns(folder: Path) -> None:
     sinergym()
     with (

@@ -193,6 +193,7 @@ def far_controller(place: Place) -> Iterator[subprocess.Popen[str]]:
         process.wait()
 
 
+@pytest.mark.variants
 def test_a_day_through_a_router(place: Place, scratch: Path) -> None:
     """Presence, requests, samples, lockstep, the refusal of a second node of the name, and a node's death."""
     exposed = ["--expose"] * bool(place.at_router)
@@ -246,6 +247,7 @@ def test_two_machines_that_only_the_router_joins(scratch: Path) -> None:
     assert "Network is unreachable" in said["10.77.1.2"]
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("closed", [False, True], ids=["open", "closed"])
 def test_two_routers(folder: Path, scratch: Path, closed: bool) -> None:
     """node → router → router → controller"""

@@ -143,6 +143,7 @@ def test_a_variant_changes_the_model_and_nothing_is_left_of_it(scratch: Path) ->
     assert totals["again"] == totals["plain"]
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_trajectory_to_the_bit(scratch: Path) -> None:
     """Also in another process, and whatever was simulated before."""
     first, second = make(f"{SMALL}-continuous-stochastic-v1"), make(f"{SMALL}-continuous-stochastic-v1")
@@ -175,6 +176,7 @@ def test_what_forecasts_read_is_what_is_simulated(scratch: Path) -> None:
     env.close()
 
 
+@pytest.mark.slow
 def test_weathers_are_taken_in_order(scratch: Path) -> None:
     names = ["USA_CO_Denver", "USA_FL_Miami", "USA_AZ_Phoenix"]
     env = make(f"{SMALL}-continuous-v1", weather=names, weather_order="sequence")

@@ -126,6 +126,7 @@ def test_a_step_that_failed_leaves_nothing_behind() -> None:
 # On a real node
 
 
+@pytest.mark.variants
 @pytest.mark.usefixtures("scratch")
 @pytest.mark.parametrize("slots", [1, 2])
 def test_threads_that_step_a_real_node(slots: int) -> None:
@@ -160,6 +161,7 @@ def test_threads_that_step_a_real_node(slots: int) -> None:
     env.close()
 
 
+@pytest.mark.variants
 @pytest.mark.usefixtures("scratch")
 @pytest.mark.parametrize("reset", [False, True])
 def test_a_controller_has_one_receiver(bus: agent_sdk.Bus, *, reset: bool) -> None:
@@ -173,6 +175,7 @@ def test_a_controller_has_one_receiver(bus: agent_sdk.Bus, *, reset: bool) -> No
             assert first.result().step == 1
 
 
+@pytest.mark.variants
 @pytest.mark.usefixtures("scratch")
 @pytest.mark.parametrize("slots", [1, 2])
 def test_close_while_another_thread_steps(slots: int) -> None:

@@ -70,6 +70,7 @@ def ended(connection: socket.socket) -> bool:
     return True
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(("kind", "size"), [(b"DEALER", MIB), (b"DEALER", 1000), (b"SUB", 1000)])
 def test_message_without_an_end_ends_its_connection(gateway: GatewayProgram, kind: bytes, size: int) -> None:
     to = gateway.publish if kind == b"SUB" else gateway.command

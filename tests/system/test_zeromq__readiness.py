@@ -28,6 +28,7 @@ class Ports:
         self.publish, self.command = (f"tcp://127.0.0.1:{free_port()}" for _ in range(2))
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("end", ["killed", "interrupted"])
 def test_sockets_that_were_there_before_a_gateway_hear_and_are_answered(node, end):
     ports = Ports()

@@ -140,6 +140,7 @@ def plan(manifest: Manifest, step: int) -> np.ndarray:
 # Episodes
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("kind", ["DEALER", "REQ"])
 def test_episode_gives_the_same_samples_as_over_zenoh_to_the_bit(node, gateway, kind):
     direct = []
@@ -340,6 +341,7 @@ def test_killed_gateway_breaks_nothing_of_the_node(node):
             assert [sample.step for sample in link][-1] == 96
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("end", ["killed", "stopped"])
 def test_end_of_the_node_is_told_and_answered(scratch, node, gateway, end):
     with Peer(gateway) as peer, Peer(gateway) as waiting, Peer(gateway) as slow:
@@ -493,6 +495,7 @@ def _fails(*options: str) -> str:
     return done.stderr
 
 
+@pytest.mark.slow
 def test_what_cannot_be_is_said_before_anything_starts(node, gateway):
     at = ("--connect", node.endpoint)
     assert "another program listens on" in _fails(*at, "--publish", gateway.publish)
