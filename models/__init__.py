@@ -1,4 +1,4 @@
-"""What can be simulated: buildings, weather, points, run periods; finding, checking, preparing them.
+"""What can be simulated: find, check and prepare buildings, weather files, points and run periods.
 
-No bus in here.
+Nothing in this package uses the bus.
 """

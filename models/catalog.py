@@ -173,7 +173,7 @@ def _named(
         for shelf in shelves:
             found = [e for e in shelf if fits(folded, (e.plain.casefold(), e.path.stem.casefold()))]
             if len(found) > 1 and fits is _is_part:
-                raise UnknownName(f"{kind.what} {said!r} fits several: {', '.join(e.name for e in found)}")
+                raise UnknownName(f"{kind.what} {said!r} matches several: {', '.join(e.name for e in found)}")
             if found:
                 return found[0]
         for pack in missing:

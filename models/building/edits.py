@@ -1,4 +1,4 @@
-"""A scenario's changes to a building model, checked against EnergyPlus's schema before anything runs."""
+"""Apply a scenario's edits to a building model, checked against EnergyPlus's schema before anything runs."""
 
 from __future__ import annotations
 
@@ -8,109 +8,111 @@ from typing import Any
 from models.building import schema
 from topics.errors import InvalidConfig, did_you_mean
 
-Changes = dict[str, dict[str, dict[str, Any] | None]]
+Edits = dict[str, dict[str, dict[str, Any] | None]]
 """Object type, object name, fields.
 
-A field that is None is removed, an object that is None is removed, a name that the model does not have adds
-an object, and the name `*` means every object of that type. A list (vertices, schedule data, program lines)
-is replaced as a whole.
+A field or an object set to None is removed, a name that the model does not have adds an object, and the name `*`
+means every object of that type. A list (vertices, schedule data, program lines) is replaced as a whole.
 """
 
 EVERY = "*"
+"""Object name that means every object of a type."""
 
 
-def apply_edits(objects: Mapping[str, Mapping[str, Any]], edits: Changes) -> dict[str, dict[str, Any]]:
-    """`objects` with `edits`; the input is not touched, and what did not change is shared with it.
+def apply_edits(objects: Mapping[str, Mapping[str, Any]], edits: Edits) -> dict[str, dict[str, Any]]:
+    """Return `objects` with `edits` applied; the input is not modified, and unchanged parts are shared with it.
 
     Object types, object names and allowed words may be written in any case; field names are those of epJSON.
 
     Raises:
-        InvalidConfig: with every fault of the changes.
+        InvalidConfig: lists all errors of the edits.
     """
     result: dict[str, Any] = dict(objects)
-    found: list[str] = []
-    for said, wanted in edits.items():
-        kind = schema.canonical_type(said)
+    errors: list[str] = []
+    for type_name, by_name in edits.items():
+        kind = schema.canonical_type(type_name)
         if kind is None:
-            found.append(schema.unknown_type(said))
-        elif not isinstance(wanted, Mapping):
-            found.append(f"{kind}: expected objects by name, got {wanted!r}")
+            errors.append(schema.unknown_type(type_name))
+        elif not isinstance(by_name, Mapping):
+            errors.append(f"{kind}: expected objects by name, got {by_name!r}")
         else:
-            change = _Change(kind, dict(result.get(kind, {})), found)
-            for name, fields in wanted.items():
-                change.apply(name, fields)
-            result[kind] = change.items
-            if not change.items:
+            editor = _TypeEditor(kind, dict(result.get(kind, {})), errors)
+            for name, fields in by_name.items():
+                editor.apply(name, fields)
+            result[kind] = editor.items
+            if not editor.items:
                 del result[kind]
-    if found:
-        raise InvalidConfig("\n".join(dict.fromkeys(found)))
+    if errors:
+        raise InvalidConfig("\n".join(dict.fromkeys(errors)))
     return result
 
 
-class _Change:
-    """The objects of one type while they are changed; what is wrong is added to `found`."""
+class _TypeEditor:
+    """The objects of one type while they are edited; errors are added to `errors`."""
 
-    def __init__(self, kind: str, items: dict[str, Any], found: list[str]) -> None:
-        self.kind, self.items, self.found = kind, items, found
+    def __init__(self, kind: str, items: dict[str, Any], errors: list[str]) -> None:
+        self.kind, self.items, self.errors = kind, items, errors
 
     def apply(self, name: str, fields: object) -> None:
-        """Changes, adds or removes what `name` means."""
-        own = self._names(name)
-        if own is None:
+        """Change, add or remove the objects that `name` refers to."""
+        matches = self._matching(name)
+        if matches is None:
             return
         if fields is not None and not isinstance(fields, Mapping):
-            self._fault(name, f": expected fields by name, or null to remove it; got {fields!r}")
-        elif not own and (fields is None or name == EVERY):
-            what = "object of this type" if name == EVERY else "such object"
-            self._fault(name, f": the model has no {what}; {did_you_mean(name, self.items)}")
+            self._add_error(name, f": expected fields by name, or null to remove it; got {fields!r}")
+        elif not matches and (fields is None or name == EVERY):
+            noun = "object of this type" if name == EVERY else "such object"
+            self._add_error(name, f": the model has no {noun}; {did_you_mean(name, self.items)}")
         elif fields is None:
-            for each in own:
-                del self.items[each]
-        elif own:
-            self._merge(name, own, fields)
+            for member in matches:
+                del self.items[member]
+        elif matches:
+            self._merge(name, matches, fields)
         else:
             self._add(name, fields)
 
-    def _names(self, name: str) -> list[str] | None:
-        """The model's objects that `name` means; None (and a fault) if that is not clear."""
+    def _matching(self, name: str) -> list[str] | None:
+        """Return the model's objects that `name` refers to; None, with an error added, if that is ambiguous."""
         if name == EVERY:
             return list(self.items)
         if name in self.items:
             return [name]
         same = [own for own in self.items if own.casefold() == name.casefold()]
         if len(same) > 1:
-            self._fault(name, f" fits several: {', '.join(map(repr, same))}")
+            self._add_error(name, f" matches several objects: {', '.join(map(repr, same))}")
             return None
         return same
 
-    def _merge(self, name: str, own: list[str], fields: Mapping[str, Any]) -> None:
-        given = schema.canonical_fields(self.kind, {f: value for f, value in fields.items() if value is not None})
+    def _merge(self, name: str, matches: list[str], fields: Mapping[str, Any]) -> None:
+        new_fields = schema.canonical_fields(self.kind, {f: value for f, value in fields.items() if value is not None})
         removed = [f for f, value in fields.items() if value is None]
-        said = own[0] if name != EVERY else name
-        self.found.extend(schema.schema_errors({self.kind: {said: given}}, complete=False))
-        for each in removed:
-            if not schema.has_field(self.kind, each):
-                self._fault(said, f" {schema.unknown_field(self.kind, each)}")
-            elif each in schema.required(self.kind):
-                self._fault(said, f": {each!r} is required and cannot be removed")
-        for each in own:
-            self.items[each] = {f: v for f, v in self.items[each].items() if f not in removed} | given
+        label = matches[0] if name != EVERY else name
+        self.errors.extend(schema.schema_errors({self.kind: {label: new_fields}}, complete=False))
+        for field in removed:
+            if not schema.has_field(self.kind, field):
+                self._add_error(label, f" {schema.unknown_field(self.kind, field)}")
+            elif field in schema.required(self.kind):
+                self._add_error(label, f": {field!r} is required and cannot be removed")
+        for member in matches:
+            self.items[member] = {f: v for f, v in self.items[member].items() if f not in removed} | new_fields
 
     def _add(self, name: str, fields: Mapping[str, Any]) -> None:
-        given = schema.canonical_fields(self.kind, {f: value for f, value in fields.items() if value is not None})
-        lacking = [f for f in schema.required(self.kind) if f not in given]
+        new_fields = schema.canonical_fields(self.kind, {f: value for f, value in fields.items() if value is not None})
+        missing = [f for f in schema.required(self.kind) if f not in new_fields]
         if schema.single(self.kind) and self.items:
             (only,) = list(self.items)[:1]
-            self._fault(name, f": a model has one object of this type, and this one has {only!r}; '*' names it too")
-        elif lacking:
-            self.found.extend(schema.schema_errors({self.kind: {name: given}}, complete=False))
-            lacks = ", ".join(map(repr, lacking))
-            self._fault(
-                name, f": the model has no such object; {did_you_mean(name, self.items)}; a new one would lack {lacks}"
+            self._add_error(
+                name, f": a model has only one object of this type, here {only!r}; '*' refers to it as well"
+            )
+        elif missing:
+            self.errors.extend(schema.schema_errors({self.kind: {name: new_fields}}, complete=False))
+            names = ", ".join(map(repr, missing))
+            self._add_error(
+                name, f": the model has no such object; {did_you_mean(name, self.items)}; a new one needs {names}"
             )
         else:
-            self.found.extend(schema.schema_errors({self.kind: {name: given}}, complete=True))
-        self.items[name] = given
+            self.errors.extend(schema.schema_errors({self.kind: {name: new_fields}}, complete=True))
+        self.items[name] = new_fields
 
-    def _fault(self, name: str, text: str) -> None:
-        self.found.append(f"{self.kind} {name!r}{text}")
+    def _add_error(self, name: str, text: str) -> None:
+        self.errors.append(f"{self.kind} {name!r}{text}")

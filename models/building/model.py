@@ -1,4 +1,4 @@
-"""A building model as epJSON: read, converted from IDF where needed, and prepared for one episode."""
+"""Building models as epJSON: read, convert from IDF where needed, and prepare for one episode."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 
 from models import energyplus
 from models.building import idf, schema, transition
-from models.building.edits import Changes, apply_edits
+from models.building.edits import Edits, apply_edits
 from models.cache import cached_bytes, digest
 from models.catalog import Entry
 from models.scenario.run_period import Period, parse_day, year_of
@@ -60,11 +60,11 @@ _SILENT = {
         }
     }
 }
-"""Everything that EnergyPlus can leave unwritten, but for `eplusout.err` and `eplusout.end`."""
+"""Turns off every output file that EnergyPlus can omit, all but `eplusout.err` and `eplusout.end`."""
 
 
-_MOST = 10
-"""How many errors of a model are told."""
+_MAX_ERRORS = 10
+"""Number of errors that an error message lists."""
 
 _OTHER_PROGRAMS = (
     "externalinterface",
@@ -72,12 +72,20 @@ _OTHER_PROGRAMS = (
     "externalinterface:functionalmockupunitimport",
     "pythonplugin:instance",
 )
-"""Object types by which a model has another program run within the simulation."""
+"""Object types that run another program within the simulation."""
 
 
 @dataclass(frozen=True)
 class Building:
-    """A model: name, objects, key of its content, what was done to bring it to the engine's version, and its file."""
+    """A building model.
+
+    Attributes:
+        name: the catalog's name.
+        objects: object type, object name, fields.
+        content: digest of its content.
+        notes: what was converted to reach the engine's version.
+        file: path of the file, for error messages.
+    """
 
     name: str
     objects: dict[str, Objects]
@@ -86,7 +94,7 @@ class Building:
     file: str = ""
 
     def find(self, kind: str, name: str) -> dict[str, Any]:
-        """The fields of an object, by its type and name in any case; empty if there is none."""
+        """Return an object's fields by type and name, both in any case; empty if there is none."""
         return self._by_name.get((kind.casefold(), name.casefold()), {})
 
     @cached_property
@@ -96,17 +104,17 @@ class Building:
 
     @property
     def run_period(self) -> dict[str, Any]:
-        """The fields of the model's first run period; empty if it has none."""
+        """Fields of the model's first run period; empty if it has none."""
         return dict(next(iter(self.objects.get("RunPeriod", {}).values()), {}))
 
     @property
     def steps_per_hour(self) -> int:
-        """The model's own number of timesteps an hour (6 where it says nothing, as in EnergyPlus)."""
+        """The model's own number of timesteps per hour; 6 if it has none, as in EnergyPlus."""
         timestep = next(iter(self.objects.get("Timestep", {}).values()), {})
         return int(timestep.get("number_of_timesteps_per_hour", 6))
 
     def period(self, begin: str | None, end: str | None, steps_per_hour: int | None) -> Period:
-        """The run period that was asked for, in the model's own calendar where no year is named."""
+        """Return the requested run period, in the model's own calendar year if none is given."""
         own = self.run_period
         month, day = int(own.get("begin_month", 1)), int(own.get("begin_day_of_month", 1))
         last_month, last_day = int(own.get("end_month", 12)), int(own.get("end_day_of_month", 31))
@@ -120,14 +128,14 @@ class Building:
 
 
 def read_building(entry: Entry) -> Building:
-    """The model of a catalogue entry, for the installed engine.
+    """Read the model of a catalog entry for the installed engine.
 
-    An IDF is converted once per content and engine version; an epJSON of an earlier version is converted where the
-    changes are known.
+    An IDF is converted once per content and engine version. An epJSON of an earlier version is converted if the
+    transition is known.
 
     Raises:
-        InvalidConfig: an epJSON that is no JSON object of objects, or a model of a version that cannot be converted.
-        ModelError: an IDF that EnergyPlus cannot read.
+        InvalidConfig: an epJSON is not a JSON object of objects, or the model's version cannot be converted.
+        ModelError: EnergyPlus cannot read the IDF.
     """
     raw = entry.path.read_bytes()
     content = digest(raw, energyplus.version())
@@ -138,43 +146,48 @@ def read_building(entry: Entry) -> Building:
     try:
         objects = json.loads(raw)
     except (ValueError, RecursionError) as error:
-        raise InvalidConfig(f"{entry.path} is no epJSON: {error}") from None
+        raise InvalidConfig(f"{entry.path} is not an epJSON file: {error}") from None
     if not isinstance(objects, dict) or "Building" not in objects:
-        raise InvalidConfig(f"{entry.path} is no building model: it has no 'Building' object")
+        raise InvalidConfig(f"{entry.path} is not a building model: it has no 'Building' object")
     converted = transition.check_epjson(objects, name=name)
     return Building(entry.name, converted.objects, content, converted.notes, str(entry.path))
 
 
 def check_runnable(building: Building) -> None:
-    """Refuse a model that does not fit EnergyPlus's schema, or has other programs run within the simulation.
+    """Check that a model matches EnergyPlus's schema and runs no other program within the simulation.
 
-    The wheel's EnergyPlus is built without Python plugins, and an FMU or a co-simulation server would hold the
-    simulation's clock beside the node. (What came out of an IDF fits the schema: the converter checked it.)
+    The wheel's EnergyPlus is built without Python plugins, and an FMU or a co-simulation server would control the
+    simulation's clock alongside the node. A model converted from an IDF is not checked against the schema, because
+    the converter did that.
 
     Raises:
-        InvalidConfig: with all such objects, by type and name.
+        InvalidConfig: lists all such objects by type and name.
     """
     file = building.file or building.name
     errors = [] if file.lower().endswith(".idf") else schema.schema_errors(building.objects, complete=True)
     if errors:
-        more = [f"and {len(errors) - _MOST} more"] if len(errors) > _MOST else []
-        head = f"{file} does not fit EnergyPlus {energyplus.version()}:"
-        raise InvalidConfig("\n  ".join([head, *errors[:_MOST], *more]))
-    found = [
+        more = [f"and {len(errors) - _MAX_ERRORS} more"] if len(errors) > _MAX_ERRORS else []
+        head = f"{file} does not match the input schema of EnergyPlus {energyplus.version()}:"
+        raise InvalidConfig("\n  ".join([head, *errors[:_MAX_ERRORS], *more]))
+    unsupported = [
         f"{kind} {name!r}"
         for kind, objects in building.objects.items()
         if kind.casefold() in _OTHER_PROGRAMS
         for name in objects
     ]
-    if found:
+    if unsupported:
         raise InvalidConfig(
-            f"{file} has {', '.join(found)}: FMUs, co-simulation and Python plugins are not "
-            "supported; remove these objects (in a scenario: `edits`, with null for the object)"
+            f"{file} has {', '.join(unsupported)}: FMUs, co-simulation and Python plugins are not "
+            "supported; remove these objects (in a scenario: `edits`, with null as the object)"
         )
 
 
-def with_edits(building: Building, edits: Changes) -> Building:
-    """The building with a scenario's changes; `InvalidConfig` names all that the model or the schema lacks."""
+def with_edits(building: Building, edits: Edits) -> Building:
+    """Return the building with a scenario's edits applied.
+
+    Raises:
+        InvalidConfig: lists all errors of the edits.
+    """
     if not edits:
         return building
     return Building(
@@ -187,10 +200,14 @@ def with_edits(building: Building, edits: Changes) -> Building:
 
 
 def for_episode(building: Building, period: Period, *, outputs: bool = False) -> dict[str, Objects]:
-    """The objects of one episode: its run period and timestep, no design-day environments.
+    """Return the objects for one episode: its run period and timestep, without design-day environments.
 
-    `output_dir`: keep the output objects of the model; else EnergyPlus writes nothing but its errors.
-    No object that acts on the building is touched.
+    Objects that act on the building are unchanged.
+
+    Args:
+        building: the model.
+        period: the run period.
+        outputs: whether to keep the model's output objects; otherwise EnergyPlus writes only its errors.
     """
     objects = {kind: copy(items) for kind, items in building.objects.items()}
     if not outputs:
@@ -217,7 +234,7 @@ def for_episode(building: Building, period: Period, *, outputs: bool = False) ->
 
 
 def write(objects: dict[str, Objects], folder: Path) -> Path:
-    """Writes `in.epJSON` into `folder`."""
+    """Write `in.epJSON` into `folder` and return its path."""
     path = folder / "in.epJSON"
     path.write_text(json.dumps(objects))
     return path

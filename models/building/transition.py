@@ -142,7 +142,9 @@ def check_epjson(objects: Objects, *, name: str, engine: str | None = None) -> C
     """
     engine = engine or energyplus.version()
     if not all(isinstance(items, Mapping) and _all_fields(items) for items in objects.values()):
-        raise InvalidConfig("\n".join([f"{name} is no epJSON:", *schema.schema_errors(objects, complete=False)]))
+        raise InvalidConfig(
+            "\n".join([f"{name} is not an epJSON file:", *schema.schema_errors(objects, complete=False)])
+        )
     said = next((fields.get("version_identifier") for fields in objects.get("Version", {}).values()), None)
     steps = _steps(said, engine, name)
     if not steps:

@@ -23,7 +23,7 @@ from pydantic import (
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
-from models.building.edits import Changes
+from models.building.edits import Edits
 from models.catalog import MODEL_SUFFIXES, WEATHER_SUFFIXES
 from models.weather.noise import ColumnNoise
 from topics import yaml12
@@ -183,7 +183,7 @@ class Scenario(_Part):
     begin: str | None = None
     end: str | None = None
     steps_per_hour: Count | None = None
-    edits: Changes = Field(default_factory=dict)
+    edits: Edits = Field(default_factory=dict)
     time: tuple[TimeField, ...] = ()
     sensors: dict[str, Annotated[SensorSpec, _listed(SensorSpec)]] | None = None
     meters: dict[str, str] | None = None

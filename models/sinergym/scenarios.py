@@ -80,7 +80,7 @@ def scenario_of(
     end = f"-{name.removesuffix('-v1')}-v1"
     fits = [i for i in ids if i == name] or [i for i in ids if i.endswith(end)]
     if len(fits) > 1:
-        raise UnknownName(f"{config}: {wanted!r} fits several: {', '.join(fits)}")
+        raise UnknownName(f"{config}: {wanted!r} matches several: {', '.join(fits)}")
     if not fits:
         raise UnknownName(f"{config} has no scenario {wanted!r}; {did_you_mean(name, ids)}")
     if fits[0] in found.unsupported:

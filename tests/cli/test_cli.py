@@ -127,7 +127,7 @@ def test_ctrl_c_in_a_controller_leaves_the_node_waiting(scratch):
         ),
         (
             ["node", "--building", "office-small", "--weather", "USA_CO"],
-            ["fits several", "USA_CO_Denver", "USA_CO_Golden"],
+            ["matches several", "USA_CO_Denver", "USA_CO_Golden"],
         ),
         (["node", *DAY[:4], "--begin", "02-30"], ["begin '02-30' is in no calendar"]),
         (["node", *DAY, "--steps-per-hour", "7"], ["7 does not divide the hour"]),

@@ -103,7 +103,7 @@ def test_a_part_that_fits_several_names_them_all() -> None:
     with pytest.raises(UnknownName) as raised:
         find_building("hotel")
     said = str(raised.value)
-    assert "'hotel' fits several" in said
+    assert "'hotel' matches several" in said
     assert all(name in said for name in ("hotel-large", "hotel-small", "ref-large-hotel", "ref-small-hotel"))
     assert "hospital" not in said
 

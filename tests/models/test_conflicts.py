@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from models.building.conflicts import conflicts
-from models.building.edits import Changes, apply_edits
+from models.building.edits import Edits, apply_edits
 from models.building.model import for_episode, read_building, write
 from models.catalog import find_building, find_weather
 from models.points.discovery import discover
@@ -50,8 +50,8 @@ def ems(
     key: str,
     *lines: str,
     point: str = "BeginTimestepBeforePredictor",
-    more: Changes | None = None,
-) -> Changes:
+    more: Edits | None = None,
+) -> Edits:
     """EMS with one actuator, and one program that is called at `point`."""
     return {
         "EnergyManagementSystem:Actuator": {

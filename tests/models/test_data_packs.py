@@ -98,7 +98,7 @@ def test_an_unprefixed_name_is_enough_where_the_wheel_has_nothing_like_it():
     assert find_building("radiant").name == "sinergym/radiant_residential_building"
     assert find_weather("ESP_Granada").name == "sinergym/ESP_Granada"
     assert find_weather("granada").path.name == "ESP_Granada.084190_SWEC.epw"
-    with pytest.raises(UnknownName, match=r"'2Zone' fits several: sinergym/2Zone\w+_CW, sinergym/2Zone\w+_DX"):
+    with pytest.raises(UnknownName, match=r"'2Zone' matches several: sinergym/2Zone\w+_CW, sinergym/2Zone\w+_DX"):
         find_building("2Zone")
     with pytest.raises(UnknownName, match=r"no building 'sinergym/5Zones'; near names: 'sinergym/5ZoneAutoDXVAV'"):
         find_building("sinergym/5Zones")

@@ -1,4 +1,4 @@
-"""Changes to a model: what they do, what they leave alone, and how wrong ones are refused."""
+"""Edits to a model: what they do, what they leave alone, and how wrong ones are refused."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.energyplus_reference import Alone, Case
 
-from models.building.edits import Changes, apply_edits
+from models.building.edits import Edits, apply_edits
 from models.building.model import read_building
 from models.catalog import find_building
 from topics.errors import InvalidConfig
@@ -51,7 +51,9 @@ def test_types_names_and_words_are_found_in_any_case() -> None:
 def test_an_exact_name_goes_before_one_in_another_case() -> None:
     model = {"Zone": {"core": {}, "Core": {}}}
     assert apply_edits(model, {"Zone": {"Core": {"multiplier": 2}}})["Zone"] == {"core": {}, "Core": {"multiplier": 2}}
-    assert refused({"Zone": {"CORE": {"multiplier": 2}}}, model) == ["Zone 'CORE' fits several: 'core', 'Core'"]
+    assert refused({"Zone": {"CORE": {"multiplier": 2}}}, model) == [
+        "Zone 'CORE' matches several objects: 'core', 'Core'"
+    ]
 
 
 def test_none_removes_a_field_and_an_object() -> None:
@@ -81,7 +83,7 @@ def test_a_list_is_replaced_as_a_whole() -> None:
 def test_a_misspelled_name_says_the_near_one_and_what_a_new_object_would_lack() -> None:
     assert refused({"Material": {"Gypsumm": {"conductivity": 0.4}}}) == [
         "Material 'Gypsumm': the model has no such object; near names: 'Gypsum'; "
-        "a new one would lack 'roughness', 'thickness', 'density', 'specific_heat'"
+        "a new one needs 'roughness', 'thickness', 'density', 'specific_heat'"
     ]
 
 
@@ -99,7 +101,7 @@ def test_a_misspelled_name_says_the_near_one_and_what_a_new_object_would_lack() 
         ({"Material": {"Brick": 3}}, "Material 'Brick': expected fields by name, or null to remove it; got 3"),
         ({"Material": 3}, "Material: expected objects by name, got 3"),
         ({"Timestep": {"mine": {"number_of_timesteps_per_hour": 4}}},
-         "Timestep 'mine': a model has one object of this type, and this one has 'Timestep 1'; '*' names it too"),
+         "Timestep 'mine': a model has only one object of this type, here 'Timestep 1'; '*' refers to it as well"),
     ],
 )  # fmt: skip
 def test_a_wrong_change_is_refused(edits: Any, said: str) -> None:
@@ -120,7 +122,7 @@ def test_what_was_wrong_in_the_model_before_is_not_the_changes_fault() -> None:
 @given(st.dictionaries(st.sampled_from(["thickness", "conductivity", "density"]), st.floats(0.001, 1e6)))
 def test_a_change_and_its_reverse_give_the_model_back(fields: dict[str, float]) -> None:
     there = apply_edits(MODEL, {"Material": {"Brick": fields}})
-    back: Changes = {"Material": {"Brick": {name: BRICK[name] for name in fields}}}
+    back: Edits = {"Material": {"Brick": {name: BRICK[name] for name in fields}}}
     assert apply_edits(there, back) == MODEL
 
 
@@ -139,7 +141,7 @@ def test_insulation_saves_heat_on_a_winter_day(folder: Path) -> None:
     assert heat(apply_edits(model, _insulation(model)), folder / "better") < 0.98 * heat(model, folder / "own")
 
 
-def _insulation(model: dict[str, Any]) -> Changes:
+def _insulation(model: dict[str, Any]) -> Edits:
     """Half the conductivity, twice the resistance, of every material."""
     return {
         "Material": {name: {"conductivity": f["conductivity"] / 2} for name, f in model["Material"].items()},

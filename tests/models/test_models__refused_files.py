@@ -57,7 +57,7 @@ def test_an_object_that_the_converter_leaves_out_is_an_error(idf: Callable[[str]
 @pytest.mark.parametrize("text", ["", "hello world, this is none", "\x00\xff\x01;\x02,", "! only a comment\n"])
 def test_what_is_no_idf_is_told_as_no_idf(idf: Callable[[str], Path], text: str) -> None:
     path = idf(text)
-    with pytest.raises(InvalidConfig, match=r"mine\.idf is no IDF") as caught:
+    with pytest.raises(InvalidConfig, match=r"mine\.idf is not an IDF") as caught:
         read(path)
     assert str(path) in str(caught.value)
 
@@ -65,7 +65,7 @@ def test_what_is_no_idf_is_told_as_no_idf(idf: Callable[[str], Path], text: str)
 def test_an_epjson_of_any_depth_is_one_error(tmp_path: Path) -> None:
     path = tmp_path / "deep.epJSON"
     path.write_text('{"Building":' + "[" * 50_000 + "]" * 50_000 + "}")
-    with pytest.raises(InvalidConfig, match=r"deep\.epJSON is no epJSON"):
+    with pytest.raises(InvalidConfig, match=r"deep\.epJSON is not an epJSON"):
         read(path)
 
 
@@ -120,4 +120,4 @@ def test_an_error_of_a_ddy_names_that_file(tmp_path: Path, monkeypatch: pytest.M
 def test_many_errors_of_a_model_are_told_by_the_first_ones() -> None:
     with pytest.raises(InvalidConfig) as caught:
         check_runnable(Building("many", {f"None{i}": {} for i in range(1000)}, "", (), "many.epJSON"))
-    assert len(str(caught.value).splitlines()) == model._MOST + 2
+    assert len(str(caught.value).splitlines()) == model._MAX_ERRORS + 2

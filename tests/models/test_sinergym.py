@@ -434,7 +434,7 @@ def test_one_of_several_by_the_end_of_its_id(root):
     assert scenario_of(config).id == "5zone-hot-continuous-v1"
     for text in ("cool-discrete", "cool-discrete-v1", "5zone-cool-discrete-v1", "Eplus-5zone-cool-discrete-v1"):
         assert scenario_of(config, text).id == "5zone-cool-discrete-v1"
-    with pytest.raises(UnknownName, match="'discrete' fits several: 5zone-hot-discrete-v1, 5zone-mixed-discrete-v1"):
+    with pytest.raises(UnknownName, match="'discrete' matches several: 5zone-hot-discrete-v1, 5zone-mixed-discrete-v1"):
         scenario_of(config, "discrete")
     with pytest.raises(UnknownName, match="has no scenario 'hot-discret'; near names: '5zone-hot-discrete-v1'"):
         scenario_of(config, "hot-discret")

@@ -94,7 +94,7 @@ def during_a_timestep(env: gym.Env[Any, Any], do: Callable[[psutil.Process, psut
     ("given", "message"),
     [
         ({"building": "ofice-small"}, r"no building 'ofice-small'; near names: .*'office-small'"),
-        ({"building": "office"}, r"building 'office' fits several: office-large, office-medium, office-small"),
+        ({"building": "office"}, r"building 'office' matches several: office-large, office-medium, office-small"),
         ({"building": "gone/model.idf"}, r"no building file at /.*/gone/model\.idf"),
         ({"weather": "USA_CO_Denvr"}, r"no weather 'USA_CO_Denvr'; near names: 'USA_CO_Denver'"),
         ({"weather": "gone.epw"}, r"no weather file at /.*/gone\.epw"),
@@ -192,7 +192,7 @@ def test_a_model_that_energyplus_refuses(scratch: Path) -> None:
 
 def test_a_model_that_is_none(scratch: Path) -> None:
     path = scratch / "empty.epJSON"
-    for text, message in (("{", "is no epJSON"), ("{}", "it has no 'Building' object")):
+    for text, message in (("{", "is not an epJSON"), ("{}", "it has no 'Building' object")):
         path.write_text(text)
         with pytest.raises(InvalidConfig, match=message):
             make(building=path)
