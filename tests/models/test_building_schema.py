@@ -123,7 +123,7 @@ def test_unknown_names_list_near_ones() -> None:
         ({"thickness": float("nan")}, "thickness is nan; expected a number above 0"),
         ({"thickness": "thick"}, "thickness is 'thick'; expected a number above 0"),
         ({"solar_absorptance": 1.1}, "solar_absorptance is 1.1; expected a number at least 0 and at most 1"),
-        ({"roughness": "SMOOTH"}, "roughness is 'SMOOTH'; EnergyPlus wants it written 'Smooth'"),
+        ({"roughness": "SMOOTH"}, "roughness is 'SMOOTH'; EnergyPlus requires 'Smooth'"),
         ({"thickness": None}, "thickness is null; expected a number above 0, or no such field"),
     ],
 )  # fmt: skip
@@ -156,7 +156,7 @@ def test_objects_that_are_none_are_said() -> None:
     assert only({"Material": {"brick": 3}}) == "Material 'brick': expected fields by name, got 3"
     assert only({"Material": [1]}) == "Material: expected objects by name, got [1]"
     assert only({"Material": {" ": MATERIAL}}) == "Material: an object without a name"
-    assert "a model has one of it, got 2" in only({"Timestep": {"a": {}, "b": {}}})
+    assert "a model has only one, got 2" in only({"Timestep": {"a": {}, "b": {}}})
 
 
 def test_what_converters_leave_behind_is_no_fault() -> None:
