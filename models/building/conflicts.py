@@ -1,15 +1,15 @@
-"""What in a model fights the actuators of a scenario, found before it runs.
+"""Find what in a building model overrides the actuators of a scenario, before anything runs.
 
-What wins over what was tried with EnergyPlus 25.2:
+The order of precedence was determined by experiment with EnergyPlus 25.2:
 
-- An `EnergyManagementSystem:Actuator` on the same control always wins, wherever its program is called, and
-  even if no program sets it: EnergyPlus then gives the building its own control back.
-- A zone's thermostat (`Zone Temperature Control`) wins over the schedule of its setpoint. So EMS programs
-  that set thermostat schedules do not disturb a scenario that sets zones; the reverse is a fight.
-- A thermostat with one setpoint (`ThermostatSetpoint:SingleHeating`) offers the other to actuators as well,
-  and does nothing with it.
-- IT equipment under `FlowControlWithApproachTemperatures` fixes the supply air's temperature: its zone's
-  temperature and power are the same at any cooling setpoint.
+- An `EnergyManagementSystem:Actuator` on the same control always takes precedence, at whatever calling point its
+  program runs, and even if no program sets it: EnergyPlus then returns the control to the building.
+- A zone's thermostat (`Zone Temperature Control`) takes precedence over the schedule of its setpoint. So EMS programs
+  that set thermostat schedules do not affect a scenario that sets zones; the reverse is a conflict.
+- A thermostat with one setpoint (`ThermostatSetpoint:SingleHeating`) offers an actuator for the other one as well,
+  which has no effect.
+- IT equipment under `FlowControlWithApproachTemperatures` determines the supply air temperature: its zone's
+  temperature and power do not depend on the cooling setpoint.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _DUAL = {
     "heating_setpoint_temperature_schedule_name": ("heating setpoint",),
     "cooling_setpoint_temperature_schedule_name": ("cooling setpoint",),
 }
-"""Fields of a dual setpoint and the zone control that each is."""
+"""Schedule fields of a dual setpoint and their zone controls."""
 
 _SINGLE = {
     "ThermostatSetpoint:SingleHeating": ("heating setpoint",),
@@ -41,34 +41,34 @@ _SINGLE = {
 }
 
 _BEFORE_RUN = {"endofzonesizing", "endofsystemsizing", "aftercomponentinputreadin", "unitarysystemsizing"}
-"""Calling points of EMS programs that run before the simulation only; what they set is forgotten by then."""
+"""Calling points of EMS programs that run only before the simulation; values that they set do not last into it."""
 
 
 def conflicts(objects: Objects, actuators: Sequence[Actuator]) -> list[str]:
-    """A line for each thing in the model that takes an actuator's effect away, and why.
+    """Return a line for each conflict between the model and an actuator, with the reason.
 
     Args:
-        objects: the model, with the scenario's changes.
+        objects: the model, with the scenario's edits.
         actuators: those of the scenario, as EnergyPlus names them.
     """
-    found = [
+    lines = [
         f"actuator {name!r}: {text}"
         for name, texts in overridden_actuators(objects, actuators).items()
         for text in texts
     ]
-    found.extend(_plugins(objects, actuators))
-    return list(dict.fromkeys(found))
+    lines.extend(_plugins(objects, actuators))
+    return list(dict.fromkeys(lines))
 
 
 def overridden_actuators(objects: Objects, actuators: Sequence[Actuator]) -> dict[str, list[str]]:
-    """By actuator, why it has no effect; those that have one are not in it."""
+    """Return the reasons why actuators have no effect, by actuator; actuators without conflicts are left out."""
     model = _Model(objects)
-    found = {actuator.name: list(model.against(actuator)) for actuator in actuators}
-    return {name: texts for name, texts in found.items() if texts}
+    reasons = {actuator.name: list(model.reasons(actuator)) for actuator in actuators}
+    return {name: texts for name, texts in reasons.items() if texts}
 
 
 class _Model:
-    """A model's EMS, thermostats and uses of schedules, names folded."""
+    """A model's EMS, thermostats and schedule users; names are case-folded."""
 
     def __init__(self, objects: Objects) -> None:
         self.objects = objects
@@ -78,66 +78,66 @@ class _Model:
 
     @cached_property
     def users(self) -> dict[str, set[str]]:
-        """Types of the objects that use a name; walks the whole model."""
+        """Types of the objects that refer to a name; visits the whole model."""
         return _users(self.objects)
 
-    def against(self, actuator: Actuator) -> Iterator[str]:
-        """What takes one actuator's effect away."""
+    def reasons(self, actuator: Actuator) -> Iterator[str]:
+        """Yield the reasons why an actuator has no effect."""
         control = (_fold(actuator.component_type), _fold(actuator.control_type), _fold(actuator.key))
         reads = self.ems.readers(control[2]) if control[1] == _SCHEDULE_VALUE else []
-        taken = list(self._same_control(control, reads))
-        yield from taken
+        same_control = list(self._same_control(control, reads))
+        yield from same_control
         yield from _external(self.objects, control)
         if control[0] == _ZONE_CONTROL:
-            yield from self._missing(control[2], control[1])
-            yield from self._approach([(control[2], control[1])])
+            yield from self._missing_setpoint(control[2], control[1])
+            yield from self._fixed_supply_air([(control[2], control[1])])
         elif control[1] == _SCHEDULE_VALUE:
-            governed = [(zone, what) for zone, what, schedule in self.thermostats if schedule == control[2]]
-            yield from self._overruled(governed, actuator.key)
-            yield from self._approach(governed)
-            if not taken:
-                yield from self._unused(actuator.key, reads)
+            governed = [(zone, setpoint) for zone, setpoint, schedule in self.thermostats if schedule == control[2]]
+            yield from self._overridden_schedule(governed, actuator.key)
+            yield from self._fixed_supply_air(governed)
+            if not same_control:
+                yield from self._unused_schedule(actuator.key, reads)
 
     def _same_control(self, control: tuple[str, str, str], reads: list[str]) -> Iterator[str]:
         for name in self.ems.actuators.get(control, ()):
             setters = self.ems.setters(name)
             if setters:
-                both = [program for program in setters if program in reads]
-                also = f" ({_these('program', both)} also reads it)" if both else ""
-                said = f"EMS {_these('program', setters)} sets the same control by {_EMS}Actuator {name!r}"
-                yield f"{said}{also}, and wins"
+                readers = [program for program in setters if program in reads]
+                note = f" ({_quoted_list('program', readers)} also reads it)" if readers else ""
+                programs = f"EMS {_quoted_list('program', setters)}"
+                yield f"{programs} sets the same control through {_EMS}Actuator {name!r}{note} and takes precedence"
             else:
                 yield (
-                    f"{_EMS}Actuator {name!r} is on the same control and no program sets it in the run; "
-                    "EnergyPlus then gives the building its own control back"
+                    f"{_EMS}Actuator {name!r} is on the same control, but no program sets it during the run; "
+                    "EnergyPlus then returns the control to the building"
                 )
 
-    def _overruled(self, governed: list[tuple[str, str]], schedule: str) -> Iterator[str]:
-        for zone, what in governed:
-            for name in self.ems.actuators.get((_ZONE_CONTROL, what, zone), ()):
+    def _overridden_schedule(self, governed: list[tuple[str, str]], schedule: str) -> Iterator[str]:
+        for zone, setpoint in governed:
+            for name in self.ems.actuators.get((_ZONE_CONTROL, setpoint, zone), ()):
                 if setters := self.ems.setters(name, value_only=True):
                     yield (
-                        f"EMS {_these('program', setters)} sets the {what} of zone {self._zone(zone)!r} by "
-                        f"{_EMS}Actuator {name!r}, which wins over schedule {schedule!r} there"
+                        f"EMS {_quoted_list('program', setters)} sets the {setpoint} of zone {self._zone(zone)!r} "
+                        f"through {_EMS}Actuator {name!r}, which takes precedence over schedule {schedule!r} there"
                     )
 
-    def _missing(self, zone: str, what: str) -> Iterator[str]:
-        has = {control for own, control, _ in self.thermostats if own == zone}
-        if has and what in ("heating setpoint", "cooling setpoint") and what not in has:
-            yield f"the thermostat of zone {self._zone(zone)!r} has a {' and a '.join(sorted(has))} only"
+    def _missing_setpoint(self, zone: str, setpoint: str) -> Iterator[str]:
+        setpoints = {control for own, control, _ in self.thermostats if own == zone}
+        if setpoints and setpoint in ("heating setpoint", "cooling setpoint") and setpoint not in setpoints:
+            yield f"the thermostat of zone {self._zone(zone)!r} has only a {' and a '.join(sorted(setpoints))}"
 
-    def _approach(self, governed: list[tuple[str, str]]) -> Iterator[str]:
-        for zone, what in governed:
-            if what == "cooling setpoint" and zone in self.by_approach:
+    def _fixed_supply_air(self, governed: list[tuple[str, str]]) -> Iterator[str]:
+        for zone, setpoint in governed:
+            if setpoint == "cooling setpoint" and zone in self.by_approach:
                 yield (
                     f"the cooling setpoint of zone {self._zone(zone)!r} has no effect: ElectricEquipment:ITE:AirCooled "
-                    f"{self.by_approach[zone]!r} is under {_APPROACH}, which rule the supply air"
+                    f"{self.by_approach[zone]!r} uses {_APPROACH}, which determines the supply air temperature"
                 )
 
-    def _unused(self, schedule: str, reads: list[str]) -> Iterator[str]:
+    def _unused_schedule(self, schedule: str, reads: list[str]) -> Iterator[str]:
         users = self.users.get(_fold(schedule), set())
         if not users and reads:
-            yield f"no object uses schedule {schedule!r}; only EMS {_these('program', reads)} reads it"
+            yield f"no object uses schedule {schedule!r}; only EMS {_quoted_list('program', reads)} reads it"
         elif not users:
             yield f"nothing in the model uses schedule {schedule!r}"
         elif all(kind.startswith("Sizing") for kind in users):
@@ -148,7 +148,7 @@ class _Model:
 
 
 class _Programs:
-    """The EMS programs that run during the simulation, what each sets and what each reads."""
+    """The EMS programs that run during the simulation, with the actuators that they set and the sensors they read."""
 
     def __init__(self, objects: Objects) -> None:
         self.actuators: dict[tuple[str, str, str], list[str]] = {}
@@ -173,35 +173,35 @@ class _Programs:
         self.running = self._reached(called)
 
     def setters(self, actuator: str, *, value_only: bool = False) -> list[str]:
-        """The running programs that set an EMS actuator; `value_only`: without those that only release it."""
+        """Return the running programs that set an EMS actuator; `value_only`: except those that only set it to null."""
         pattern = re.compile(rf"\s*SET\s+{re.escape(actuator)}\s*=\s*([^!]*)", re.IGNORECASE)
-        found = []
+        setters = []
         for name in self.running:
             values = [_fold(match[1]) for line in self._lines[name] if (match := pattern.match(line))]
             if any(not value_only or value != "null" for value in values):
-                found.append(name)
-        return found
+                setters.append(name)
+        return setters
 
     def readers(self, schedule: str) -> list[str]:
-        """The running programs that read a schedule (its name folded) by an EMS sensor."""
+        """Return the running programs that read a schedule (a case-folded name) through an EMS sensor."""
         sensors = [name for name, key in self._sensors.items() if key == schedule]
         return [name for name in self.running if any(s in _words(self._lines[name]) for s in sensors)]
 
     def _reached(self, called: set[str]) -> list[str]:
-        """Programs that are called, and those that they `RUN`."""
-        reached, left = list[str](), set(called)
-        while left:
-            one = left.pop()
+        """Return the programs that are called, and those that they `RUN`."""
+        reached, pending = list[str](), set(called)
+        run = re.compile(r"\s*RUN\s+(\w+)", re.IGNORECASE)
+        while pending:
+            program = pending.pop()
             for name in self._lines:
-                if _fold(name) == one and name not in reached:
+                if _fold(name) == program and name not in reached:
                     reached.append(name)
-                    lines = self._lines[name]
-                    left |= {_fold(m[1]) for line in lines if (m := re.match(r"\s*RUN\s+(\w+)", line, re.IGNORECASE))}
+                    pending |= {_fold(m[1]) for line in self._lines[name] if (m := run.match(line))}
         return [name for name in self._lines if name in reached]
 
 
 def _words(lines: list[str]) -> set[str]:
-    """Every name in a program, folded; comments are left out."""
+    """Return all names in a program, case-folded, without comments."""
     return {word.casefold() for line in lines for word in re.findall(r"\w+", line.partition("!")[0])}
 
 
@@ -214,24 +214,24 @@ def _control(fields: Mapping[str, Any]) -> tuple[str, str, str]:
 
 
 def _zones(objects: Objects, name: object) -> list[str]:
-    """The zones, folded, that a zone, zone list, space or space list of that name stands for."""
-    wanted = _fold(name)
-    for lists, entries, entry, deeper in (
+    """Return the zones, case-folded, of a zone, zone list, space or space list."""
+    folded = _fold(name)
+    for list_type, entries_field, name_field, nested in (
         ("ZoneList", "zones", "zone_name", False),
         ("SpaceList", "spaces", "space_name", True),
     ):
-        for own, fields in objects.get(lists, {}).items():
-            if _fold(own) == wanted:
-                names = [each.get(entry) for each in fields.get(entries, ())]
-                return [z for n in names for z in (_zones(objects, n) if deeper else [_fold(n)])]
+        for own, fields in objects.get(list_type, {}).items():
+            if _fold(own) == folded:
+                names = [member.get(name_field) for member in fields.get(entries_field, ())]
+                return [z for n in names for z in (_zones(objects, n) if nested else [_fold(n)])]
     for own, fields in objects.get("Space", {}).items():
-        if _fold(own) == wanted:
+        if _fold(own) == folded:
             return [_fold(fields.get("zone_name"))]
-    return [wanted]
+    return [folded]
 
 
 def _thermostats(objects: Objects) -> Iterator[tuple[str, str, str]]:
-    """(zone, control, schedule), all folded, of each setpoint that some thermostat uses."""
+    """Yield (zone, control, schedule), all case-folded, for each setpoint that a thermostat uses."""
     setpoints = {
         (_fold(kind), _fold(name)): (kind, fields)
         for kind in ("ThermostatSetpoint:DualSetpoint", *_SINGLE)
@@ -251,7 +251,7 @@ def _thermostats(objects: Objects) -> Iterator[tuple[str, str, str]]:
 
 
 def _approach_zones(objects: Objects) -> Iterator[tuple[str, str]]:
-    """(zone, IT equipment) where approach temperatures rule the supply air, which is behind VAV terminals only."""
+    """Yield (zone, IT equipment) where approach temperatures determine the supply air: only at VAV terminals."""
     outlets = {
         _fold(fields.get("air_outlet_node_name"))
         for kind, items in objects.items()
@@ -266,46 +266,46 @@ def _approach_zones(objects: Objects) -> Iterator[tuple[str, str]]:
 
 
 def _users(objects: Objects) -> dict[str, set[str]]:
-    """Each text in the model, folded, and the types of the objects that have it in their fields.
+    """Return each string in the model, case-folded, with the types of the objects that have it in their fields.
 
-    EMS, outputs and thermostat setpoints that no thermostat uses do not count as users.
+    EMS objects, outputs and thermostat setpoints that no thermostat uses do not count as users.
     """
     used = {
         (_fold(thermostat.get(f"control_{n}_object_type")), _fold(thermostat.get(f"control_{n}_name")))
         for thermostat in objects.get("ZoneControl:Thermostat", {}).values()
         for n in range(1, 5)
     }
-    found: dict[str, set[str]] = {}
+    users: dict[str, set[str]] = {}
     for kind, items in objects.items():
         optional = kind in ("ThermostatSetpoint:DualSetpoint", *_SINGLE)
         for name, fields in items.items() if not kind.startswith((_EMS, "Output")) else ():
             if not optional or (_fold(kind), _fold(name)) in used:
                 for text in _texts(fields):
-                    found.setdefault(text, set()).add(kind)
-    return found
+                    users.setdefault(text, set()).add(kind)
+    return users
 
 
 def _texts(value: object) -> Iterator[str]:
-    """Every text in an object's fields, folded."""
+    """Yield all strings in an object's fields, case-folded."""
     if isinstance(value, str):
         yield value.casefold()
     elif isinstance(value, Mapping):
-        for each in value.values():
-            yield from _texts(each)
+        for item in value.values():
+            yield from _texts(item)
     elif isinstance(value, Sequence):
-        for each in value:
-            yield from _texts(each)
+        for item in value:
+            yield from _texts(item)
 
 
 def _external(objects: Objects, control: tuple[str, str, str]) -> Iterator[str]:
-    """External interfaces that may set the same control, or the same schedule."""
+    """Yield the external interfaces that may set the same control or the same schedule."""
     for kind, items in objects.items():
         if not kind.startswith("ExternalInterface:"):
             continue
         for name, fields in items.items():
             schedule = kind.endswith("Schedule") and control[1] == _SCHEDULE_VALUE and _fold(name) == control[2]
             if schedule or (kind.endswith("Actuator") and _control(fields) == control):
-                yield f"{kind} {name!r} is on the same control and may win"
+                yield f"{kind} {name!r} is on the same control and may take precedence"
 
 
 def _plugins(objects: Objects, actuators: Sequence[Actuator]) -> Iterator[str]:
@@ -313,11 +313,11 @@ def _plugins(objects: Objects, actuators: Sequence[Actuator]) -> Iterator[str]:
     if plugins and actuators:
         names = ", ".join(repr(actuator.name) for actuator in actuators[:3]) + (", …" if len(actuators) > 3 else "")
         for name, fields in plugins.items():
-            what = f"{fields.get('python_module_name')}.{fields.get('plugin_class_name')}"
-            yield f"actuators {names}: PythonPlugin:Instance {name!r} runs {what}, which may set the same controls"
+            plugin = f"{fields.get('python_module_name')}.{fields.get('plugin_class_name')}"
+            yield f"actuators {names}: PythonPlugin:Instance {name!r} runs {plugin}, which may set the same controls"
 
 
-def _these(noun: str, names: list[str]) -> str:
+def _quoted_list(noun: str, names: list[str]) -> str:
     return f"{noun}{'s' if len(names) > 1 else ''} {', '.join(map(repr, names))}"
 
 

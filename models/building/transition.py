@@ -1,8 +1,8 @@
-"""Input files of other EnergyPlus versions: converted where it is known how, else refused by name.
+"""Convert models of earlier EnergyPlus versions where the transition is known, and reject the rest.
 
-EnergyPlus itself only warns of another version, and passes over fields that have another name by now. The
-tables follow its "Input Changes" pages (24.1 to 24.2, 24.2 to 25.1, 25.1 to 25.2) and a comparison of the
-schemas inside its libraries 23.2, 25.1 and 25.2: some changes of field names are on no page.
+EnergyPlus itself only warns about another version and ignores fields that have since been renamed. The tables
+follow its "Input Changes" pages (24.1 to 24.2, 24.2 to 25.1, 25.1 to 25.2) and a comparison of the schemas inside
+its libraries 23.2, 25.1 and 25.2, because some renamed fields are on none of those pages.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from topics.errors import InvalidConfig
 
 Objects = Mapping[str, Mapping[str, Any]]
 Renames = tuple[tuple[str, str], ...]
-"""Patterns of whole field names and what they are now."""
+"""Patterns of whole field names, and their replacements."""
 
 
 @dataclass(frozen=True, slots=True)
 class ConversionResult:
-    """A model for the engine, and what was done to it, a line each."""
+    """A model converted to the engine's version, with a note on each change."""
 
     objects: dict[str, Any]
     notes: tuple[str, ...] = ()
@@ -31,16 +31,16 @@ class ConversionResult:
 
 @dataclass(frozen=True, slots=True)
 class VersionTransition:
-    """What changed in the input from one version to the next, by object type.
+    """Changes of the input format from one version to the next, by object type.
 
     Attributes:
         before, after: the two versions.
-        renamed: fields with another name.
-        listed: numbered fields that became the entries of a list: its name and the entries' fields.
+        renamed: renamed fields.
+        listed: numbered fields that became the entries of a list: the list's name and the entries' fields.
         named: fields that became the object's name.
-        dropped: fields that are gone and had no effect.
-        defaults: fields whose default changed, with the old one.
-        moved: other types whose fields moved within an IDF.
+        dropped: removed fields that had no effect.
+        defaults: fields whose default changed, with the old default.
+        moved: other types whose fields changed position in an IDF.
     """
 
     before: str
@@ -54,7 +54,7 @@ class VersionTransition:
 
 
 _SPACES = (("zone_name", "zone_or_space_name"),)
-STEPS = (
+TRANSITIONS = (
     VersionTransition(
         "24.1",
         "24.2",
@@ -124,66 +124,72 @@ STEPS = (
         ),
     ),
 )  # fmt: skip
-"""What is known, in order."""
+"""The known transitions, in order."""
 
 
 def check_epjson(objects: Objects, *, name: str, engine: str | None = None) -> ConversionResult:
-    """The model for the engine, converted if it is of an earlier known version; the input is not touched.
+    """Convert a model of a known earlier version for the engine; the input is not modified.
 
-    A model of the engine's own version, or of none, is taken as it is (EnergyPlus does the same).
+    A model of the engine's own version, or without a version, is used as it is, as in EnergyPlus.
 
     Args:
         objects: a whole epJSON.
-        name: of the file, for the error.
-        engine: the engine's version; None is the installed one.
+        name: of the file, for error messages.
+        engine: the engine's version; None means the installed one.
 
     Raises:
-        InvalidConfig: no way from its version to the engine's, or objects that do not fit the engine's schema.
+        InvalidConfig: there is no transition from the model's version to the engine's, or the result does not match
+            the engine's schema.
     """
     engine = engine or energyplus.version()
     if not all(isinstance(items, Mapping) and _all_fields(items) for items in objects.values()):
         raise InvalidConfig(
             "\n".join([f"{name} is not an epJSON file:", *schema.schema_errors(objects, complete=False)])
         )
-    said = next((fields.get("version_identifier") for fields in objects.get("Version", {}).values()), None)
-    steps = _steps(said, engine, name)
-    if not steps:
+    version = next((fields.get("version_identifier") for fields in objects.get("Version", {}).values()), None)
+    transitions = _transitions(version, engine, name)
+    if not transitions:
         return ConversionResult(dict(objects))
     result, notes = {kind: dict(items) for kind, items in objects.items()}, list[str]()
-    for step in steps:
-        done = [f"from {step.before} to {step.after}: {note}" for note in dict.fromkeys(_convert(step, result))]
-        notes += done or [f"from {step.before} to {step.after}: nothing to convert"]
-    result["Version"] = {each: {"version_identifier": steps[-1].after} for each in list(result["Version"])[:1]}
-    if faults := schema.schema_errors(result, complete=True):
-        head = f"{name} is of EnergyPlus {said}, and this does not fit {steps[-1].after} ({_advice(engine)}):"
-        raise InvalidConfig("\n".join([head, *faults]))
+    for step in transitions:
+        changes = [f"from {step.before} to {step.after}: {note}" for note in dict.fromkeys(_convert(step, result))]
+        notes += changes or [f"from {step.before} to {step.after}: nothing to convert"]
+    target = transitions[-1].after
+    result["Version"] = {key: {"version_identifier": target} for key in list(result["Version"])[:1]}
+    if errors := schema.schema_errors(result, complete=True):
+        head = f"{name} is for EnergyPlus {version}, and these objects do not match {target} ({_advice(engine)}):"
+        raise InvalidConfig("\n".join([head, *errors]))
     return ConversionResult(result, tuple(notes))
 
 
 def check_idf(text: str, *, name: str, engine: str | None = None) -> tuple[str, ...]:
-    """What to note of an IDF that EnergyPlus can read as it is; its fields go by place.
+    """Check that EnergyPlus can read an IDF as it is, and return notes on its version.
+
+    Fields of an IDF are positional, so an IDF of another version cannot be converted here.
 
     Raises:
-        InvalidConfig: of another version, unless none of its objects' fields has moved since.
+        InvalidConfig: the IDF is of another version in which a field of one of its objects changed.
     """
     engine = engine or energyplus.version()
     kinds = idf_objects(text)
-    said = next((fields.split(",")[0].strip() for kind, fields in kinds if kind.casefold() == "version"), None)
-    steps = _steps(said, engine, name)
-    if not steps:
+    version = next((fields.split(",")[0].strip() for kind, fields in kinds if kind.casefold() == "version"), None)
+    transitions = _transitions(version, engine, name)
+    if not transitions:
         return ()
-    if len(steps) > 1:
-        raise InvalidConfig(f"{name} is an IDF of EnergyPlus {said}; {_advice(engine)}")
-    (step,) = steps
+    if len(transitions) > 1:
+        raise InvalidConfig(f"{name} is an IDF for EnergyPlus {version}; {_advice(engine)}")
+    (step,) = transitions
     changed = {
-        k.casefold() for part in (step.renamed, step.listed, step.named, step.dropped, step.defaults) for k in part
+        k.casefold()
+        for entry_field in (step.renamed, step.listed, step.named, step.dropped, step.defaults)
+        for k in entry_field
     }
     changed |= {kind.casefold() for kind in step.moved}
-    hit = sorted({kind for kind, _ in kinds if kind.casefold() in changed})
-    if hit:
+    affected = sorted({kind for kind, _ in kinds if kind.casefold() in changed})
+    if affected:
         raise InvalidConfig(
-            f"{name} is an IDF of EnergyPlus {said} with objects whose fields are others in {step.after}: "
-            f"{', '.join(hit)}; {_advice(engine)}"
+            f"{name} is an IDF for EnergyPlus {version} with objects whose fields changed in {step.after}: "
+            f"{', '.join(affected)}; {_advice(engine)}"
         )
     return (f"from {step.before} to {step.after}: nothing to convert",)
 
@@ -192,42 +198,42 @@ def _all_fields(items: Mapping[str, Any]) -> bool:
     return all(isinstance(fields, Mapping) for fields in items.values())
 
 
-def _steps(said: object, engine: str, name: str) -> tuple[VersionTransition, ...]:
-    """The steps from the version that a file names to the engine's; none if it is the same or not named."""
+def _transitions(version: object, engine: str, name: str) -> tuple[VersionTransition, ...]:
+    """Return the transitions from a file's version to the engine's; none if it is the same or unknown."""
     target = _short(engine)
-    own = _short(said) if said not in (None, "") else target
+    own = _short(version) if version not in (None, "") else target
     if own == target:
         return ()
-    begins, ends = [step.before for step in STEPS], [step.after for step in STEPS]
+    begins, ends = [step.before for step in TRANSITIONS], [step.after for step in TRANSITIONS]
     if own not in begins or target not in ends[begins.index(own) :]:
-        raise InvalidConfig(f"{name} is of EnergyPlus {said}; {_advice(engine)}")
-    return STEPS[begins.index(own) : ends.index(target) + 1]
+        raise InvalidConfig(f"{name} is for EnergyPlus {version}; {_advice(engine)}")
+    return TRANSITIONS[begins.index(own) : ends.index(target) + 1]
 
 
 def _short(version: object) -> str:
-    """`25.2.0` is `25.2`; what is no version stays as it is."""
-    found = re.match(r"\s*(\d+\.\d+)", str(version))
-    return found[1] if found else str(version)
+    """Shorten `25.2.0` to `25.2`; text that is not a version is unchanged."""
+    match = re.match(r"\s*(\d+\.\d+)", str(version))
+    return match[1] if match else str(version)
 
 
 def _advice(engine: str) -> str:
-    early = [step.before for step in STEPS]
+    early = [step.before for step in TRANSITIONS]
     return (
-        f"this engine is {engine}: give a model of {_short(engine)}, or an epJSON of {', '.join(early)}, "
-        "or bring it up with EnergyPlus's own IDFVersionUpdater"
+        f"the engine's version is {engine}: use a model for {_short(engine)}, or an epJSON for {', '.join(early)}, "
+        "or update the file with EnergyPlus's IDFVersionUpdater"
     )
 
 
 def _convert(step: VersionTransition, objects: dict[str, dict[str, Any]]) -> Iterable[str]:
-    """Converts `objects` in place, one level deep, and says what was done."""
+    """Convert `objects` in place, one level deep, and yield a note on each change."""
     for kind, renames in step.renamed.items():
         yield from _each(objects, kind, lambda fields, r=renames: _rename(fields, r))
-    for kind, (into, parts) in step.listed.items():
-        yield from _each(objects, kind, lambda fields, i=into, p=parts: _list(fields, i, p))
-    for kind, gone in step.dropped.items():
-        yield from _each(objects, kind, lambda fields, g=gone: _drop(fields, g))
-    for kind, (late, value) in step.defaults.items():
-        yield from _each(objects, kind, lambda fields, n=late, v=value: _keep_default(fields, n, v))
+    for kind, (list_name, entry_fields) in step.listed.items():
+        yield from _each(objects, kind, lambda fields, i=list_name, p=entry_fields: _list(fields, i, p))
+    for kind, removed in step.dropped.items():
+        yield from _each(objects, kind, lambda fields, g=removed: _drop(fields, g))
+    for kind, (field_name, value) in step.defaults.items():
+        yield from _each(objects, kind, lambda fields, n=field_name, v=value: _keep_default(fields, n, v))
     for kind, source in step.named.items():
         if any(source in fields for fields in objects.get(kind, {}).values()):
             items = {fields.get(source, name): dict(fields) for name, fields in objects[kind].items()}
@@ -236,7 +242,7 @@ def _convert(step: VersionTransition, objects: dict[str, dict[str, Any]]) -> Ite
 
 
 def _each(objects: dict[str, dict[str, Any]], kind: str, convert: Any) -> Iterable[str]:
-    """Applies `convert` (fields in, new fields and a note out) to each object of a type."""
+    """Apply `convert`, which returns new fields and a note, to each object of a type."""
     for name, fields in objects.get(kind, {}).items():
         objects[kind][name], note = convert(fields)
         if note:
@@ -244,36 +250,36 @@ def _each(objects: dict[str, dict[str, Any]], kind: str, convert: Any) -> Iterab
 
 
 def _rename(fields: Mapping[str, Any], renames: Renames) -> tuple[dict[str, Any], str]:
-    result, done = {}, []
+    result, notes = {}, []
     for name, value in fields.items():
-        now = name
-        for pattern, new in renames:
-            if found := re.fullmatch(pattern, name):
-                now = found.expand(new)
-                done.append(f"{name} is now {now}")
-        result[now] = value
-    return result, ", ".join(done)
+        new_name = name
+        for pattern, template in renames:
+            if match := re.fullmatch(pattern, name):
+                new_name = match.expand(template)
+                notes.append(f"{name} is now {new_name}")
+        result[new_name] = value
+    return result, ", ".join(notes)
 
 
-def _list(fields: Mapping[str, Any], into: str, parts: Renames) -> tuple[dict[str, Any], str]:
+def _list(fields: Mapping[str, Any], list_name: str, entry_fields: Renames) -> tuple[dict[str, Any], str]:
     result: dict[str, Any] = {}
     entries: dict[int, dict[str, Any]] = {}
     for name, value in fields.items():
-        for pattern, part in parts:
-            if found := re.fullmatch(pattern, name):
-                entries.setdefault(int(found[1]), {})[part] = value
+        for pattern, entry_field in entry_fields:
+            if match := re.fullmatch(pattern, name):
+                entries.setdefault(int(match[1]), {})[entry_field] = value
                 break
         else:
             result[name] = value
     if not entries:
         return result, ""
-    result[into] = [entries[number] for number in sorted(entries)]
-    return result, f"its numbered fields are now the list {into}"
+    result[list_name] = [entries[number] for number in sorted(entries)]
+    return result, f"its numbered fields are now the list {list_name}"
 
 
-def _drop(fields: Mapping[str, Any], gone: str) -> tuple[dict[str, Any], str]:
-    left = {name: value for name, value in fields.items() if name != gone}
-    return left, f"{gone} had no effect and is gone" if gone in fields else ""
+def _drop(fields: Mapping[str, Any], removed: str) -> tuple[dict[str, Any], str]:
+    kept = {name: value for name, value in fields.items() if name != removed}
+    return kept, f"{removed} had no effect and was removed" if removed in fields else ""
 
 
 def _keep_default(fields: Mapping[str, Any], name: str, value: Any) -> tuple[dict[str, Any], str]:
@@ -283,7 +289,7 @@ def _keep_default(fields: Mapping[str, Any], name: str, value: Any) -> tuple[dic
 
 
 def idf_objects(text: str) -> list[tuple[str, str]]:
-    """Object type and the text of the fields of each object of an IDF; comments are left out."""
+    """Return the object type and the text of the fields of each object of an IDF, without comments."""
     bare = re.sub(r"!.*", "", text)
     objects = (entry.strip().partition(",") for entry in bare.split(";"))
     return [(kind.strip(), fields) for kind, _, fields in objects if kind.strip()]

@@ -73,14 +73,14 @@ UNSET_ZONE = ems(ZONE, "Cooling Setpoint", "Core_ZN", "SET other = 28.0")
 SIZING_ZONE = ems(ZONE, "Cooling Setpoint", "Core_ZN", "SET Rival = 28.0", point="EndOfZoneSizing")
 NULL_ZONE = ems(ZONE, "Cooling Setpoint", "Core_ZN", "SET Rival = Null")
 SETS_SCHEDULE = ems(SCHEDULE, "Schedule Value", "CLGSETP_SCH", "SET Rival = 28.0")
-WINS = "EMS program 'Prog' sets the same control by EnergyManagementSystem:Actuator 'Rival', and wins"
+WINS = "EMS program 'Prog' sets the same control through EnergyManagementSystem:Actuator 'Rival' and takes precedence"
 GIVES_BACK = (
-    "EnergyManagementSystem:Actuator 'Rival' is on the same control and no program sets it in the run; "
-    "EnergyPlus then gives the building its own control back"
+    "EnergyManagementSystem:Actuator 'Rival' is on the same control, but no program sets it during the run; "
+    "EnergyPlus then returns the control to the building"
 )
 BY_ZONE = (
-    "EMS program 'Prog' sets the cooling setpoint of zone 'Core_ZN' by EnergyManagementSystem:Actuator 'Rival', "
-    "which wins over schedule 'CLGSETP_SCH' there"
+    "EMS program 'Prog' sets the cooling setpoint of zone 'Core_ZN' through EnergyManagementSystem:Actuator 'Rival', "
+    "which takes precedence over schedule 'CLGSETP_SCH' there"
 )
 
 FIGHTS = {
@@ -186,7 +186,7 @@ def test_a_program_that_also_reads_the_schedule_is_said_to() -> None:
         more={"EnergyManagementSystem:Sensor": sensor},  # type: ignore[dict-item]
     )  # fmt: skip
     (line,) = said(edits, COOLING_SCHEDULE)
-    assert line.endswith("'Rival' (program 'Prog' also reads it), and wins")
+    assert line.endswith("'Rival' (program 'Prog' also reads it) and takes precedence")
 
 
 # Schedules
@@ -224,7 +224,9 @@ def test_a_schedule_that_only_ems_reads_is_said() -> None:
 def test_optimum_start_programs_win_over_their_schedules() -> None:
     model = read_building(find_building("office-medium"))
     (line,) = conflicts(model.objects, [schedule("CLGSETP_SCH_YES_OPTIMUM")])
-    assert line.endswith("sets the same control by EnergyManagementSystem:Actuator 'CLGSETP_SCH_Actuator', and wins")
+    assert line.endswith(
+        "sets the same control through EnergyManagementSystem:Actuator 'CLGSETP_SCH_Actuator' and takes precedence"
+    )
 
 
 # Thermostats
@@ -244,7 +246,7 @@ def test_a_thermostat_without_that_setpoint_is_said() -> None:
         "ZoneList": {"Both": {"zones": [{"zone_name": "Core_ZN"}, {"zone_name": "Attic"}]}},
     }
     assert conflicts(model, [HEATING, COOLING]) == [
-        "actuator 'zone': the thermostat of zone 'Core_ZN' has a heating setpoint only"
+        "actuator 'zone': the thermostat of zone 'Core_ZN' has only a heating setpoint"
     ]
 
 
@@ -254,7 +256,7 @@ def test_the_default_actuators_of_bundled_models_rule_but_for_zones_without_cool
     points = select_points(model, discover(model, find_weather("Denver").path), {}, {}, None)
     lines = conflicts(model.objects, points.actuators)
     assert len(lines) == idle
-    assert all(line.endswith("has a heating setpoint only") for line in lines)
+    assert all(line.endswith("has only a heating setpoint") for line in lines)
 
 
 # IT equipment, plugins, external interfaces
@@ -276,8 +278,8 @@ def servers(method: str, outlet: str = "Rack In") -> dict[str, Any]:
 def test_it_equipment_under_approach_temperatures_takes_the_cooling_setpoint_away() -> None:
     approach = servers("FlowControlWithApproachTemperatures")
     text = (
-        "the cooling setpoint of zone 'Core_ZN' has no effect: ElectricEquipment:ITE:AirCooled 'Rack' is under "
-        "FlowControlWithApproachTemperatures, which rule the supply air"
+        "the cooling setpoint of zone 'Core_ZN' has no effect: ElectricEquipment:ITE:AirCooled 'Rack' uses "
+        "FlowControlWithApproachTemperatures, which determines the supply air temperature"
     )
     assert said(approach, COOLING, COOLING_SCHEDULE) == [f"actuator 'zone': {text}", f"actuator 'plan': {text}"]
     assert said(approach, HEATING) == []
@@ -292,6 +294,6 @@ def test_plugins_and_external_interfaces_may_fight() -> None:
     ]
     outer = {"ExternalInterface:Actuator": SETS_ZONE["EnergyManagementSystem:Actuator"]}
     assert said(outer, COOLING, HEATING) == [
-        "actuator 'zone': ExternalInterface:Actuator 'Rival' is on the same control and may win"
+        "actuator 'zone': ExternalInterface:Actuator 'Rival' is on the same control and may take precedence"
     ]
     assert said(plugin) == []

@@ -12,7 +12,7 @@ import pytest
 from models import energyplus
 from models.building import schema, transition
 from models.building.model import read_building
-from models.building.transition import STEPS, check_epjson, check_idf
+from models.building.transition import TRANSITIONS, check_epjson, check_idf
 from models.catalog import find_building
 from topics.errors import InvalidConfig
 
@@ -146,7 +146,9 @@ def test_what_was_a_name_in_a_field_becomes_the_objects_name() -> None:
 
 def test_what_still_does_not_fit_is_refused_by_name() -> None:
     said = refused(model("25.1", Zone={"core": {"multiplyer": 2}}, Zonne={}))
-    assert said.startswith("old.epJSON is of EnergyPlus 25.1, and this does not fit 25.2 (this engine is 25.2")
+    assert said.startswith(
+        "old.epJSON is for EnergyPlus 25.1, and these objects do not match 25.2 (the engine's version is 25.2"
+    )
     field, kind = said.split("\n")[1:]
     assert field.startswith("Zone 'core' has no field 'multiplyer'; near names: 'multiplier'")
     assert kind.startswith("EnergyPlus has no object type 'Zonne'; near names: ")
@@ -155,19 +157,19 @@ def test_what_still_does_not_fit_is_refused_by_name() -> None:
 @pytest.mark.parametrize("version", ["9.6", "23.2", "24.3", "26.1", "8", "new"])
 def test_other_versions_are_refused(version: str) -> None:
     assert refused(model(version, Zone={"core": {}})) == (
-        f"old.epJSON is of EnergyPlus {version}; this engine is {energyplus.version()}: give a model of 25.2, or an "
-        "epJSON of 24.1, 24.2, 25.1, or bring it up with EnergyPlus's own IDFVersionUpdater"
+        f"old.epJSON is for EnergyPlus {version}; the engine's version is {energyplus.version()}: use a model for "
+        "25.2, or an epJSON for 24.1, 24.2, 25.1, or update the file with EnergyPlus's IDFVersionUpdater"
     )
 
 
 def test_an_engine_beyond_the_tables_takes_its_own_version_only() -> None:
     assert check_epjson(model("26.1"), name="m", engine="26.1.0").notes == ()
-    assert "this engine is 26.1.0" in refused(model("25.1"), engine="26.1.0")
+    assert "the engine's version is 26.1.0" in refused(model("25.1"), engine="26.1.0")
 
 
 def test_the_steps_follow_each_other_to_this_engine() -> None:
-    assert [step.after for step in STEPS[:-1]] == [step.before for step in STEPS[1:]]
-    assert energyplus.version().startswith(STEPS[-1].after)
+    assert [step.after for step in TRANSITIONS[:-1]] == [step.before for step in TRANSITIONS[1:]]
+    assert energyplus.version().startswith(TRANSITIONS[-1].after)
 
 
 def test_objects_that_are_none_are_refused() -> None:
@@ -199,11 +201,11 @@ def test_a_version_in_a_comment_is_none() -> None:
 def test_an_idf_with_moved_fields_is_refused_by_their_types() -> None:
     text = "Version,25.1;\nGROUNDHEATEXCHANGER:SYSTEM, g, in, out;\nCoil:Heating:DX:VariableSpeed, c;\nZone, core;"
     assert refused(text).startswith(
-        "old.idf is an IDF of EnergyPlus 25.1 with objects whose fields are others in 25.2: "
-        "Coil:Heating:DX:VariableSpeed, GROUNDHEATEXCHANGER:SYSTEM; this engine is 25.2"
+        "old.idf is an IDF for EnergyPlus 25.1 with objects whose fields changed in 25.2: "
+        "Coil:Heating:DX:VariableSpeed, GROUNDHEATEXCHANGER:SYSTEM; the engine's version is 25.2"
     )
 
 
 @pytest.mark.parametrize("version", ["24.1", "24.2", "9.6", "26.1"])
 def test_an_idf_of_another_version_is_refused(version: str) -> None:
-    assert f"of EnergyPlus {version}; this engine is 25.2" in refused(f"Version,{version};\nZone, core;")
+    assert f"for EnergyPlus {version}; the engine's version is 25.2" in refused(f"Version,{version};\nZone, core;")
