@@ -10,7 +10,7 @@ import typer
 from cli.tables import show, show_json
 
 if TYPE_CHECKING:
-    from models.building.summary import WeatherSummary
+    from models.weather.summary import WeatherSummary
 
 COLUMNS = (
     "weather",
@@ -37,7 +37,7 @@ def weathers(
     Example: `zenostat weathers USA_CO_Denver USA_FL_Miami`
     """
     from models import catalog
-    from models.building.summary import weather_summary
+    from models.weather.summary import weather_summary
 
     entries = [catalog.find_weather(name) for name in weather] if weather else list(catalog.weathers())
     facts = [weather_summary(entry.path) for entry in entries]
