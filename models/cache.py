@@ -1,13 +1,12 @@
-"""Cache of files made from other files, under a key of content: made once, read by any number of processes.
+"""Cache of derived files under keys of content: created once, read by any number of processes.
 
-A cached file begins with a line that has the digest of its name and its content. A file that does not fit its digest
-(truncated, empty, swapped, a folder in its place) is made again, with one line of notice on standard error.
+The first line of a cached file has the digest of its name and content. A file that does not match its digest
+(truncated, empty, swapped, a folder in its place) is created again, with a one-line notice on standard error.
 """
 
 from __future__ import annotations
 
 import errno
-import fcntl
 import hashlib
 import os
 import shutil
@@ -17,34 +16,40 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from platformdirs import user_cache_dir
+
 from topics.errors import InvalidConfig
 
 _FILLING = ".filling-"
 _FILES = "v2"
-"""Folder of the cached files; another form of them gets another one."""
+"""Folder of the cached files; change it when their format changes."""
+
+_LOCK_MODE = 0o666
+"""Every user of a shared cache may take its lock."""
 
 _MAGIC = b"zenostat-cache "
-_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
+_DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 
 
-def store() -> Path:
-    """`$ZENOSTAT_CACHE`, else `$XDG_CACHE_HOME/zenostat`, else `~/.cache/zenostat`.
+def cache_dir() -> Path:
+    """Return the cache folder: `$ZENOSTAT_CACHE`, else `$XDG_CACHE_HOME/zenostat`, else `~/.cache/zenostat`.
 
     Raises:
-        InvalidConfig: there is no home folder, and neither variable names one.
+        InvalidConfig: there is no home folder, and neither variable is set.
     """
     if named := os.environ.get("ZENOSTAT_CACHE"):
         return Path(named)
-    if base := os.environ.get("XDG_CACHE_HOME"):
-        return Path(base) / "zenostat"
     try:
-        return Path.home() / ".cache" / "zenostat"
+        path = user_cache_dir("zenostat")
     except RuntimeError:
-        raise InvalidConfig("there is no home folder for the cache; name a folder in ZENOSTAT_CACHE") from None
+        path = "~"
+    if path.startswith("~"):  # what earlier releases of platformdirs return where there is no home folder
+        raise InvalidConfig("there is no home folder for the cache; set ZENOSTAT_CACHE to a folder")
+    return Path(path)
 
 
 def digest(*parts: bytes | str) -> str:
-    """A key of content, 24 hexadecimal digits."""
+    """Return a key of content, 24 hexadecimal digits."""
     return _sha256(*parts)[:24]
 
 
@@ -57,26 +62,26 @@ def _sha256(*parts: bytes | str) -> str:
 
 
 def cached_bytes(name: str, make: Callable[[Path], None]) -> bytes:
-    """Return the content of the cached file `name`, made by `make(path)` if it is not there or damaged.
+    """Return the content of the cached file `name`, created by `make(path)` if it is missing or damaged.
 
-    Each maker works in a folder of its own and the finished file is moved into place in one step, so
-    two processes that make the same file at once do not disturb each other.
+    `make` works in a temporary folder and the file is then moved into place atomically, so two processes may create
+    the same file at once.
 
     Raises:
         InvalidConfig: the cache cannot be written; the text names `ZENOSTAT_CACHE`.
     """
-    target = store() / _FILES / name
+    target = cache_dir() / _FILES / name
     content = _verified(target, name)
     if content is not None:
         return content
-    with _errors_named():
+    with _as_cache_errors():
         target.parent.mkdir(parents=True, exist_ok=True)
         scratch = Path(tempfile.mkdtemp(prefix=".making-", dir=target.parent))
     try:
         product = scratch / target.name
-        with _errors_named(_NO_ROOM):
+        with _as_cache_errors(_DISK_ERRORS):
             make(product)
-        with _errors_named():
+        with _as_cache_errors():
             content = product.read_bytes()
             product.write_bytes(_head(name, content) + content)
             _clear(target)
@@ -91,7 +96,7 @@ def _head(name: str, content: bytes) -> bytes:
 
 
 def _verified(target: Path, name: str) -> bytes | None:
-    """Content of a cached file; None if there is none, or a damaged one (with a notice)."""
+    """Return the content of a cached file; None if it is missing, or damaged (with a notice)."""
     try:
         head, _, content = target.read_bytes().partition(b"\n")
     except FileNotFoundError:
@@ -101,65 +106,65 @@ def _verified(target: Path, name: str) -> bytes | None:
         return None
     if head + b"\n" == _head(name, content):
         return content
-    _notice(target, "its content does not fit its digest")
+    _notice(target, "its content does not match its digest")
     return None
 
 
-def _notice(target: Path, why: str) -> None:
-    sys.stderr.write(f"zenostat: the cached {target} is damaged ({why}); it is made again\n")
+def _notice(target: Path, reason: str) -> None:
+    sys.stderr.write(f"zenostat: the cached {target} is damaged ({reason}); it is created again\n")
 
 
 def _clear(target: Path) -> None:
-    """Removes what is in the place of a file and cannot be replaced by one."""
+    """Remove a folder at `target`, which a file cannot replace."""
     if target.is_dir() and not target.is_symlink():
         shutil.rmtree(target)
 
 
 @contextmanager
-def _errors_named(numbers: tuple[int, ...] | None = None) -> Iterator[None]:
-    """Tells an error of the file system (one of `numbers` if given) as one of the cache."""
+def _as_cache_errors(numbers: tuple[int, ...] | None = None) -> Iterator[None]:
+    """Raise file system errors (only those in `numbers`, if given) as errors of the cache."""
     try:
         yield
     except OSError as error:
         if numbers is not None and error.errno not in numbers:
             raise
-        why = error.strerror or str(error)
+        reason = error.strerror or str(error)
         raise InvalidConfig(
-            f"cannot write the cache {store()}: {why}; name a folder that can be written in ZENOSTAT_CACHE"
+            f"cannot write the cache {cache_dir()}: {reason}; set ZENOSTAT_CACHE to a writable folder"
         ) from None
 
 
-def stored_folder(name: str) -> Path | None:
-    """Return the stored folder `name`; None if there is none.
+def find_dir(name: str) -> Path | None:
+    """Return the cached folder `name`; None if there is none.
 
     Raises:
         InvalidConfig: the cache cannot be read.
     """
-    target = store() / name
+    target = cache_dir() / name
     try:
         return target if target.is_dir() else None
     except OSError as error:
         raise InvalidConfig(
-            f"cannot read the cache {store()}: {error.strerror}; name another folder in ZENOSTAT_CACHE"
+            f"cannot read the cache {cache_dir()}: {error.strerror}; set ZENOSTAT_CACHE to another folder"
         ) from None
 
 
-def made_folder(name: str, make: Callable[[Path], None]) -> Path:
-    """The stored folder `name`, filled by `make(path)` if it is not there.
+def cached_dir(name: str, make: Callable[[Path], None]) -> Path:
+    """Return the cached folder `name`, filled by `make(path)` if it is missing.
 
-    A folder that is there is whole. One maker works at a time; a second waits and finds it made. What a
-    killed maker left is swept away by the next.
+    An existing folder is complete. One process fills a folder at a time; a second one waits and uses the result. The
+    next one removes the temporary folders of a killed process.
 
     Raises:
         InvalidConfig: the cache cannot be written; the text names `ZENOSTAT_CACHE`.
     """
-    target = store() / name
-    if stored_folder(name):
+    target = cache_dir() / name
+    if find_dir(name):
         return target
-    with _errors_named(), _alone(target.parent) as folder:
+    with _as_cache_errors(), _locked(target.parent) as folder:
         if not target.is_dir():
             if target.exists():
-                _notice(target, "it is no folder")
+                _notice(target, "it is not a folder")
                 target.unlink()
             scratch = Path(tempfile.mkdtemp(prefix=_FILLING, dir=folder))
             try:
@@ -172,16 +177,16 @@ def made_folder(name: str, make: Callable[[Path], None]) -> Path:
     return target
 
 
-def drop_folder(name: str) -> bool:
-    """Removes the stored folder `name`, in one step for whoever looks; False if there is none."""
-    target = store() / name
-    if stored_folder(name) is None:
+def evict(name: str) -> bool:
+    """Remove the cached folder `name`, atomically for readers; False if there is none."""
+    target = cache_dir() / name
+    if find_dir(name) is None:
         return False
-    with _errors_named(), _alone(target.parent) as folder:
+    with _as_cache_errors(), _locked(target.parent) as folder:
         scratch = Path(tempfile.mkdtemp(prefix=_FILLING, dir=folder))
         try:
             target.rename(scratch / target.name)
-        except FileNotFoundError:  # another process was quicker
+        except FileNotFoundError:  # another process removed it first
             return False
         finally:
             shutil.rmtree(scratch, ignore_errors=True)
@@ -189,14 +194,15 @@ def drop_folder(name: str) -> bool:
 
 
 @contextmanager
-def _alone(folder: Path) -> Iterator[Path]:
-    """`folder`, made and swept, while no other process is in here; the kernel lets go of a killed one's lock."""
+def _locked(folder: Path) -> Iterator[Path]:
+    """Create `folder` and lock it between processes; remove what a killed process left in it.
+
+    The kernel releases the lock of a killed process. The lock file lies beside the folder and stays there.
+    """
+    from filelock import FileLock  # not at the top: it registers fork hooks, and a node forks without ever using it
+
     folder.mkdir(parents=True, exist_ok=True)
-    lock = os.open(folder, os.O_RDONLY)
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        for left in folder.glob(f"{_FILLING}*"):
-            shutil.rmtree(left, ignore_errors=True)
+    with FileLock(f"{folder}.lock", mode=_LOCK_MODE):
+        for abandoned in folder.glob(f"{_FILLING}*"):
+            shutil.rmtree(abandoned, ignore_errors=True)
         yield folder
-    finally:
-        os.close(lock)

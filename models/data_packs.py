@@ -19,7 +19,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
-from models.cache import drop_folder, made_folder, stored_folder
+from models.cache import cached_dir, evict, find_dir
 from topics.errors import InvalidConfig, UnknownName, did_you_mean
 from topics.scenario_ids import pack_ids
 
@@ -125,7 +125,7 @@ def command(name: str) -> str:
 
 def is_installed(name: str) -> bool:
     """Whether the pack is in the store."""
-    return stored_folder(find_pack(name).stored) is not None
+    return find_dir(find_pack(name).stored) is not None
 
 
 def installed() -> list[Pack]:
@@ -141,7 +141,7 @@ def folder(name: str) -> Path:
         InvalidConfig: it was not added yet; the text has the command.
     """
     pack = find_pack(name)
-    found = stored_folder(pack.stored)
+    found = find_dir(pack.stored)
     if found is None:
         raise InvalidConfig(f"this needs the data pack {name!r}: {command(name)}")
     return found
@@ -177,12 +177,12 @@ def add(name: str, say: Callable[[str], None] | None = None) -> Path:
         if not (target / pack.root).is_dir():
             raise InvalidConfig(f"{pack.requirement} holds no folder {pack.root!r}")
 
-    return made_folder(pack.stored, make)
+    return cached_dir(pack.stored, make)
 
 
 def remove(name: str) -> bool:
     """Removes a pack from the store; False if it was not there."""
-    return drop_folder(find_pack(name).stored)
+    return evict(find_pack(name).stored)
 
 
 def _fetch(pack: Pack, target: Path) -> Path:

