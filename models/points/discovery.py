@@ -1,4 +1,4 @@
-"""Everything that EnergyPlus offers for a model, from the engine's own lists, and where it belongs."""
+"""Discover the points that EnergyPlus offers for a model, and their locations in the building."""
 
 from __future__ import annotations
 
@@ -27,8 +27,9 @@ _FORMAT = "2"
 class Variable:
     """An output variable.
 
-    `system`: updated each system timestep (else each zone timestep); `summed`: reported as a sum over the
-    timestep (else as a mean).
+    Attributes:
+        system: whether it is updated each system timestep, rather than each zone timestep.
+        summed: whether EnergyPlus reports its sum over the timestep, rather than its mean.
     """
 
     name: str
@@ -40,7 +41,7 @@ class Variable:
 
 @dataclass(frozen=True, slots=True)
 class MeterPoint:
-    """A meter and its place in EnergyPlus's list, which is its handle."""
+    """A meter and its index in EnergyPlus's list, which is its handle."""
 
     name: str
     unit: str
@@ -49,7 +50,7 @@ class MeterPoint:
 
 @dataclass(frozen=True, slots=True)
 class ActuatorPoint:
-    """An actuator: component type, control type and key, as EnergyPlus calls them."""
+    """An actuator: component type, control type and key, in EnergyPlus's terms."""
 
     component_type: str
     control_type: str
@@ -59,7 +60,7 @@ class ActuatorPoint:
 
 @dataclass(frozen=True, slots=True)
 class InternalVariable:
-    """A fixed number of the model, as it was read or sized: a floor area, a design flow."""
+    """A constant of the model, read or sized: a floor area, a design flow."""
 
     name: str
     key: str
@@ -68,7 +69,7 @@ class InternalVariable:
 
 @dataclass(frozen=True)
 class PointCatalog:
-    """The points of one model. Its dictionaries have casefolded names: EnergyPlus takes any case."""
+    """The points of one model. The keys of its dictionaries are case-folded, since EnergyPlus ignores case."""
 
     variables: tuple[Variable, ...]
     meters: tuple[MeterPoint, ...]
@@ -90,11 +91,11 @@ class PointCatalog:
 
 
 def discover(building: Building, weather: Path) -> PointCatalog:
-    """The points of `building`. The weather only serves to start EnergyPlus.
+    """Return the points of `building`; cached. The weather file is needed only to start EnergyPlus.
 
     Raises:
-        InvalidConfig: it has other programs run within the simulation.
-        ModelError: EnergyPlus cannot start it.
+        InvalidConfig: the model does not match the schema, or runs other programs within the simulation.
+        ModelError: EnergyPlus cannot start the model.
     """
     check_runnable(building)
 
@@ -116,21 +117,21 @@ _LISTS = {
 
 
 def _read(content: bytes) -> PointCatalog:
-    found = json.loads(content)
-    kinds = {name.casefold(): kind for name, kind in found["kinds"].items()}
+    lists = json.loads(content)
+    kinds = {name.casefold(): kind for name, kind in lists["kinds"].items()}
     variables: list[Variable] = []
     meters: list[MeterPoint] = []
     actuators: list[ActuatorPoint] = []
     internal: list[InternalVariable] = []
-    for what, name, key, control, unit in found["points"]:
-        if what == "OutputVariable":
-            where, how = kinds.get(name.casefold(), ("hvac", "average"))
-            variables.append(Variable(name, key, unit_name(unit), where == "hvac", how == "sum"))
-        elif what == "OutputMeter":
+    for point_type, name, key, control, unit in lists["points"]:
+        if point_type == "OutputVariable":
+            timestep_type, store_type = kinds.get(name.casefold(), ("hvac", "average"))
+            variables.append(Variable(name, key, unit_name(unit), timestep_type == "hvac", store_type == "sum"))
+        elif point_type == "OutputMeter":
             meters.append(MeterPoint(key, unit_name(unit), len(meters)))
-        elif what == "Actuator":
+        elif point_type == "Actuator":
             actuators.append(ActuatorPoint(name, control, key, unit_name(unit)))
-        elif what == "InternalVariable":
+        elif point_type == "InternalVariable":
             internal.append(InternalVariable(name, key, unit_name(unit)))
     return PointCatalog(tuple(variables), tuple(meters), tuple(actuators), tuple(internal))
 
@@ -138,18 +139,18 @@ def _read(content: bytes) -> PointCatalog:
 _OWN_ZONE = re.compile(r"(zone|space)(_or_\w+)?_name")
 _ANY_ZONE = re.compile(r"\w+_zone_name")
 _PART = re.compile(r"\w*_names?")
-_USED = re.compile(r"schedule|curve|construction|material")  # what others use too is no part
+_SHARED = re.compile(r"schedule|curve|construction|material")  # objects that several others use are no parts
 _SURFACE = re.compile(r"(\w+_)?surface_name")
 _NODE = re.compile(r"\w*node\w*_name")
 
 
 def locations(objects: Kinds) -> dict[str, str]:
-    """Name of a thing, in upper case as in EnergyPlus's lists, to the zone or loop that it belongs to.
+    """Return the zone or loop of each object and node, whose names are in upper case, as in EnergyPlus's lists.
 
-    It follows the names that objects have of each other. What names a zone as its own, with all its parts
-    and nodes, is in that zone; else what hangs on an air loop is of that loop; else the plant loop that it
-    supplies; else the one that supplies it; else any zone that it names. What two of the same rank share
-    is of neither. At last, what has only its surface or its nodes in one place is there.
+    The references between objects are followed, in this order of precedence: the zone that an object names as its
+    own, for the object with all its parts and nodes; the air loop that it is part of; the plant loop that it supplies;
+    the plant loop that supplies it; any zone that it names. What two places of the same rank share belongs to neither.
+    Finally, an object that has only its surface or its nodes in one place is in that place.
     """
     zones = zone_names(objects)
     loops = {name.upper() for kind in _LOOPS for name in objects.get(kind, {})}
@@ -158,24 +159,24 @@ def locations(objects: Kinds) -> dict[str, str]:
         if kind not in _LOOPS or kind == "AirLoopHVAC":
             for name, fields in items.items():
                 parts[name.upper()] += [text.upper() for field, text in texts(fields) if _is_part(field)]
-    where: dict[str, str] = {}
+    location: dict[str, str] = {}
     for tier in _tiers(objects, zones):
         for name, place in _unshared(tier, parts, stop=zones.keys() | loops).items():
-            where.setdefault(name, place)
-    _follow(objects, where)
-    where |= {name.upper(): name for kind in _LOOPS for name in objects.get(kind, {})}
-    return where | {name: found[0] for name, found in zones.items() if len(found) == 1}
+            location.setdefault(name, place)
+    _add_neighbors(objects, location)
+    location |= {name.upper(): name for kind in _LOOPS for name in objects.get(kind, {})}
+    return location | {name: members[0] for name, members in zones.items() if len(members) == 1}
 
 
 _LOOPS = ("AirLoopHVAC", "PlantLoop", "CondenserLoop")
 
 
 def _tiers(objects: Kinds, zones: Mapping[str, Sequence[str]]) -> list[dict[str, list[str]]]:
-    """Place to what stands there directly: zones, air loops, supply and demand sides, zones named otherwise."""
+    """Return the objects directly in each place, by rank: zone, air loop, supply side, demand side, other zones."""
     own: dict[str, list[str]] = defaultdict(list)
     named: dict[str, list[str]] = defaultdict(list)
     for kind, items in objects.items():
-        # An air loop's parts may name a zone (a plenum) and are the loop's all the same.
+        # An air loop's part may name a zone (a plenum) and still belongs to the loop.
         if kind.startswith(("AirLoopHVAC", "Space", "Zone:")) or kind in ("ZoneList", "ZoneGroup"):
             continue
         for name, fields in items.items():
@@ -189,27 +190,27 @@ def _tiers(objects: Kinds, zones: Mapping[str, Sequence[str]]) -> list[dict[str,
     demand: dict[str, list[str]] = {}
     for kind in ("PlantLoop", "CondenserLoop"):
         for name, fields in objects.get(kind, {}).items():
-            found = [(field, text.upper()) for field, text in texts(fields) if _is_part(field)]
-            supply[name] = [text for field, text in found if "demand" not in field]
-            demand[name] = [text for field, text in found if "demand" in field]
+            branches = [(field, text.upper()) for field, text in texts(fields) if _is_part(field)]
+            supply[name] = [text for field, text in branches if "demand" not in field]
+            demand[name] = [text for field, text in branches if "demand" in field]
     air = {name: [name.upper()] for name in objects.get("AirLoopHVAC", {})}
     return [own, air, supply, demand, named]
 
 
 @cache
 def _is_part(field: str) -> bool:
-    return bool(_PART.fullmatch(field)) and not _USED.search(field)
+    return bool(_PART.fullmatch(field)) and not _SHARED.search(field)
 
 
 @cache
-def _is_beside(field: str) -> bool:
+def _is_neighbor(field: str) -> bool:
     return bool(_SURFACE.fullmatch(field) or _NODE.fullmatch(field))
 
 
 def _aliases(name: str, fields: Mapping[str, Any], zones: Mapping[str, Sequence[str]]) -> Iterator[tuple[str, str]]:
-    """(zone, name there) of an object: one that names a list of zones is one in each, `ZONE NAME`.
+    """Yield (zone, name) for an object: one that names a list of zones exists in each of them as `ZONE NAME`.
 
-    A surface whose other side is a zone has a twin there, `IZ-NAME`.
+    A surface whose outside boundary is a zone has a twin in that zone, `IZ-NAME`.
     """
     for field, text in texts(fields):
         if _OWN_ZONE.fullmatch(field):
@@ -225,51 +226,51 @@ def _aliases(name: str, fields: Mapping[str, Any], zones: Mapping[str, Sequence[
 def _unshared(
     tier: Mapping[str, Iterable[str]], parts: Mapping[str, Sequence[str]], stop: Iterable[str]
 ) -> dict[str, str]:
-    """Name to place, for all that is reached from one place only."""
-    found: dict[str, set[str]] = defaultdict(set)
+    """Return the place of each name that is reachable from only one place."""
+    reached_from: dict[str, set[str]] = defaultdict(set)
     ends = set(stop)
     for place, starts in tier.items():
-        todo, seen = list(starts), set(starts)
-        while todo:
-            name = todo.pop()
-            found[name].add(place)
+        pending, seen = list(starts), set(starts)
+        while pending:
+            name = pending.pop()
+            reached_from[name].add(place)
             new = [part for part in parts.get(name, ()) if part not in seen and part not in ends]
             seen.update(new)
-            todo += new
-    return {name: next(iter(reached)) for name, reached in found.items() if len(reached) == 1}
+            pending += new
+    return {name: next(iter(places)) for name, places in reached_from.items() if len(places) == 1}
 
 
-def _follow(objects: Kinds, where: dict[str, str]) -> None:
-    """Puts what has no place yet where its surfaces or nodes are, if that is one place."""
+def _add_neighbors(objects: Kinds, location: dict[str, str]) -> None:
+    """Add to `location` the objects without a place whose surfaces or nodes are all in one place."""
     for _ in range(2):  # a window's blind follows the window, which follows the wall
         for items in objects.values():
-            for name in [n for n in items if n.upper() not in where]:
-                beside = [t.upper() for f, t in texts(items[name]) if _is_beside(f)]
-                near = {where[text] for text in beside if text in where}
-                if len(near) == 1:
-                    where[name.upper()] = near.pop()
+            for name in [n for n in items if n.upper() not in location]:
+                neighbors = [t.upper() for f, t in texts(items[name]) if _is_neighbor(f)]
+                places = {location[text] for text in neighbors if text in location}
+                if len(places) == 1:
+                    location[name.upper()] = places.pop()
 
 
 def zone_names(objects: Kinds) -> dict[str, tuple[str, ...]]:
-    """Names, in upper case, of zones, spaces and lists of them, to the zones that they mean."""
+    """Return the zones that each zone, space, zone list and space list contains; their names are in upper case."""
     zones = {zone.upper(): (zone,) for zone in objects.get("Zone", {})}
-    found: dict[str, tuple[str, ...]] = dict(zones)
+    zones_of: dict[str, tuple[str, ...]] = dict(zones)
     for space, fields in objects.get("Space", {}).items():
-        found.setdefault(space.upper(), zones.get(str(fields["zone_name"]).upper(), ()))
+        zones_of.setdefault(space.upper(), zones.get(str(fields["zone_name"]).upper(), ()))
     for kind in ("ZoneList", "SpaceList"):
         for name, fields in objects.get(kind, {}).items():
-            members = [zone for _, text in texts(fields) for zone in found.get(text.upper(), ())]
-            found.setdefault(name.upper(), tuple(dict.fromkeys(members)))
-    return found
+            members = [zone for _, text in texts(fields) for zone in zones_of.get(text.upper(), ())]
+            zones_of.setdefault(name.upper(), tuple(dict.fromkeys(members)))
+    return zones_of
 
 
 def own_zones(fields: Mapping[str, Any], zones: Mapping[str, Sequence[str]]) -> list[str]:
-    """The zones that an object names as its own, of `zone_names`."""
+    """Return the zones, from `zone_names`, that an object names as its own."""
     return [zone for f, t in texts(fields) if _OWN_ZONE.fullmatch(f) for zone in zones.get(t.upper(), ())]
 
 
 def texts(fields: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """(field, text) of all text fields, those of lists too."""
+    """Yield (field, text) for all string fields, including those in lists."""
     for field, value in fields.items():
         if isinstance(value, str):
             yield field, value

@@ -1,4 +1,4 @@
-"""The points of a run: what the user named, checked against the model, or a sensible set found in it."""
+"""Select the points of a run: those that the user named, checked against the model, or a default set."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ _FUELS = (
 )
 
 # Thermostat bounds: those of the medium office in the paper that Zenostat follows (Sinergym). They meet
-# at 22.5 degC because EnergyPlus ends the run when a heating setpoint lies above the cooling setpoint.
+# at 22.5 degC because EnergyPlus aborts the run when a heating setpoint is above the cooling setpoint.
 _SETPOINT_BOUNDS = {"Heating Setpoint": (15.0, 22.5), "Cooling Setpoint": (22.5, 30.0)}
 
 _FEEDBACK = {
@@ -59,17 +59,21 @@ _FEEDBACK = {
     (THERMOSTAT, "Cooling Setpoint"): "Zone Thermostat Cooling Setpoint Temperature",
 }
 
-# Rates and flows: EnergyPlus's own reports are means, and energy follows only from means.
+# Rates and flows: EnergyPlus itself reports their means, and energy can be calculated only from means.
 _RATES = {"W", "W/m2", "W/m", "W/m2-K", "kg/s", "kgWater/s", "m3/s", "kmol/s", "L/s", "ach"}
 
 # EnergyPlus's own limits on surface temperatures (Input Output Reference, HeatBalanceAlgorithm and
-# "Temperature out of bounds" warnings): air cannot leave them and the simulation go on.
+# "Temperature out of bounds" warnings): no simulation continues with air beyond them.
 _AIR_TEMPERATURE_BOUNDS = (-100.0, 200.0)
 
 
 @dataclass(frozen=True, slots=True)
 class Points:
-    """The points of a run, in manifest order. `system`: which sensors follow the system timestep."""
+    """The points of a run, in manifest order.
+
+    Attributes:
+        system: for each sensor, whether it is updated each system timestep.
+    """
 
     sensors: tuple[Sensor, ...]
     meters: tuple[Meter, ...]
@@ -80,15 +84,15 @@ class Points:
 
 @dataclass(frozen=True, slots=True)
 class PointListing:
-    """A point of a model as lists show it.
+    """A point of a model, for lists.
 
     Attributes:
-        kind: `sensor`, `meter`, `actuator`, or `internal` (a fixed number of the model).
+        kind: `sensor`, `meter`, `actuator`, or `internal` (a constant of the model).
         name: the variable, the meter, the component type and control type, or the internal variable.
-        key: what EnergyPlus calls the thing that has it; empty for a meter.
-        low, high: limits that no value leaves, for an actuator those that it can be set to; None for none.
+        key: EnergyPlus's name of the object that has it; empty for a meter.
+        low, high: bounds of its values, or of the values that an actuator accepts; None if there is none.
         where: the zone, air loop or plant loop that it belongs to, `Environment`, `facility` for the whole
-            building, or nothing where the model does not tell.
+            building; empty if the model does not show it.
     """
 
     kind: str
@@ -102,101 +106,107 @@ class PointListing:
 
 def select_points(
     building: Building,
-    survey: PointCatalog,
+    available: PointCatalog,
     sensors: Spec | None,
     meters: MeterSpec | None,
     actuators: Spec | None,
 ) -> Points:
-    """The points that were asked for; None is the default set of that kind.
+    """Return the requested points; None selects the default points of that kind.
 
     Args:
         building: for the limits of its schedules.
-        survey: the points that the model has.
-        sensors: name to (variable, key) or (variable, key, reading).
+        available: the points of the model.
+        sensors: name to (variable, key) or (variable, key, aggregation).
         meters: name to meter.
-        actuators: name to (component type, control type, key) or that with (…, low, high).
+        actuators: name to (component type, control type, key) or (component type, control type, key, low, high).
 
     Raises:
-        UnknownName: points that the model does not have, all of them at once, with near names.
-        InvalidConfig: names used twice or unfit for a topic, a reading or bounds that cannot be.
+        UnknownName: the model lacks some of the points; the text lists all of them, with similar names.
+        InvalidConfig: a name is used twice or not allowed in a topic, or an aggregation or bounds are invalid.
     """
-    faults = ErrorCollector()
-    wanted_sensors = default_sensors(survey) if sensors is None else sensors
-    wanted_meters = default_meters(survey) if meters is None else meters
-    wanted_actuators = default_actuators(survey) if actuators is None else actuators
-    twice = set(wanted_sensors) & set(wanted_meters)
-    if twice:
-        faults.found.append(InvalidConfig(f"names used for a sensor and a meter: {', '.join(sorted(twice))}"))
-    found_sensors = _each(wanted_sensors, lambda n, s: _sensor(survey, n, s), faults)
-    found_meters = _each(wanted_meters, lambda n, s: _meter(survey, n, s), faults)
-    found_actuators = _each(wanted_actuators, lambda n, s: _actuator(building, survey, n, s), faults)
-    faults.raise_if_any()
+    errors = ErrorCollector()
+    wanted_sensors = default_sensors(available) if sensors is None else sensors
+    wanted_meters = default_meters(available) if meters is None else meters
+    wanted_actuators = default_actuators(available) if actuators is None else actuators
+    duplicates = set(wanted_sensors) & set(wanted_meters)
+    if duplicates:
+        errors.found.append(InvalidConfig(f"names used for both a sensor and a meter: {', '.join(sorted(duplicates))}"))
+    selected_sensors = _each(wanted_sensors, lambda n, s: _sensor(available, n, s), errors)
+    selected_meters = _each(wanted_meters, lambda n, s: _meter(available, n, s), errors)
+    selected_actuators = _each(wanted_actuators, lambda n, s: _actuator(building, available, n, s), errors)
+    errors.raise_if_any()
     return Points(
-        sensors=tuple(s for s, _ in found_sensors),
-        meters=tuple(m for m, _ in found_meters),
-        actuators=tuple(found_actuators),
-        system=tuple(variable.system for _, variable in found_sensors),
-        meter_handles=tuple(meter.index for _, meter in found_meters),
+        sensors=tuple(s for s, _ in selected_sensors),
+        meters=tuple(m for m, _ in selected_meters),
+        actuators=tuple(selected_actuators),
+        system=tuple(variable.system for _, variable in selected_sensors),
+        meter_handles=tuple(meter.index for _, meter in selected_meters),
     )
 
 
-def _each(wanted: Mapping[str, S], find: Callable[[str, S], T], faults: ErrorCollector) -> list[T]:
-    """Finds each, keeping on after a fault so that all are said at once."""
-    found = []
+def _each(wanted: Mapping[str, S], find: Callable[[str, S], T], errors: ErrorCollector) -> list[T]:
+    """Find each point; errors are collected, so that all are reported at once."""
+    points = []
     for name, spec in wanted.items():
         try:
-            found.append(find(check_name(name, "the point name"), spec))
-        except UsageError as fault:
-            faults.found.append(fault)
-    return found
+            points.append(find(check_name(name, "the point name"), spec))
+        except UsageError as error:
+            errors.found.append(error)
+    return points
 
 
-def _sensor(survey: PointCatalog, name: str, spec: Sequence[object]) -> tuple[Sensor, Variable]:
-    variable, key, asked = _texts("sensor", name, spec, "(variable, key) or (variable, key, reading)", 2, 3)
-    found = find_variable(survey, name, variable, key)
-    if asked and asked not in list(Aggregation):
-        raise InvalidConfig(f"sensor {name!r}: reading {asked!r}; there are: {', '.join(Aggregation)}")
-    aggregation = Aggregation(asked) if asked else default_aggregation(found)
-    if (aggregation is Aggregation.SUM) != found.summed and aggregation is not Aggregation.INSTANT:
-        right = "sum" if found.summed else "mean"
-        raise InvalidConfig(f"sensor {name!r}: EnergyPlus reports {variable!r} as a {right}, not as a {aggregation}")
-    low, high = sensor_bounds(found)
-    sensor = Sensor(
-        name=name, variable=found.name, key=found.key, unit=found.unit, aggregation=aggregation, low=low, high=high
-    )
-    return sensor, found
-
-
-def _texts(what: str, name: str, spec: Sequence[object], form: str, least: int, most: int) -> list[str]:
+def _sensor(available: PointCatalog, name: str, spec: Sequence[object]) -> tuple[Sensor, Variable]:
     parts = [] if isinstance(spec, str) else [str(part) for part in spec]
-    if not least <= len(parts) <= most:
-        raise InvalidConfig(f"{what} {name!r}: expected {form}, got {spec!r}")
-    return parts + [""] * (most - len(parts))
+    if len(parts) not in (2, 3):
+        raise InvalidConfig(f"sensor {name!r}: expected (variable, key) or (variable, key, aggregation), got {spec!r}")
+    variable_name, key, requested = [*parts, ""][:3]
+    variable = find_variable(available, name, variable_name, key)
+    if requested and requested not in list(Aggregation):
+        raise InvalidConfig(f"sensor {name!r}: no aggregation {requested!r}; there are: {', '.join(Aggregation)}")
+    aggregation = Aggregation(requested) if requested else default_aggregation(variable)
+    if (aggregation is Aggregation.SUM) != variable.summed and aggregation is not Aggregation.INSTANT:
+        reported = "sum" if variable.summed else "mean"
+        raise InvalidConfig(
+            f"sensor {name!r}: EnergyPlus reports {variable_name!r} as a {reported}, not as a {aggregation}"
+        )
+    low, high = sensor_bounds(variable)
+    sensor = Sensor(
+        name=name,
+        variable=variable.name,
+        key=variable.key,
+        unit=variable.unit,
+        aggregation=aggregation,
+        low=low,
+        high=high,
+    )
+    return sensor, variable
 
 
-def find_variable(survey: PointCatalog, name: str, variable: str, key: str) -> Variable:
-    """The variable of that name and key, in any case; `UnknownName` lists near ones."""
-    found = survey.by_variable.get((variable.casefold(), key.casefold()))
-    if found is not None:
-        return found
-    same = [v for v in survey.variables if v.name.casefold() == variable.casefold()]
-    if not same:
+def find_variable(available: PointCatalog, name: str, variable: str, key: str) -> Variable:
+    """Return the variable of that name and key, in any case; `UnknownName` lists similar ones."""
+    match = available.by_variable.get((variable.casefold(), key.casefold()))
+    if match is not None:
+        return match
+    same_name = [v for v in available.variables if v.name.casefold() == variable.casefold()]
+    if not same_name:
         raise UnknownName(
             f"sensor {name!r}: the model has no variable {variable!r}; "
-            + did_you_mean(variable, (v.name for v in survey.variables))
+            + did_you_mean(variable, (v.name for v in available.variables))
         )
-    raise UnknownName(f"sensor {name!r}: {variable!r} has no key {key!r}; {did_you_mean(key, (v.key for v in same))}")
+    raise UnknownName(
+        f"sensor {name!r}: {variable!r} has no key {key!r}; {did_you_mean(key, (v.key for v in same_name))}"
+    )
 
 
 def default_aggregation(variable: Variable) -> Aggregation:
-    """`sum` for what EnergyPlus sums, `mean` for rates and flows, `instant` for states."""
+    """Return `sum` for variables that EnergyPlus sums, `mean` for rates and flows, `instant` for states."""
     if variable.summed:
         return Aggregation.SUM
     return Aggregation.MEAN if variable.unit in _RATES else Aggregation.INSTANT
 
 
 def sensor_bounds(variable: Variable) -> tuple[float | None, float | None]:
-    """Limits that no value of the variable leaves; None where there is none."""
+    """Return the bounds of the variable's values; None if there is none."""
     name = variable.name
     if variable.unit == "degC" and name.startswith(("Zone ", "Site ")) and "Air " in name:
         return _AIR_TEMPERATURE_BOUNDS
@@ -207,71 +217,71 @@ def sensor_bounds(variable: Variable) -> tuple[float | None, float | None]:
     return limits(variable.unit)
 
 
-def _meter(survey: PointCatalog, name: str, spec: object) -> tuple[Meter, MeterPoint]:
-    for candidate in survey.meters:
+def _meter(available: PointCatalog, name: str, spec: object) -> tuple[Meter, MeterPoint]:
+    for candidate in available.meters:
         if candidate.name.casefold() == str(spec).casefold():
             return Meter(name=name, meter=candidate.name, unit=candidate.unit, low=_meter_low(candidate)), candidate
-    raise UnknownName(
-        f"meter {name!r}: the model has no meter {spec!r}; {did_you_mean(str(spec), (m.name for m in survey.meters))}"
-    )
+    hint = did_you_mean(str(spec), (m.name for m in available.meters))
+    raise UnknownName(f"meter {name!r}: the model has no meter {spec!r}; {hint}")
 
 
 def _meter_low(meter: MeterPoint) -> float | None:
-    """0 for a meter of a fuel: consumption is never negative."""
+    """Return 0 for a fuel's meter, since consumption is never negative."""
     return 0.0 if meter.name.split(":")[0] in _FUELS else None
 
 
-def _actuator(building: Building, survey: PointCatalog, name: str, spec: Sequence[object]) -> Actuator:
+def _actuator(building: Building, available: PointCatalog, name: str, spec: Sequence[object]) -> Actuator:
     if isinstance(spec, str) or len(spec) not in (3, 5):
         raise InvalidConfig(
-            f"actuator {name!r}: expected (component type, control type, key) or that with low and high, got {spec!r}"
+            f"actuator {name!r}: expected (component type, control type, key) or "
+            f"(component type, control type, key, low, high), got {spec!r}"
         )
-    found = find_actuator(survey, name, *(str(part) for part in spec[:3]))
-    low, high = actuator_bounds(building, found)
+    point = find_actuator(available, name, *(str(part) for part in spec[:3]))
+    low, high = actuator_bounds(building, point)
     if len(spec) == 5:
         low, high = _bound(name, spec[3]), _bound(name, spec[4])
     if low is not None and high is not None and not low < high:
         raise InvalidConfig(f"actuator {name!r}: its lower bound {low} is not below its upper bound {high}")
-    feedback = _FEEDBACK.get((found.component_type, found.control_type))
-    if found.control_type == "Schedule Value":
+    feedback = _FEEDBACK.get((point.component_type, point.control_type))
+    if point.control_type == "Schedule Value":
         feedback = "Schedule Value"
-    if feedback and (feedback.casefold(), found.key.casefold()) not in survey.by_variable:
+    if feedback and (feedback.casefold(), point.key.casefold()) not in available.by_variable:
         feedback = None
     return Actuator(
         name=name,
-        component_type=found.component_type,
-        control_type=found.control_type,
-        key=found.key,
-        unit=found.unit,
+        component_type=point.component_type,
+        control_type=point.control_type,
+        key=point.key,
+        unit=point.unit,
         low=low,
         high=high,
         feedback=feedback,
     )
 
 
-def _bound(name: str, said: object) -> float | None:
-    """A bound that the user gave: a finite number, or None for none."""
-    if said is None:
+def _bound(name: str, bound: object) -> float | None:
+    """Return a user's bound: a finite number, or None."""
+    if bound is None:
         return None
     try:
-        value = float(str(said))
+        value = float(str(bound))
     except ValueError:
         value = nan
     if not isfinite(value):
-        raise InvalidConfig(f"actuator {name!r}: bound {said!r}; a finite number or None expected")
+        raise InvalidConfig(f"actuator {name!r}: bound {bound!r}; expected a finite number or None")
     return value
 
 
-def find_actuator(survey: PointCatalog, name: str, component: str, control: str, key: str) -> ActuatorPoint:
-    """The actuator of those three names, in any case; `UnknownName` says which of them is wrong."""
-    found = survey.by_actuator.get((component.casefold(), control.casefold(), key.casefold()))
-    if found is not None:
-        return found
-    of_type = [a for a in survey.actuators if a.component_type.casefold() == component.casefold()]
+def find_actuator(available: PointCatalog, name: str, component: str, control: str, key: str) -> ActuatorPoint:
+    """Return the actuator with those three names, in any case; `UnknownName` reports which one is wrong."""
+    match = available.by_actuator.get((component.casefold(), control.casefold(), key.casefold()))
+    if match is not None:
+        return match
+    of_type = [a for a in available.actuators if a.component_type.casefold() == component.casefold()]
     if not of_type:
         raise UnknownName(
             f"actuator {name!r}: the model has no component type {component!r}; "
-            + did_you_mean(component, (a.component_type for a in survey.actuators))
+            + did_you_mean(component, (a.component_type for a in available.actuators))
         )
     of_control = [a for a in of_type if a.control_type.casefold() == control.casefold()]
     if not of_control:
@@ -286,7 +296,7 @@ def find_actuator(survey: PointCatalog, name: str, component: str, control: str,
 
 
 def actuator_bounds(building: Building, actuator: ActuatorPoint) -> tuple[float | None, float | None]:
-    """Limits of an actuator: a thermostat's, its schedule's type limits, or its unit's."""
+    """Return an actuator's bounds: a thermostat's, its schedule's type limits, or those of its unit."""
     if actuator.component_type == THERMOSTAT and actuator.control_type in _SETPOINT_BOUNDS:
         return _SETPOINT_BOUNDS[actuator.control_type]
     if actuator.control_type == "Schedule Value":
@@ -297,10 +307,10 @@ def actuator_bounds(building: Building, actuator: ActuatorPoint) -> tuple[float 
     return limits(actuator.unit)
 
 
-def thermostat_zones(survey: PointCatalog) -> dict[str, str]:
-    """Keys of the zones whose thermostat can be set, in EnergyPlus's order, each with a safe name of its own."""
+def thermostat_zones(available: PointCatalog) -> dict[str, str]:
+    """Return the keys of the zones with a controllable thermostat, in EnergyPlus's order, each with a unique name."""
     zones: dict[str, str] = {}
-    for actuator in survey.actuators:
+    for actuator in available.actuators:
         if actuator.component_type == THERMOSTAT and actuator.key not in zones:
             name = base = safe_name(actuator.key)
             number = 2
@@ -310,61 +320,61 @@ def thermostat_zones(survey: PointCatalog) -> dict[str, str]:
     return zones
 
 
-def default_sensors(survey: PointCatalog) -> dict[str, tuple[str, str]]:
-    """Outdoor temperature and humidity, HVAC power, and each conditioned zone's air and occupants."""
-    found = {name: (variable, key) for name, (variable, key) in _SITE_SENSORS.items()}
-    for zone, name in thermostat_zones(survey).items():
+def default_sensors(available: PointCatalog) -> dict[str, tuple[str, str]]:
+    """Return outdoor temperature and humidity, HVAC power, and each conditioned zone's air and occupants."""
+    candidates = {name: (variable, key) for name, (variable, key) in _SITE_SENSORS.items()}
+    for zone, name in thermostat_zones(available).items():
         for suffix, variable in _ZONE_SENSORS.items():
-            found[f"{name}_{suffix}"] = (variable, zone)
+            candidates[f"{name}_{suffix}"] = (variable, zone)
     return {
         name: (variable, key)
-        for name, (variable, key) in found.items()
-        if (variable.casefold(), key.casefold()) in survey.by_variable
+        for name, (variable, key) in candidates.items()
+        if (variable.casefold(), key.casefold()) in available.by_variable
     }
 
 
-def default_meters(survey: PointCatalog) -> dict[str, str]:
-    """The facility's meters of whatever fuels the model uses, and the HVAC's electricity."""
-    has = {m.name for m in survey.meters}
-    wanted = [f"{fuel}:Facility" for fuel in _FUELS] + ["Electricity:HVAC"]
-    return {safe_name(name.replace(":", "_")): name for name in wanted if name in has}
+def default_meters(available: PointCatalog) -> dict[str, str]:
+    """Return the facility's meters of the fuels that the model uses, and the HVAC's electricity."""
+    names = {m.name for m in available.meters}
+    candidates = [f"{fuel}:Facility" for fuel in _FUELS] + ["Electricity:HVAC"]
+    return {safe_name(name.replace(":", "_")): name for name in candidates if name in names}
 
 
-def default_actuators(survey: PointCatalog) -> dict[str, tuple[str, str, str]]:
-    """The heating and cooling setpoints of each zone."""
-    zones = thermostat_zones(survey)
+def default_actuators(available: PointCatalog) -> dict[str, tuple[str, str, str]]:
+    """Return the heating and cooling setpoints of each zone."""
+    zones = thermostat_zones(available)
     return {
         f"{zones[a.key]}_{safe_name(a.control_type)}": (a.component_type, a.control_type, a.key)
-        for a in survey.actuators
+        for a in available.actuators
         if a.component_type == THERMOSTAT and a.control_type in _SETPOINT_BOUNDS
     }
 
 
-def listing(survey: PointCatalog, building: Building) -> Iterator[PointListing]:
-    """All points of a model, each with its bounds and its place; a tenth of a second for 20,000."""
-    where = locations(building.objects)
+def listing(available: PointCatalog, building: Building) -> Iterator[PointListing]:
+    """Yield all points of a model with bounds and location; takes a tenth of a second for 20,000."""
+    location = locations(building.objects)
 
     def place(key: str) -> str:
-        return where.get(key.upper()) or _WHOLE.get(key.upper(), "")
+        return location.get(key.upper()) or _SITE_KEYS.get(key.upper(), "")
 
-    for v in survey.variables:
+    for v in available.variables:
         yield PointListing("sensor", v.name, v.key, v.unit, *sensor_bounds(v), place(v.key))
     own_meters = {
         n for kind, items in building.objects.items() if kind.startswith("Meter:") for n in map(str.upper, items)
     }
-    for m in survey.meters:
+    for m in available.meters:
         yield PointListing(
-            "meter", m.name, "", m.unit, _meter_low(m), None, _meter_place(m.name.upper(), where, own_meters)
+            "meter", m.name, "", m.unit, _meter_low(m), None, _meter_place(m.name.upper(), location, own_meters)
         )
-    for a in survey.actuators:
+    for a in available.actuators:
         name = f"{a.component_type} / {a.control_type}"
         yield PointListing("actuator", name, a.key, a.unit, *actuator_bounds(building, a), place(a.key))
-    for i in survey.internal:
+    for i in available.internal:
         yield PointListing("internal", i.name, i.key, i.unit, None, None, place(i.key))
 
 
-# Keys by which EnergyPlus calls what belongs to no zone and no loop.
-_WHOLE = {
+# EnergyPlus's keys of points that belong to no zone and no loop.
+_SITE_KEYS = {
     "ENVIRONMENT": "Environment",
     "WHOLE BUILDING": "facility",
     "FACILITY": "facility",
@@ -373,8 +383,8 @@ _WHOLE = {
 }
 
 
-def _meter_place(name: str, where: Mapping[str, str], own: Collection[str]) -> str:
-    """A zone for `…:Zone:NAME`, nothing for a kind of spaces or a meter that the model defines, else the facility."""
+def _meter_place(name: str, location: Mapping[str, str], own: Collection[str]) -> str:
+    """Return the zone for `…:Zone:NAME`, "" for a space type or a meter that the model defines, else `facility`."""
     if ":ZONE:" in name:
-        return where.get(name.rpartition(":ZONE:")[2], "")
+        return location.get(name.rpartition(":ZONE:")[2], "")
     return "" if ":SPACETYPE:" in name or name in own else "facility"

@@ -159,9 +159,9 @@ def test_a_home_that_is_not_there_is_unknown() -> None:
 def test_a_file_of_another_kind_is_refused_with_the_right_one(tmp_path: Path) -> None:
     path = tmp_path / "house.txt"
     path.write_text("")
-    with pytest.raises(UnknownName, match=r"house\.txt is no building: it should end in \.epjson or \.idf"):
+    with pytest.raises(UnknownName, match=r"house\.txt is not a building file: its suffix should be \.epjson or \.idf"):
         find_building(str(path))
-    with pytest.raises(UnknownName, match=r"house\.txt is no weather: it should end in \.epw"):
+    with pytest.raises(UnknownName, match=r"house\.txt is not a weather file: its suffix should be \.epw"):
         find_weather(str(path))
 
 

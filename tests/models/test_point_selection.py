@@ -181,7 +181,7 @@ def test_a_reading_that_energyplus_does_not_give_is_refused(spec: tuple[str, ...
 
 def test_an_unknown_reading_is_refused_with_those_there_are() -> None:
     said = refused(sensors={"s": (*TEMPERATURE, "average")})
-    assert "reading 'average'; there are: mean, sum, instant" in said
+    assert "no aggregation 'average'; there are: mean, sum, instant" in said
 
 
 # Bounds
