@@ -27,6 +27,7 @@ from models.scenario.run_period import Period, check_steps_per_hour, parse_day
 from models.scenario.schema import ActuatorSpec, Scenario, load_scenario, read_scenario
 from models.scenario.task import task_of
 from models.weather import design_days, epw, noise
+from models.weather.header import check_covers, read_header
 from topics.codec import describe_validation_errors
 from topics.errors import ErrorCollector, InvalidConfig, UnknownName, did_you_mean
 from topics.fault_plan import FaultPlan, Loss
@@ -195,7 +196,7 @@ def plan(config: NodeConfig) -> Plan:
     found = [source for source in sources if source is not None]
     if period is not None:
         for source in found:
-            faults.collect(lambda source=source: epw.check_covers(source.header, period, source.name))  # type: ignore[misc]
+            faults.collect(lambda source=source: check_covers(source.header, period, source.name))  # type: ignore[misc]
     if model is not None and found:
         chosen = faults.collect(lambda: _points(model, scenario, found[0].path))
     if chosen is not None:
@@ -242,7 +243,7 @@ def _waits_for_what_is_lost(config: NodeConfig, faults: FaultPlan | None) -> tup
 
 def _source(name: str, scenario: Scenario) -> WeatherSource:
     entry = catalog.find_weather(name)
-    header = epw.read_header(entry.path)
+    header = read_header(entry.path)
     if scenario.weather_noise:
         epw.read(entry.path)
     site = design_days.site(entry.path, header) if scenario.sizing == "weather" else None

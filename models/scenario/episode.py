@@ -15,7 +15,7 @@ from models.scenario.run_period import Period
 from models.scenario.schema import Order
 from models.weather import design_days, epw
 from models.weather.design_days import Site
-from models.weather.epw import Header
+from models.weather.header import Header
 from models.weather.noise import Variability, with_noise
 
 

@@ -16,7 +16,7 @@ from typing import Any
 from models import energyplus
 from models.building.model import Objects
 from models.cache import cached_bytes, digest
-from models.weather.epw import DesignConditions, Header
+from models.weather.header import DesignConditions, Header
 from topics.errors import InvalidConfig, ModelError
 
 _LOCATION, _DAY = "Site:Location", "SizingPeriod:DesignDay"

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, ConfigDict, field_validator, model_validator
 
 from models.weather.epw import COLUMNS, Column, Floats, Weather, find_column
+from models.weather.psychrometrics import clear_sky_infrared, dew_point, relative_humidity
 from topics.errors import InvalidConfig
 
 Mask = NDArray[np.bool_]
@@ -121,43 +122,6 @@ def ornstein_uhlenbeck(
         values[shift:] += math.exp(-dt_h * shift / tau_h) * values[:-shift]
         shift *= 2
     return np.asarray(mu + sigma * values, dtype=np.float64)
-
-
-# Moisture and sky
-
-_A, _B_C, _ES_PA = 17.625, 243.04, 610.94
-
-
-def saturation_pressure(celsius: Floats) -> Floats:
-    """Pa over water: the Magnus form of O. A. Alduchov and R. E. Eskridge (1996), J. Appl. Meteorol. 35, 601."""
-    return np.asarray(_ES_PA * np.exp(_A * celsius / (celsius + _B_C)))
-
-
-def relative_humidity(dry_bulb: Floats, dew_point: Floats) -> Floats:
-    """Per cent, from two temperatures in C."""
-    return 100.0 * saturation_pressure(dew_point) / saturation_pressure(dry_bulb)
-
-
-def dew_point(dry_bulb: Floats, humidity: Floats) -> Floats:
-    """C, from a temperature in C and a relative humidity in per cent: the inverse of `relative_humidity`.
-
-    Not below the dictionary's limit, which air of about 0 % would be.
-    """
-    with np.errstate(divide="ignore"):
-        gamma = np.log(humidity / 100.0) + _A * dry_bulb / (dry_bulb + _B_C)
-    lowest = COLUMNS["dew_point_temperature"].low
-    gamma = np.maximum(gamma, _A * lowest / (lowest + _B_C))
-    return np.asarray(_B_C * gamma / (_A - gamma))
-
-
-def clear_sky_infrared(dry_bulb: Floats, dew_point: Floats) -> Floats:
-    """W/m2 on the horizontal under a clear sky, from two temperatures in C.
-
-    Emissivity by G. Clark and C. Allen (1978) as in EnergyPlus's Engineering Reference, "Sky Radiation
-    Modeling": 0.787 + 0.764 ln(T_dew / 273 K).
-    """
-    emissivity = 0.787 + 0.764 * np.log((dew_point + 273.15) / 273.0)
-    return np.asarray(emissivity * 5.6697e-8 * (dry_bulb + 273.15) ** 4)
 
 
 # Which columns

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from models.weather.epw import Floats, read_header
+from models.weather.epw import Floats
+from models.weather.header import read_header
 from topics.errors import InvalidConfig
 
 _YEAR_DAYS = 365

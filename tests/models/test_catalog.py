@@ -8,7 +8,7 @@ import pytest
 
 from models import catalog
 from models.catalog import Entry, building_name, find_building, find_weather, weather_name
-from models.weather.epw import read_header
+from models.weather.header import read_header
 from topics.errors import InvalidConfig, UnknownName
 from topics.keys import safe_name
 

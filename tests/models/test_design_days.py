@@ -19,7 +19,7 @@ from models.catalog import find_building, find_weather
 from models.err_file import severe_lines
 from models.scenario.run_period import Period
 from models.weather.design_days import Site, apply, from_header, site, standard_pressure
-from models.weather.epw import DesignConditions, Header, read_header
+from models.weather.header import DesignConditions, Header, read_header
 from topics.errors import InvalidConfig
 
 DENVER = find_weather("USA_CO_Denver").path

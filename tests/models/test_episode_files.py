@@ -18,6 +18,7 @@ from models.building.model import Building, read_building
 from models.catalog import find_building, find_weather
 from models.scenario.episode import EpisodeFactory, EpisodeFiles, WeatherDraw, WeatherSampler, WeatherSource
 from models.weather import design_days, epw
+from models.weather.header import read_header
 from models.weather.noise import ColumnNoise, Variability
 
 SEEDS = st.integers(0, 2**64)
@@ -138,7 +139,7 @@ def small() -> Building:
 
 def source(name: str, sizing: str = "weather") -> WeatherSource:
     path = find_weather(name).path
-    header = epw.read_header(path)
+    header = read_header(path)
     return WeatherSource(name, path, header, design_days.site(path, header) if sizing == "weather" else None)
 
 

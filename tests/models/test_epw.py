@@ -12,7 +12,8 @@ from support.weather_files import STEPS_PER_HOUR, run
 
 from models.catalog import find_weather, weathers
 from models.scenario.run_period import Period
-from models.weather.epw import COLUMNS, DesignConditions, Header, check_covers, find_column, read, read_header, write
+from models.weather.epw import COLUMNS, find_column, read, write
+from models.weather.header import DesignConditions, Header, check_covers, read_header
 from topics.errors import InvalidConfig, UnknownName
 
 DENVER = find_weather("USA_CO_Denver").path

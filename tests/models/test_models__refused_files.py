@@ -15,7 +15,7 @@ from models.building.model import Building, check_runnable, read_building
 from models.catalog import bundled_weathers, find_building
 from models.points.discovery import discover
 from models.weather.design_days import site
-from models.weather.epw import read_header
+from models.weather.header import read_header
 from topics.errors import InvalidConfig, ModelError
 
 OFFICE = find_building("office-small")

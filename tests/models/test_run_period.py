@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from models.building.model import Building
 from models.scenario.run_period import Period, parse_day, year_of
-from models.weather.epw import Header, check_covers
+from models.weather.header import Header, check_covers
 from topics.errors import InvalidConfig
 
 WEEKDAYS = list(calendar.day_name)

@@ -24,13 +24,10 @@ from models.weather.noise import (
     ColumnNoise,
     NoisyWeather,
     checked,
-    clear_sky_infrared,
-    dew_point,
     ornstein_uhlenbeck,
-    relative_humidity,
-    saturation_pressure,
     with_noise,
 )
+from models.weather.psychrometrics import clear_sky_infrared, dew_point, relative_humidity, saturation_pressure
 from topics.errors import InvalidConfig, UnknownName
 
 DENVER = find_weather("USA_CO_Denver").path

@@ -19,7 +19,7 @@ import agent_sdk
 from models.building.model import for_episode, read_building, write
 from models.catalog import find_building, find_weather
 from models.weather import design_days
-from models.weather.epw import read_header
+from models.weather.header import read_header
 from topics.messages import Manifest
 
 DAYS = ("01-15", "01-16")
