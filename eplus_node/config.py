@@ -187,7 +187,7 @@ def plan(config: NodeConfig) -> Plan:
     # What cannot be changed in the model is no reason not to look at the rest.
     model = faults.collect(lambda: building.with_edits(plain, scenario.edits)) or plain if plain is not None else None
     sources = tuple(faults.collect(lambda name=name: _source(name, scenario)) for name in scenario.weather if name)  # type: ignore[misc]
-    faults.collect(lambda: noise.checked(scenario.weather_noise))
+    faults.collect(lambda: noise.resolve_columns(scenario.weather_noise))
     if config.output_dir is not None and config.output_dir.exists() and not config.output_dir.is_dir():
         faults.found.append(InvalidConfig(f"output_dir={config.output_dir} is a file; name a folder"))
     period = chosen = task = None

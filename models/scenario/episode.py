@@ -1,4 +1,4 @@
-"""What one episode simulates: its weather, drawn and disturbed, and its files."""
+"""Draw the weather of an episode and write its input files."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from models.weather.noise import Variability, with_noise
 
 @dataclass(frozen=True, slots=True)
 class WeatherSource:
-    """A weather file, with the location and design days that belong to it (None: the model's own)."""
+    """A weather file with its location and design days; `site` None means the model's own."""
 
     name: str
     path: Path
@@ -31,18 +31,18 @@ class WeatherSource:
 
 @dataclass(frozen=True, slots=True)
 class WeatherDraw:
-    """What is random of an episode: which of the weather files, and the seed of its noise."""
+    """The random part of an episode: the index of its weather file, and the seed of its noise."""
 
     source: int = 0
     noise: int = 0
 
 
 class WeatherSampler:
-    """A draw for each episode. The same seed gives the same draws; without one they differ from run to run.
+    """Draws the weather of each episode. The same seed gives the same draws; without a seed they differ between runs.
 
     Args:
         sources: number of weather files.
-        order: `random`, or `sequence` (from the first again after each seed).
+        order: `random`, or `sequence`, which restarts with the first after each seed.
         noisy: whether the weather has noise.
     """
 
@@ -56,17 +56,15 @@ class WeatherSampler:
         return self._sources == 1 and not self._noisy
 
     def seed(self, seed: int | None) -> None:
-        """Begins anew."""
-        which, noise = np.random.SeedSequence(seed).spawn(2)
-        self._which, self._noise = (
-            np.random.Generator(np.random.PCG64(which)),
-            np.random.Generator(np.random.PCG64(noise)),
-        )
+        """Restart the sequence of draws."""
+        source_seed, noise_seed = np.random.SeedSequence(seed).spawn(2)
+        self._source_rng = np.random.Generator(np.random.PCG64(source_seed))
+        self._noise_rng = np.random.Generator(np.random.PCG64(noise_seed))
         self._episode = 0
 
     def next(self) -> WeatherDraw:
-        """The next episode's. Each number has a generator of its own: more weathers leave the noise as it was."""
-        source, noise = int(self._which.integers(self._sources)), int(self._noise.integers(1 << 63))
+        """Return the next draw. Each number has its own generator, so more weather files do not change the noise."""
+        source, noise = int(self._source_rng.integers(self._sources)), int(self._noise_rng.integers(1 << 63))
         if self._order == "sequence":
             source = self._episode % self._sources
         self._episode += 1
@@ -75,7 +73,7 @@ class WeatherSampler:
 
 @dataclass(frozen=True, slots=True)
 class EpisodeFiles:
-    """What EnergyPlus reads in an episode, and the parameters of its weather's noise."""
+    """EnergyPlus's input files for an episode, and the parameters of its weather noise."""
 
     model: Path
     weather: Path
@@ -95,49 +93,52 @@ class EpisodeFactory:
         outputs: bool,
     ) -> None:
         self._building, self._period, self._sources = building, period, sources
-        self._variability, self._output_dir = weather_noise, outputs
-        self._read: dict[int, epw.Weather] = {}
+        self._weather_noise, self._output_variables = weather_noise, outputs
+        self._weathers: dict[int, epw.Weather] = {}
 
-    def prepare(self, draw: WeatherDraw, folder: Path, disturbed_weather: Path) -> EpisodeFiles:
-        """Writes the model of an episode into `folder`, and its weather, if there is noise, to the other path."""
+    def prepare(self, draw: WeatherDraw, folder: Path, noisy_weather: Path) -> EpisodeFiles:
+        """Write an episode's model into `folder` and, if there is noise, its weather to `noisy_weather`."""
         source = self._sources[draw.source]
-        objects = for_episode(self._building, self._period, outputs=self._output_dir)
+        objects = for_episode(self._building, self._period, outputs=self._output_variables)
         if source.site is not None:
             objects = design_days.apply(objects, source.site)
         model = write(objects, folder)
-        if not self._variability:
+        if not self._weather_noise:
             return EpisodeFiles(model, source.path)
-        if draw.source not in self._read:
-            self._read[draw.source] = epw.read(source.path)
-        found = with_noise(self._read[draw.source], self._variability, np.random.Generator(np.random.PCG64(draw.noise)))
-        epw.write(self._read[draw.source], disturbed_weather, found.changed)
-        drawn = {f"{column}.{name}": value for column, values in found.drawn.items() for name, value in values.items()}
-        return EpisodeFiles(model, disturbed_weather, drawn)
+        if draw.source not in self._weathers:
+            self._weathers[draw.source] = epw.read(source.path)
+        weather = self._weathers[draw.source]
+        noisy = with_noise(weather, self._weather_noise, np.random.Generator(np.random.PCG64(draw.noise)))
+        epw.write(weather, noisy_weather, noisy.columns)
+        parameters = {
+            f"{column}.{name}": value for column, values in noisy.parameters.items() for name, value in values.items()
+        }
+        return EpisodeFiles(model, noisy_weather, parameters)
 
 
-AHEAD = timedelta(days=7)
-"""How far beyond its end an episode's weather is known to forecasts."""
+FORECAST_HORIZON = timedelta(days=7)
+"""Time after an episode's end for which its weather is available to forecasts."""
 
 
 def series(path: Path, period: Period, columns: Sequence[str]) -> tuple[NDArray[np.float64], float]:
-    """Columns of a weather file from the first day of a run period to a week after its last, as EnergyPlus reads it.
+    """Return weather columns from the first day of a run period to a week after its last, in EnergyPlus's order.
 
     Returns:
         values, shape (rows, columns), NaN where missing, each at the end of its interval; and the interval in seconds.
 
     Raises:
-        UnknownName: no such column.
+        UnknownName: there is no such column.
     """
-    found = [epw.find_column(name) for name in columns]
-    read = epw.read(path)
+    selected = [epw.find_column(name) for name in columns]
+    weather = epw.read(path)
     days: dict[tuple[int, int], list[int]] = {}
-    for row, (_, month, day, _, _) in enumerate(read.times.tolist()):
+    for row, (_, month, day, _, _) in enumerate(weather.times.tolist()):
         days.setdefault((month, day), []).append(row)
     rows: list[int] = []
     day = period.begin
-    while day <= period.end + AHEAD and (day.month, day.day) in days:
+    while day <= period.end + FORECAST_HORIZON and (day.month, day.day) in days:
         rows += days[day.month, day.day]
         day += timedelta(days=1)
-    values = np.column_stack([read.column(column.name)[rows] for column in found])
-    missing = np.array([column.missing for column in found])
-    return np.where(values >= missing, np.nan, values), 3600.0 * read.record_h
+    values = np.column_stack([weather.column(column.name)[rows] for column in selected])
+    missing = np.array([column.missing for column in selected])
+    return np.where(values >= missing, np.nan, values), 3600.0 * weather.record_h

@@ -1,7 +1,7 @@
-"""Location and design days of a weather file: from the DDY beside it, else from its own header.
+"""Location and design days of a weather file: from the DDY file next to it, else from its own header.
 
-Both name the annual conditions of ASHRAE's Handbook: heating 99.6 % and cooling 0.4 % dry bulb. A DDY's cooling
-day has the clear sky of its place (ASHRAETau); a header does not say it, so that day has ASHRAE's general one.
+Both have the annual conditions of ASHRAE's Handbook: heating 99.6 % and cooling 0.4 % dry bulb. A DDY's cooling day
+has the local clear sky (ASHRAETau); a header has no data for it, so that day has ASHRAE's general clear sky.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from models.weather.header import DesignConditions, Header
 from topics.errors import InvalidConfig, ModelError
 
 _LOCATION, _DAY = "Site:Location", "SizingPeriod:DesignDay"
-_WANTED = (re.compile(r"Ann Htg 99\.6% Condns DB$", re.I), re.compile(r"Ann Clg \.4% Condns DB=>MC?WB$", re.I))
+_NAMES = (re.compile(r"Ann Htg 99\.6% Condns DB$", re.I), re.compile(r"Ann Clg \.4% Condns DB=>MC?WB$", re.I))
 _VERSION = re.compile(r"^\s*Version\s*,", re.I | re.M)
 
 
 @dataclass(frozen=True, slots=True)
 class Site:
-    """Where a weather file is from and what its place is sized for.
+    """Location and design days that belong to a weather file.
 
     Attributes:
         location: epJSON objects `Site:Location`; one.
-        design_days: epJSON objects `SizingPeriod:DesignDay`: heating and cooling; empty if the file says none.
-        source: where both are from, for people.
+        design_days: epJSON objects `SizingPeriod:DesignDay`: heating and cooling; empty if the file has none.
+        source: description of their origin, for users.
     """
 
     location: Objects
@@ -40,34 +40,34 @@ class Site:
 
 
 def site(epw: Path, header: Header) -> Site:
-    """Location and design days of the weather file `epw`, whose header is `header`.
+    """Return location and design days of the weather file `epw` with the header `header`.
 
     A DDY is converted by EnergyPlus, once per content and engine version.
 
     Raises:
-        InvalidConfig: a DDY beside `epw` that EnergyPlus cannot read.
+        InvalidConfig: EnergyPlus cannot read the DDY next to `epw`.
     """
-    beside = _ddy(epw)
-    lacking = ""
-    if beside is not None:
-        objects = _read_ddy(beside)
-        days = {n: d for wanted in _WANTED for n, d in objects.get(_DAY, {}).items() if wanted.search(n.strip())}
+    ddy = _ddy(epw)
+    note = ""
+    if ddy is not None:
+        objects = _read_ddy(ddy)
+        days = {n: d for pattern in _NAMES for n, d in objects.get(_DAY, {}).items() if pattern.search(n.strip())}
         locations = dict(list(objects.get(_LOCATION, {}).items())[:1])
-        if len(days) >= len(_WANTED) and locations:
-            return Site(locations, days, f"design days from {beside.name}")
-        lacking = f" ({beside.name} lacks a location, a 99.6 % heating or a .4 % cooling day)"
+        if len(days) >= len(_NAMES) and locations:
+            return Site(locations, days, f"design days from {ddy.name}")
+        note = f" ({ddy.name} lacks a location, a 99.6 % heating or a .4 % cooling day)"
     location = _location(header)
     if header.design is None:
         kept = f"{epw.name} has no design conditions: the model's own design days are kept"
-        return Site(location, source=kept + lacking)
-    return Site(location, from_header(header, header.design), f"design days from the header of {epw.name}{lacking}")
+        return Site(location, source=kept + note)
+    return Site(location, from_header(header, header.design), f"design days from the header of {epw.name}{note}")
 
 
 def apply(objects: Mapping[str, Objects], site: Site) -> dict[str, Objects]:
-    """`objects` with the site's location and design days; all else is as it was.
+    """Return `objects` with the site's location and design days; everything else is unchanged.
 
-    The design days stay where the site has none, and a model that has none gets none: it has nothing to size
-    or sizes by days of the weather file.
+    The model keeps its design days if the site has none. A model without design days gets none: it has nothing to size,
+    or uses days of the weather file for sizing.
     """
     new = {**objects, _LOCATION: site.location}
     if site.design_days and objects.get(_DAY):
@@ -76,15 +76,15 @@ def apply(objects: Mapping[str, Objects], site: Site) -> dict[str, Objects]:
 
 
 def _ddy(epw: Path) -> Path | None:
-    beside = epw.with_suffix(".ddy")
-    if beside.is_file():
-        return beside
-    alike = (p for p in epw.parent.iterdir() if p.stem == epw.stem and p.suffix.lower() == ".ddy" and p.is_file())
-    return next(alike, None)
+    ddy = epw.with_suffix(".ddy")
+    if ddy.is_file():
+        return ddy
+    in_any_case = (p for p in epw.parent.iterdir() if p.stem == epw.stem and p.suffix.lower() == ".ddy" and p.is_file())
+    return next(in_any_case, None)
 
 
 def _read_ddy(path: Path) -> dict[str, Objects]:
-    """The objects of a DDY, which is an IDF without a version."""
+    """Return the objects of a DDY file, which is an IDF without a version."""
     raw = path.read_bytes()
     try:
         text = raw.decode("utf-8")
@@ -119,15 +119,15 @@ def _name(header: Header) -> str:
 
 
 def standard_pressure(elevation_m: float) -> float:
-    """Pa at an elevation in m: ASHRAE Handbook of Fundamentals 2009, chapter 1, equation 3."""
+    """Return the pressure in Pa at an elevation in m: ASHRAE Handbook of Fundamentals 2009, chapter 1, equation 3."""
     return float(101_325.0 * (1.0 - 2.25577e-5 * elevation_m) ** 5.2559)
 
 
 def from_header(header: Header, design: DesignConditions) -> Objects:
-    """A winter and a summer design day, as a DDY has them.
+    """Return a winter and a summer design day, as in a DDY file.
 
-    Winter: the dry bulb all day, saturated air, no sun. Summer: the dry bulb at the hottest hour with its mean
-    wet bulb, the daily range, and ASHRAE's clear sky.
+    Winter: the dry bulb all day, saturated air, no sun. Summer: the dry bulb at the hottest hour with its mean wet
+    bulb, the daily range, and ASHRAE's clear sky.
     """
     pressure = round(standard_pressure(header.elevation_m))
     winter = _day(

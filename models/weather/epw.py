@@ -1,6 +1,8 @@
-"""Weather files: header, rows and columns of an EPW, and the same file with some columns replaced.
+"""Read and write EPW weather files; columns can be replaced, and everything else stays byte for byte.
 
-The form is the EPW data dictionary of EnergyPlus's Auxiliary Programs: 8 header lines, then 35 cells a line.
+The format is the EPW data dictionary of EnergyPlus's Auxiliary Programs: 8 header lines, then 35 cells per line.
+This module does not use an EPW library: readers such as pvlib's cannot write the rest of a file back unchanged, and do
+not check its rows against its header.
 """
 
 from __future__ import annotations
@@ -21,20 +23,20 @@ from topics.errors import InvalidConfig, UnknownName, did_you_mean
 Floats = NDArray[np.float64]
 
 WIDTH = 35
-_TEXT = (5, 27)  # the source flags, and the weather codes: nine digits side by side that are no number
+_TEXT = (5, 27)  # the source flags and the weather codes, which are nine separate digits rather than a number
 _NUMBERS = [index for index in range(WIDTH) if index not in _TEXT]
 _TIMES = ("year", "month", "day", "hour", "minute")
-_MOST = 5
+_MAX_ERRORS = 5
 
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column of numbers of an EPW.
+    """A numeric column of an EPW.
 
     Attributes:
-        index: its place in a line, from 0.
-        low, high: the dictionary's limits, both allowed; a limit that is excluded there is moved in by 0.1.
-        missing: values from here on stand for none.
+        index: position in a line, from 0.
+        low, high: the dictionary's limits, both inclusive; a limit that is exclusive there is moved inwards by 0.1.
+        missing: values of this or more mean a missing value.
     """
 
     name: str
@@ -79,7 +81,7 @@ COLUMNS: dict[str, Column] = {
         (34, "liquid_precipitation_quantity", "h", 0.0, _INF, 99.0),
     )
 }
-"""The data columns by name; the flags and the weather codes are text and not among them."""
+"""The numeric columns by name; the flags and the weather codes are text and not included."""
 
 _ALIASES = {
     "dry_bulb": "dry_bulb_temperature",
@@ -102,27 +104,28 @@ _ALIASES = {
 
 
 def find_column(text: str) -> Column:
-    """The column that `text` names: `Dry Bulb Temperature`, `dry_bulb_temperature` and `dry-bulb` are one.
+    """Find a column by name: `Dry Bulb Temperature`, `dry_bulb_temperature` and `dry-bulb` are the same.
 
     Raises:
-        UnknownName: no such column; the text lists near names.
+        UnknownName: there is no such column; the text lists similar names.
     """
     folded = re.sub(r"[^0-9a-z]+", "_", text.casefold()).strip("_")
-    found = COLUMNS.get(_ALIASES.get(folded, folded))
-    if found is None:
+    column = COLUMNS.get(_ALIASES.get(folded, folded))
+    if column is None:
         raise UnknownName(f"no weather column {text!r}; {did_you_mean(folded, COLUMNS)}")
-    return found
+    return column
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Weather:
-    """A weather file that was read and checked.
+    """A validated weather file.
 
     Attributes:
-        head: the header lines verbatim, without line ends.
-        rows: the data lines verbatim, without line ends.
-        end: the line end, and `tail` what follows the last row's cells.
-        table: numbers of all columns but the text ones, float64 (33, rows), read-only.
+        head: the header lines verbatim, without line endings.
+        rows: the data lines verbatim, without line endings.
+        end: the line ending.
+        tail: the text after the last row's cells.
+        table: numbers of all columns except the text columns, float64 (33, rows), read-only.
     """
 
     path: Path
@@ -137,31 +140,31 @@ class Weather:
         return len(self.rows)
 
     def column(self, name: str) -> Floats:
-        """The values of a column as the file has them, float64 (rows,), read-only; `UnknownName` if there is none."""
+        """Return a column's values, float64 (rows,), read-only; `UnknownName` if there is no such column."""
         return self.numbers(find_column(name).index)
 
     @property
     def times(self) -> NDArray[np.int64]:
-        """Year, month, day, hour (1 to 24), minute of each row as the file says, int64 (rows, 5)."""
+        """Year, month, day, hour (1 to 24) and minute of each row, int64 (rows, 5)."""
         return np.asarray(self.table[: len(_TIMES)].T, dtype=np.int64)
 
     @property
     def record_h(self) -> float:
-        """Hours from a row to the next."""
+        """Hours between two rows."""
         return 1.0 / self.header.records_per_hour
 
     def numbers(self, index: int) -> Floats:
-        """The values of the column in that place of a line."""
+        """Return the values of the column at a position in the line, float64 (rows,)."""
         values: Floats = self.table[_NUMBERS.index(index)]
         return values
 
 
 def read(path: Path) -> Weather:
-    """The weather file `path`, checked from end to end.
+    """Read and validate the weather file `path`.
 
     Raises:
-        InvalidConfig: no EPW; or rows that are too few or too many for DATA PERIODS, out of order, or have cells
-            that are missing or no numbers. The text names the lines, what is there and what is expected.
+        InvalidConfig: the file is not an EPW file, has too few or too many rows for DATA PERIODS, rows out of order,
+            or cells that are missing or not numbers. The text has the lines, their content and what was expected.
     """
     text = path.read_bytes().decode("latin-1")
     end = "\r\n" if "\r\n" in text else "\n"
@@ -171,17 +174,17 @@ def read(path: Path) -> Weather:
     while last > HEADER_LINES and not lines[last - 1].strip():
         last -= 1
     rows = lines[HEADER_LINES:last]
-    table = _parsed(rows)
-    faults = [] if table is not None else _faults_of_cells(rows)
-    faults = _faults_of_days(_seen(rows, table), header, _spans(path, lines[7])) + faults
-    if faults or table is None:
-        raise InvalidConfig(_report(path, faults))
+    table = _parse_rows(rows)
+    errors = [] if table is not None else _cell_errors(rows)
+    errors = _day_errors(_row_days(rows, table), header, _data_periods(path, lines[7])) + errors
+    if errors or table is None:
+        raise InvalidConfig(_report(path, errors))
     table.setflags(write=False)
     return Weather(path, header, tuple(lines[:HEADER_LINES]), rows, end, "".join(end + t for t in lines[last:]), table)
 
 
-def _parsed(rows: list[str]) -> Floats | None:
-    """All numbers, (33, rows); None if a row has another number of cells or a cell is no finite number."""
+def _parse_rows(rows: list[str]) -> Floats | None:
+    """Parse all numbers, (33, rows); None if a row has the wrong number of cells or a cell is not a finite number."""
     if not rows or any(row.count(",") != WIDTH - 1 for row in rows):
         return None
     try:
@@ -193,20 +196,20 @@ def _parsed(rows: list[str]) -> Floats | None:
     return np.ascontiguousarray(table.T)
 
 
-def _faults_of_cells(rows: list[str]) -> list[str]:
+def _cell_errors(rows: list[str]) -> list[str]:
     names = dict(enumerate(_TIMES)) | {column.index: name for name, column in COLUMNS.items()}
-    faults = []
+    errors = []
     for number, row in enumerate(rows, HEADER_LINES + 1):
         cells = row.split(",")
         if len(cells) != WIDTH:
-            faults.append(f"line {number} has {len(cells)} cells, {WIDTH} are expected")
+            errors.append(f"line {number} has {len(cells)} cells, expected {WIDTH}")
             continue
-        faults += [
-            f"line {number}: {names[index]} is {cells[index].strip()!r}, a number is expected"
+        errors += [
+            f"line {number}: {names[index]} is {cells[index].strip()!r}, expected a number"
             for index in _NUMBERS
             if not _is_number(cells[index])
         ]
-    return faults
+    return errors
 
 
 def _is_number(cell: str) -> bool:
@@ -216,19 +219,19 @@ def _is_number(cell: str) -> bool:
         return False
 
 
-def _spans(path: Path, line: str) -> list[tuple[str, str]]:
-    """First and last day of each data period as text."""
+def _data_periods(path: Path, line: str) -> list[tuple[str, str]]:
+    """Return the first and last day of each data period as text."""
     cells = [cell.strip() for cell in line.split(",")]
     try:
         return [(cells[5 + 4 * k], cells[6 + 4 * k]) for k in range(int(cells[1]))]
     except (IndexError, ValueError):
-        raise InvalidConfig(f"{path}: DATA PERIODS should have a name, weekday, first and last day each") from None
+        raise InvalidConfig(f"{path}: each of the DATA PERIODS needs a name, weekday, first and last day") from None
 
 
-def _days(spans: list[tuple[str, str]], *, leap: bool) -> list[tuple[int, int]]:
-    """Month and day of each day of the data periods; without years they are those of any year."""
+def _days(periods: list[tuple[str, str]], *, leap: bool) -> list[tuple[int, int]]:
+    """Return month and day of each day of the data periods, which may have no year."""
     days = []
-    for begin, end in spans:
+    for begin, end in periods:
         first, last = (_date(text, leap=leap) for text in (begin, end))
         if last < first:  # from autumn to spring
             last = date(last.year + 1, last.month, last.day)
@@ -242,8 +245,8 @@ def _date(text: str, *, leap: bool) -> date:
     return date(parts[2] if len(parts) > 2 else 2016 if leap else 2017, parts[0], parts[1])
 
 
-def _seen(rows: list[str], table: Floats | None) -> NDArray[np.int64] | None:
-    """Month and day of each row, (rows, 2); None where a row does not say them."""
+def _row_days(rows: list[str], table: Floats | None) -> NDArray[np.int64] | None:
+    """Return month and day of each row, (rows, 2); None if a row does not have them."""
     if table is not None:
         return np.asarray(table[1:3].T, dtype=np.int64)
     try:
@@ -252,52 +255,50 @@ def _seen(rows: list[str], table: Floats | None) -> NDArray[np.int64] | None:
         return None
 
 
-def _faults_of_days(seen: NDArray[np.int64] | None, header: Header, spans: list[tuple[str, str]]) -> list[str]:
-    """Whether the rows are those of the days that DATA PERIODS names."""
-    if seen is None:
+def _day_errors(row_days: NDArray[np.int64] | None, header: Header, periods: list[tuple[str, str]]) -> list[str]:
+    """Compare the rows' days with those in DATA PERIODS."""
+    if row_days is None:
         return []
-    a_day = 24 * header.records_per_hour
-    due = np.repeat(np.array(_days(spans, leap=header.leap)).reshape(-1, 2), a_day, axis=0)
-    lines = np.arange(len(seen)) + HEADER_LINES + 1
-    if not header.leap and len(seen) > len(due):  # EnergyPlus skips a 29 February that the header denies
-        other = (seen != (2, 29)).any(axis=1)
-        seen, lines = seen[other], lines[other]
-    if len(seen) != len(due):
+    rows_per_day = 24 * header.records_per_hour
+    expected = np.repeat(np.array(_days(periods, leap=header.leap)).reshape(-1, 2), rows_per_day, axis=0)
+    lines = np.arange(len(row_days)) + HEADER_LINES + 1
+    if not header.leap and len(row_days) > len(expected):  # EnergyPlus skips a 29 February that the header excludes
+        kept = (row_days != (2, 29)).any(axis=1)
+        row_days, lines = row_days[kept], lines[kept]
+    if len(row_days) != len(expected):
         leap = ", with 29 February" if header.leap else ""
-        at = f"; the last, line {lines[-1]}, is of {seen[-1][0]}/{seen[-1][1]}" if len(seen) else ""
-        return [
-            f"there are {len(seen)} rows, DATA PERIODS claims {len(due)} ({spans[0][0]} to {spans[-1][1]}, "
-            f"{header.records_per_hour} an hour{leap}){at}"
-        ]
-    wrong = np.flatnonzero((seen != due).any(axis=1))
+        last = f"; the last, line {lines[-1]}, is for {row_days[-1][0]}/{row_days[-1][1]}" if len(row_days) else ""
+        span = f"{periods[0][0]} to {periods[-1][1]}, {header.records_per_hour} per hour{leap}"
+        return [f"there are {len(row_days)} rows, DATA PERIODS requires {len(expected)} ({span}){last}"]
+    mismatches = np.flatnonzero((row_days != expected).any(axis=1))
     return [
-        f"line {lines[k]} is of {seen[k][0]}/{seen[k][1]}, {due[k][0]}/{due[k][1]} is expected"
-        for k in wrong[:1].tolist()
+        f"line {lines[k]} is for {row_days[k][0]}/{row_days[k][1]}, expected {expected[k][0]}/{expected[k][1]}"
+        for k in mismatches[:1].tolist()
     ]
 
 
-def _report(path: Path, faults: list[str]) -> str:
-    more = [f"and {len(faults) - _MOST} more"] if len(faults) > _MOST else []
-    return "\n  ".join([f"{path} is no sound weather file:", *faults[:_MOST], *more])
+def _report(path: Path, errors: list[str]) -> str:
+    omitted = [f"and {len(errors) - _MAX_ERRORS} more"] if len(errors) > _MAX_ERRORS else []
+    return "\n  ".join([f"{path} is not a valid weather file:", *errors[:_MAX_ERRORS], *omitted])
 
 
 def write(weather: Weather, path: Path, changed: Mapping[str, Floats]) -> None:
-    """Writes `weather` to `path` with the columns of `changed` replaced, each of shape (rows,).
+    """Write `weather` to `path` with the columns of `changed` replaced, each of shape (rows,).
 
-    New values get four decimals. A cell whose value is as before, and all else, stays byte for byte.
+    New values get four decimals. Cells whose values did not change, and everything else, stay byte for byte.
 
     Raises:
-        UnknownName: no such column.
-        InvalidConfig: an array of another shape, or with NaN or infinities.
+        UnknownName: there is no such column.
+        InvalidConfig: an array has another shape, or contains NaN or infinities.
     """
-    columns = {find_column(name).index: _checked(name, values, len(weather)) for name, values in changed.items()}
-    rows = _replaced(weather, columns) if columns else weather.rows
+    columns = {find_column(name).index: _validated(name, values, len(weather)) for name, values in changed.items()}
+    rows = _replace_columns(weather, columns) if columns else weather.rows
     text = weather.end.join([*weather.head, *rows]) + weather.tail
     path.write_bytes(text.encode("latin-1"))
 
 
-def _replaced(weather: Weather, columns: dict[int, Floats]) -> list[str]:
-    """The rows with other cells. One flat list of cells: a list for each row costs three times as much."""
+def _replace_columns(weather: Weather, columns: dict[int, Floats]) -> list[str]:
+    """Return the rows with columns replaced. One flat list of cells: a list for each row takes three times as long."""
     splits = min(max(columns) + 1, WIDTH - 1)
     width = splits + 1
     cells = list(chain.from_iterable(row.split(",", splits) for row in weather.rows))
@@ -309,10 +310,10 @@ def _replaced(weather: Weather, columns: dict[int, Floats]) -> list[str]:
     return [",".join(cells[k : k + width]) for k in range(0, len(cells), width)]
 
 
-def _checked(name: str, values: Floats, rows: int) -> Floats:
+def _validated(name: str, values: Floats, rows: int) -> Floats:
     array = np.asarray(values, dtype=np.float64)
     if array.shape != (rows,):
-        raise InvalidConfig(f"weather column {name}: an array of shape ({rows},) is expected, got {array.shape}")
+        raise InvalidConfig(f"weather column {name}: expected an array of shape ({rows},), got {array.shape}")
     if not np.isfinite(array).all():
         raise InvalidConfig(f"weather column {name}: row {int(np.argmin(np.isfinite(array)))} is not finite")
     return array

@@ -1,4 +1,4 @@
-"""The header of a weather file: place, covered days and design conditions."""
+"""The header of an EPW weather file: place, covered days and design conditions."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class DesignConditions:
 
     @property
     def plausible(self) -> bool:
-        """Whether each is within its range; it is not where a header's form is another."""
+        """Whether all values are in plausible ranges; they are not if a header has another format."""
         return (
             {self.heating_month, self.cooling_month} <= set(range(1, 13))
             and -70 < self.heating_dry_bulb_c <= self.cooling_dry_bulb_c < 70
@@ -55,11 +55,11 @@ class Header:
     """Place and covered days of a weather file; the days have no year in a typical-year file.
 
     Attributes:
-        first, last: month and day.
-        leap: the file has 29 February ("leap year observed").
+        first, last: first and last day as (month, day).
+        leap: whether the file has 29 February ("leap year observed").
         start_weekday: the weekday of `first`, in English.
-        wmo: number of the station.
-        design: None where there are none or they cannot be read.
+        wmo: the station's WMO number.
+        design: None if there are no design conditions or they cannot be read.
     """
 
     place: str
@@ -77,15 +77,15 @@ class Header:
 
     @property
     def whole_year(self) -> bool:
-        """Whether the file goes from 1 January to 31 December."""
+        """Whether the file covers 1 January to 31 December."""
         return (self.first, self.last) == ((1, 1), (12, 31))
 
 
 def read_header(path: Path) -> Header:
-    """The header of `path`.
+    """Read the header of `path`.
 
     Raises:
-        InvalidConfig: the file does not begin as an EPW does, or has no DATA PERIODS line.
+        InvalidConfig: the file does not begin like an EPW file, or has no DATA PERIODS line.
     """
     with path.open(encoding="latin-1") as file:
         return parse_header(path, [file.readline() for _ in range(HEADER_LINES)])
@@ -95,7 +95,7 @@ def parse_header(path: Path, lines: Sequence[str]) -> Header:
     """Parse the first lines of `path`; raises as `read_header` does."""
     cells = [[cell.strip() for cell in line.split(",")] for line in lines]
     if len(cells) < HEADER_LINES or cells[0][0].upper() != "LOCATION" or cells[7][0].upper() != "DATA PERIODS":
-        raise InvalidConfig(f"{path} is no EPW file: it should begin with LOCATION and have DATA PERIODS in line 8")
+        raise InvalidConfig(f"{path} is not an EPW file: it should begin with LOCATION and have DATA PERIODS in line 8")
     location, periods = cells[0], cells[7]
     try:
         return Header(
@@ -126,7 +126,7 @@ def _design(cells: list[str]) -> DesignConditions | None:
     try:
         heating = cells[titles.index("heating") + 1 :]
         cooling = cells[titles.index("cooling") + 1 :]
-        found = DesignConditions(
+        conditions = DesignConditions(
             heating_month=int(heating[0]),
             heating_dry_bulb_c=float(heating[1]),
             heating_wind_m_s=float(heating[13]),
@@ -140,34 +140,37 @@ def _design(cells: list[str]) -> DesignConditions | None:
         )
     except (IndexError, ValueError):
         return None
-    return found if found.plausible else None
+    return conditions if conditions.plausible else None
 
 
 def check_covers(header: Header, period: Period, name: str) -> None:
-    """Refuses a run period of which the weather file has no data.
+    """Check that the weather file has data for every day of a run period.
 
-    EnergyPlus reads a file again from its begin where the run period goes past 31 December; the number of
-    timesteps is right. Where a run period has a 29 February that the file has not, EnergyPlus 25.2 leaves the
-    day out without a word: an episode a day too short, or, where it should end on that day, one that ends on
-    1 March; the weekdays after it are a day behind. A run period that begins on that day is a fatal error. So
-    all of these are refused. (29 February in a file and not in the run period is skipped as it should be.)
+    When a run period continues past 31 December, EnergyPlus reads the file again from its beginning, and the number of
+    timesteps is correct. If a run period contains a 29 February that the file lacks, EnergyPlus 25.2 skips that day
+    silently: the episode is a day too short or, if it should end on that day, ends on 1 March, and the weekdays after
+    it are off by one. A run period that begins on that day is a fatal error. All of these are rejected here. (A 29
+    February that is in the file but not in the run period is skipped, as it should be.)
+
+    Raises:
+        InvalidConfig: the file has no data for some days.
     """
     if period.begin.year != period.end.year and not header.whole_year:
         raise InvalidConfig(
-            f"the run period crosses a year ({period.begin} to {period.end}); that takes a weather file of a whole "
-            f"year, and {name} has {_span(header)}"
+            f"the run period crosses a year boundary ({period.begin} to {period.end}), which requires a weather file "
+            f"of a whole year; {name} covers {_span(header)}"
         )
-    for day, what in ((period.begin, "begins"), (period.end, "ends")):
+    for day, verb in ((period.begin, "begins"), (period.end, "ends")):
         if not header.first <= (day.month, day.day) <= header.last:
             raise InvalidConfig(
-                f"the run period {what} on {day:%m-%d}, outside the weather file {name}, which has {_span(header)}"
+                f"the run period {verb} on {day:%m-%d}, outside the weather file {name}, which covers {_span(header)}"
             )
     for leap_day in _leap_days(period):
         if not header.leap:
             raise InvalidConfig(
-                f"the run period {period.begin} to {period.end} contains {leap_day}, and the weather file {name} has "
-                f"no 29 February: take another year ({leap_day.year + 1} has none either), "
-                f"end by {leap_day - timedelta(days=1)}, or begin from {leap_day + timedelta(days=1)}"
+                f"the run period {period.begin} to {period.end} contains {leap_day}, but the weather file {name} has "
+                f"no 29 February: use another year ({leap_day.year + 1} has no 29 February either), "
+                f"end by {leap_day - timedelta(days=1)}, or begin on {leap_day + timedelta(days=1)} or later"
             )
 
 

@@ -1,4 +1,8 @@
-"""Moist air and the clear sky."""
+"""Moist air and the clear sky: relative humidity, dew point and infrared radiation.
+
+These closed formulas take whole arrays, and dew point and humidity are exact inverses of each other. Packages such as
+PsychroLib take single numbers and solve for the dew point iteratively.
+"""
 
 from __future__ import annotations
 
@@ -10,19 +14,23 @@ _A, _B_C, _ES_PA = 17.625, 243.04, 610.94
 
 
 def saturation_pressure(celsius: Floats) -> Floats:
-    """Pa over water: the Magnus form of O. A. Alduchov and R. E. Eskridge (1996), J. Appl. Meteorol. 35, 601."""
+    """Return the saturation pressure over water in Pa.
+
+    Magnus form of O. A. Alduchov and R. E. Eskridge (1996), J. Appl. Meteorol. 35, 601.
+    """
     return np.asarray(_ES_PA * np.exp(_A * celsius / (celsius + _B_C)))
 
 
 def relative_humidity(dry_bulb: Floats, dew_point: Floats) -> Floats:
-    """Per cent, from two temperatures in C."""
+    """Return the relative humidity in percent, from two temperatures in C."""
     return 100.0 * saturation_pressure(dew_point) / saturation_pressure(dry_bulb)
 
 
 def dew_point(dry_bulb: Floats, humidity: Floats) -> Floats:
-    """C, from a temperature in C and a relative humidity in per cent: the inverse of `relative_humidity`.
+    """Return the dew point in C, from a temperature in C and a relative humidity in percent.
 
-    Not below the dictionary's limit, which air of about 0 % would be.
+    It is the inverse of `relative_humidity`, limited to the EPW data dictionary's minimum, which air of about 0 % would
+    fall below.
     """
     with np.errstate(divide="ignore"):
         gamma = np.log(humidity / 100.0) + _A * dry_bulb / (dry_bulb + _B_C)
@@ -32,7 +40,7 @@ def dew_point(dry_bulb: Floats, humidity: Floats) -> Floats:
 
 
 def clear_sky_infrared(dry_bulb: Floats, dew_point: Floats) -> Floats:
-    """W/m2 on the horizontal under a clear sky, from two temperatures in C.
+    """Return the horizontal infrared radiation of a clear sky in W/m2, from two temperatures in C.
 
     Emissivity by G. Clark and C. Allen (1978) as in EnergyPlus's Engineering Reference, "Sky Radiation
     Modeling": 0.787 + 0.764 ln(T_dew / 273 K).

@@ -204,7 +204,7 @@ def test_only_the_columns_that_were_given_change(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("values", "words"),
     [
-        (np.zeros(24), r"shape \(8760,\) is expected, got \(24,\)"),
+        (np.zeros(24), r"shape \(8760,\), got \(24,\)"),
         (np.full(YEAR, np.nan), "row 0 is not finite"),
         (np.r_[np.zeros(YEAR - 1), np.inf], "row 8759 is not finite"),
     ],
@@ -234,23 +234,23 @@ def cell(line: int, index: int, text: str) -> Callable[[list[str]], list[str]]:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (cut_at_row(0), r"there are 0 rows, DATA PERIODS claims 8760 \(1/ 1 to 12/31, 1 an hour\)"),
-        (cut_at_row(31 * 24), r"there are 744 rows, .*8760 .*; the last, line 752, is of 1/31"),
-        (cut_at_row(YEAR - 1), "there are 8759 rows, .*line 8767, is of 12/31"),
+        (cut_at_row(0), r"there are 0 rows, DATA PERIODS requires 8760 \(1/ 1 to 12/31, 1 per hour\)"),
+        (cut_at_row(31 * 24), r"there are 744 rows, .*8760 .*; the last, line 752, is for 1/31"),
+        (cut_at_row(YEAR - 1), "there are 8759 rows, .*line 8767, is for 12/31"),
         (lambda lines: [*lines[:-1], lines[-2], ""], "there are 8761 rows"),
-        (lambda lines: [*lines[:-2], lines[-2][:80]], r"line 8768 has \d+ cells, 35 are expected"),
-        (lambda lines: [*lines[:9], lines[9] + ",0", *lines[10:]], "line 10 has 36 cells, 35 are expected"),
-        (cell(1000, 6, "warm"), "line 1000: dry_bulb_temperature is 'warm', a number is expected"),
-        (cell(1000, 34, ""), "line 1000: liquid_precipitation_quantity is '', a number is expected"),
+        (lambda lines: [*lines[:-2], lines[-2][:80]], r"line 8768 has \d+ cells, expected 35"),
+        (lambda lines: [*lines[:9], lines[9] + ",0", *lines[10:]], "line 10 has 36 cells, expected 35"),
+        (cell(1000, 6, "warm"), "line 1000: dry_bulb_temperature is 'warm', expected a number"),
+        (cell(1000, 34, ""), "line 1000: liquid_precipitation_quantity is '', expected a number"),
         (cell(9, 8, "nan"), "line 9: relative_humidity is 'nan'"),
         (cell(9, 8, "inf"), "line 9: relative_humidity is 'inf'"),
         (cell(20, 1, "x"), "line 20: month is 'x'"),
         (
             lambda lines: [*lines[:100], *lines[101:200], lines[199], *lines[200:]],  # one away, one twice
-            r"line 104 is of 1/5, 1/4 is expected",
+            r"line 104 is for 1/5, expected 1/4",
         ),
         (lambda lines: [*lines[:4], "HOLIDAYS/DAYLIGHT SAVINGS,Yes,0,0,0", *lines[5:]],
-         r"there are 8760 rows, DATA PERIODS claims 8784 .*with 29 February"),
+         r"there are 8760 rows, DATA PERIODS requires 8784 .*with 29 February"),
     ],
 )  # fmt: skip
 def test_a_file_that_is_not_sound_is_refused_with_the_line(
@@ -339,9 +339,9 @@ def test_a_run_period_that_the_file_has_is_taken(header: Header, begin: date, en
 @pytest.mark.parametrize(
     ("header", "begin", "end", "words"),
     [
-        (PART, date(2017, 9, 1), date(2018, 3, 1), "crosses a year .* whole year, and x has 02-01 to 09-30"),
-        (PART, date(2017, 9, 1), date(2017, 10, 1), "ends on 10-01, outside .* x, which has 02-01 to 09-30"),
-        (FULL, date(2016, 2, 27), date(2016, 3, 2), "2016-02-29, .*2017.* by 2016-02-28, or begin from 2016-03-01"),
+        (PART, date(2017, 9, 1), date(2018, 3, 1), "crosses a year boundary .* whole year; x covers 02-01 to 09-30"),
+        (PART, date(2017, 9, 1), date(2017, 10, 1), "ends on 10-01, outside .* x, which covers 02-01 to 09-30"),
+        (FULL, date(2016, 2, 27), date(2016, 3, 2), "2016-02-29, .*2017.* by 2016-02-28, or begin on 2016-03-01"),
         (FULL, date(2016, 2, 29), date(2016, 3, 2), "contains 2016-02-29"),
         (FULL, date(2016, 2, 27), date(2016, 2, 29), "contains 2016-02-29"),
         (FULL, date(2015, 12, 1), date(2017, 1, 31), "contains 2016-02-29"),
