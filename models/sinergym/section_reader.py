@@ -1,4 +1,4 @@
-"""What is said in a section of a file, checked; mistakes are gathered, so that all of them are said at once."""
+"""Read and check the sections of a settings file; errors are collected, so that all of them are reported at once."""
 
 from __future__ import annotations
 
@@ -12,69 +12,69 @@ T = TypeVar("T")
 
 
 class SectionReader:
-    """The content of a file while it is read; `faults` is what is wrong with it."""
+    """The settings of a file while they are read; `errors` collects the errors in them."""
 
-    def __init__(self, given: Mapping[str, Any]) -> None:
-        self.given = given
-        self.faults: list[str] = []
+    def __init__(self, settings: Mapping[str, Any]) -> None:
+        self.settings = settings
+        self.errors: list[str] = []
 
     def add_error(self, text: str) -> None:
-        """Remembers what is wrong."""
-        self.faults.append(text)
+        """Add an error to `errors`."""
+        self.errors.append(text)
 
-    def collect(self, do: Callable[[], T], where: str) -> T | None:
-        """What `do` gives, or None and its mistake remembered."""
+    def collect(self, read: Callable[[], T], setting: str) -> T | None:
+        """Return the result of `read`, or None if it raises an error, which is added to `errors`."""
         try:
-            return do()
+            return read()
         except UsageError as error:
-            self.add_error(f"{where}: {error}")
+            self.add_error(f"{setting}: {error}")
             return None
 
-    def known(self, given: Mapping[Any, Any], names: Iterable[str], where: str) -> None:
-        """Settings with other names are faults."""
+    def check_names(self, section: Mapping[Any, Any], names: Iterable[str], prefix: str) -> None:
+        """Add an error for each setting that is not in `names`."""
         names = list(names)
-        for name in given:
+        for name in section:
             if name not in names:
-                self.add_error(f"{where}unknown setting {name!r}; {did_you_mean(str(name), names)}")
+                self.add_error(f"{prefix}unknown setting {name!r}; {did_you_mean(str(name), names)}")
 
     def mapping(self, name: str) -> Mapping[Any, Any]:
-        """The section of that name; empty where it is left out."""
-        given = self.given.get(name)
-        if given is None:
+        """Return the section of that name; empty if it is left out."""
+        value = self.settings.get(name)
+        if value is None:
             return {}
-        if not isinstance(given, Mapping):
-            self.add_error(f"{name}: names and values expected, got {given!r}")
+        if not isinstance(value, Mapping):
+            self.add_error(f"{name}: expected names and values, got {value!r}")
             return {}
-        return given
+        return value
 
-    def texts(self, given: Any, where: str) -> list[str]:
-        """A list of texts; empty, and a fault, if it is none."""
-        if isinstance(given, list) and all(isinstance(text, str) for text in given):
-            return given
-        self.add_error(f"{where}: a list of texts expected, got {given!r}")
+    def texts(self, value: Any, setting: str) -> list[str]:
+        """Return a list of strings; empty, with an error, if it is something else."""
+        if isinstance(value, list) and all(isinstance(text, str) for text in value):
+            return value
+        self.add_error(f"{setting}: expected a list of strings, got {value!r}")
         return []
 
-    def number(self, given: Any, where: str) -> float:
-        """A number; 0, and a fault, if it is none."""
-        if isinstance(given, int | float) and not isinstance(given, bool):
-            return float(given)
-        self.add_error(f"{where}: a number expected, got {given!r}")
+    def number(self, value: Any, setting: str) -> float:
+        """Return a number; 0, with an error, if it is something else."""
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            return float(value)
+        self.add_error(f"{setting}: expected a number, got {value!r}")
         return 0.0
 
-    def name(self, text: Any, where: str) -> str | None:
-        """The name under which `text` can stand in a topic; it is kept where it can itself."""
+    def name(self, text: Any, setting: str) -> str | None:
+        """Return `text`, or a similar name that is valid in a topic; None, with an error, if it is not a string."""
         if not isinstance(text, str) or not text:
-            self.add_error(f"{where}: a name expected, got {text!r}")
+            self.add_error(f"{setting}: expected a name, got {text!r}")
             return None
         try:
-            return check_name(text, where)
+            return check_name(text, setting)
         except InvalidConfig:
             return safe_name(text)
 
-    def pair(self, given: Any, where: str) -> tuple[float, float]:
-        """Two numbers; 0 and 1, and a fault, if there are others."""
-        if not isinstance(given, list) or len(given) != 2:
-            self.add_error(f"{where}: two numbers expected, got {given!r}")
+    def pair(self, value: Any, setting: str) -> tuple[float, float]:
+        """Return two numbers; 0 and 1, with an error, if it is something else."""
+        if not isinstance(value, list) or len(value) != 2:
+            self.add_error(f"{setting}: expected two numbers, got {value!r}")
             return 0.0, 1.0
-        low, high = (self.number(number, where) for number in given)
+        low, high = (self.number(number, setting) for number in value)
         return low, high

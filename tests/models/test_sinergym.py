@@ -17,7 +17,7 @@ from agent_sdk.rewards import read_reward
 from models.catalog import find_building, find_weather
 from models.scenario.schema import DiscreteActionSpec, Scenario, dump, load_scenario
 from models.sinergym import scenarios as reader
-from models.sinergym.literals import BoxSpec, DiscreteSpec, MultiDiscrete, Offsets, Rows, space, table
+from models.sinergym.literals import BoxSpec, DiscreteSpec, MultiDiscrete, Offsets, Rows, read_space, read_table
 from models.sinergym.scenarios import discrete_tables, pack_scenarios, scenario_of, scenarios_of
 from models.weather.noise import ColumnNoise
 from topics.errors import InvalidConfig, UnknownName
@@ -331,10 +331,10 @@ def test_run_period_noise_and_context(own):
 @pytest.mark.parametrize(
     ("lines", "fault"),
     [
-        ("initial_context: [1.0, 2.0]", "initial_context: a number for each of 0 actuators of context expected"),
-        ("initial_context: {people: 1.0}", "initial_context: a number for each of"),
-        ("max_ep_store: none", "max_ep_store: a whole number of 1 or more expected, got 'none'"),
-        ("max_ep_store: 0", "max_ep_store: a whole number of 1 or more expected, got 0"),
+        ("initial_context: [1.0, 2.0]", "initial_context: expected a number for each of 0 actuators of context"),
+        ("initial_context: {people: 1.0}", "initial_context: expected a number for each of"),
+        ("max_ep_store: none", "max_ep_store: expected an integer of at least 1, got 'none'"),
+        ("max_ep_store: 0", "max_ep_store: expected an integer of at least 1, got 0"),
     ],
 )
 def test_no_setting_is_ignored_in_silence(own, lines, fault):
@@ -343,12 +343,12 @@ def test_no_setting_is_ignored_in_silence(own, lines, fault):
 
 
 UNREADABLE = {
-    "reward": ("reward: mymod:MyReward", "reward: 'mymod:MyReward' is not known here"),
+    "reward": ("reward: mymod:MyReward", "reward: unknown reward 'mymod:MyReward'"),
     "discrete": ("action_space_discrete: Discrete(0)", "Discrete"),
     "building": ("building_file: nowhere.epJSON", "no file 'nowhere.epJSON'"),
     "weather": ("weather_specification: {weather_files: [no.epw], keys: [here]}", "no file 'no.epw'"),
     "period": ("building_config: {runperiod: [1, 2]}", "building_config.runperiod"),
-    "steps_per_hour": ("building_config: {timesteps_per_hour: four}", "timesteps_per_hour: a whole number"),
+    "steps_per_hour": ("building_config: {timesteps_per_hour: four}", "timesteps_per_hour: expected an integer"),
     "time": ("time_variables: [hours]", "no field 'hours' of the clock"),
     "meters": ("meters: {'Electricity:HVAC': 3}", "meters.Electricity:HVAC"),
     "weather_noise": ("weather_variability: {Wind Speed: [1]}", "weather_variability.Wind Speed"),
@@ -367,7 +367,7 @@ def test_an_argument_replaces_a_setting_that_cannot_be_read(own, argument):
 
 def test_own_discrete_choices_need_no_meaning_where_an_argument_replaces_them(own):
     path = own("action_space_discrete: Discrete(7)", only_discrete="true")
-    with pytest.raises(InvalidConfig, match="stands in code"):
+    with pytest.raises(InvalidConfig, match="is defined in code"):
         scenario_of(path)
     assert scenario_of(path, overridden={"discrete"}).id == "hut-here-discrete-v1"
 
@@ -377,11 +377,11 @@ def test_discrete_choices_that_nobody_knows_leave_the_continuous_scenarios(own):
     assert list(scenarios_of(path)) == ["hut-here-continuous-v1"]
     assert scenario_of(path).id == "hut-here-continuous-v1"
     with pytest.raises(
-        InvalidConfig, match=r"stands in code, which is not run; .* scenario file \(its field `discrete`\)"
+        InvalidConfig, match=r"is defined in code, which is not run; .* scenario file \(its field `discrete`\)"
     ):
         scenario_of(path, "hut-here-discrete-v1")
     path = own(action_space_discrete="Discrete(10)", only_discrete="true")
-    with pytest.raises(InvalidConfig, match="stands in code, which is not run"):
+    with pytest.raises(InvalidConfig, match="is defined in code, which is not run"):
         scenarios_of(path)
 
 
@@ -392,9 +392,7 @@ def test_discrete_choices_of_a_building_of_the_pack_need_the_pack(own, tmp_path,
         scenarios_of(path)
     monkeypatch.setenv("ZENOSTAT_CACHE", str(tmp_path / "empty"))
     assert list(scenarios_of(path)) == ["5zone-here-continuous-v1"]
-    with pytest.raises(
-        InvalidConfig, match="'5zone' mean is in the data pack 'sinergym': zenostat data-packs add sinergym"
-    ):
+    with pytest.raises(InvalidConfig, match="'5zone' is in the data pack 'sinergym': zenostat data-packs add sinergym"):
         scenario_of(path, "discrete")
 
 
@@ -414,14 +412,14 @@ def test_tables_can_be_given(own, text, meaning, values):
 @pytest.mark.parametrize(
     ("text", "meaning", "fault"),
     [
-        ("Discrete(3)", Rows(((15.0, 30.0),)), r"Discrete\(3\) has 3 choices, and its table 1"),
-        ("Discrete(1)", Rows(((15.0,),)), "rows of 1 values, and there are 2 actuators"),
+        ("Discrete(3)", Rows(((15.0, 30.0),)), r"Discrete\(3\) has 3 choices, but its table has 1"),
+        ("Discrete(1)", Rows(((15.0,),)), "rows of 1 values, but there are 2 actuators"),
         ("Discrete(1)", Offsets(()), "needs a table of values"),
-        ("MultiDiscrete([2, 2])", Rows(((15.0, 30.0),)), "one for all of them at once"),
-        ("MultiDiscrete([2])", Offsets(()), "has 1 dimensions, and there are 2 actuators"),
-        ("MultiDiscrete([2, 2])", Offsets(((5, 1.0),)), "adds to dimension 5, and there are 2"),
+        ("MultiDiscrete([2, 2])", Rows(((15.0, 30.0),)), "one for all of them together"),
+        ("MultiDiscrete([2])", Offsets(()), "has 1 dimensions, but there are 2 actuators"),
+        ("MultiDiscrete([2, 2])", Offsets(((5, 1.0),)), "adds to dimension 5, but there are 2"),
         ("MultiDiscrete([2, 2])", Offsets(((0, 15.0),)), "choice 0 sets cooling to 0, outside 22.5 to 30"),
-        ("Box(low=0, high=1, shape=(2,))", Offsets(()), "Discrete or MultiDiscrete expected"),
+        ("Box(low=0, high=1, shape=(2,))", Offsets(()), "expected Discrete or MultiDiscrete"),
     ],
 )
 def test_a_table_that_does_not_fit_is_a_fault(own, text, meaning, fault):
@@ -471,25 +469,25 @@ def test_all_faults_of_a_file_are_said_at_once(own, tmp_path, monkeypatch):
         "unknown setting 'wether_variability'; near names: 'weather_variability'",
         "id_base: the base of the ids 'my hut' cannot stand in a topic",
         "building_file: '5ZoneAutoDXVAV.epJSON' is in the data pack 'sinergym': zenostat data-packs add sinergym",
-        "weather_specification: 1 weather_files and 2 keys",
-        "weather_specification.weather_files.0: no file 'there.epw' beside own.yaml or in the data pack",
-        "building_config.timesteps_per_hour: a whole number expected, got 'four'",
-        "building_config.runperiod: [day, month, year, day, month, year] expected, got [31, 2, 1991, 3, 4, 1991]",
+        "weather_specification: 1 weather_files but 2 keys",
+        "weather_specification.weather_files.0: no file 'there.epw' next to own.yaml or in the data pack",
+        "building_config.timesteps_per_hour: expected an integer, got 'four'",
+        "building_config.runperiod: expected [day, month, year, day, month, year], got [31, 2, 1991, 3, 4, 1991]",
         "building_config: unknown setting 'horizon'",
         "weather_variability.Dry Bulb Temprature: no weather column",
-        "weather_variability.Wind Speed: [sigma, mu, tau] or [sigma, mu, tau, [low, high]] expected, got [1, 0]",
+        "weather_variability.Wind Speed: expected [sigma, mu, tau] or [sigma, mu, tau, [low, high]], got [1, 0]",
         "weather_variability.Relative Humidity: sigma: ",
         "time_variables: no field 'hours' of the clock; near names: 'hour'",
-        "variables.Zone Air Temperature: 2 variable_names and 1 keys",
+        "variables.Zone Air Temperature: 2 variable_names but 1 keys",
         "variables.Site Wind Speed: unknown setting 'unit'",
         "variables.Site Wind Direction: two observations are called 'wind'",
-        "variables.Other: variable_names and keys expected, got 'text'",
+        "variables.Other: expected variable_names and keys, got 'text'",
         "meters.Electricity:HVAC: two observations are called 'wind'",
-        "actuators.HEAT: variable_name, element_type, value_type expected",
-        "action_space: a Box whose low is below its high, not 15 to 10 expected",
-        "action_space_discrete: Discrete(n) with a whole number of choices expected, got 'Discrete(0)'",
-        "only_discrete: true or false expected, got 'perhaps'",
-        "reward: 'sinergym.utils.rewards:BestReward' is not known here; what is known: "
+        "actuators.HEAT: expected variable_name, element_type, value_type, got ",
+        "action_space: expected a Box whose low is below its high, not 15 to 10, got ",
+        "action_space_discrete: expected Discrete(n) with an integer number of choices, got 'Discrete(0)'",
+        "only_discrete: expected true or false, got 'perhaps'",
+        "reward: unknown reward 'sinergym.utils.rewards:BestReward'; known are "
         "'sinergym.utils.rewards:LinearReward', 'sinergym.utils.rewards:ExpReward', ",
     ):
         assert any(expected in fault for fault in faults), (expected, faults)
@@ -511,12 +509,12 @@ def test_faults_of_the_reward_are_said_at_once(own):
         scenarios_of(path)
     for expected in (
         "no variable or meter is called 'rom_1_air_temperature'; near names: 'room_1_air_temperature'",
-        "reward_kwargs.energy_variables: a list of texts expected, got 'power'",
-        "reward_kwargs.range_comfort_winter: [low, high] expected, got [23.5, 20]",
-        "reward_kwargs.range_comfort_summer: two numbers expected, got None",
-        "reward_kwargs.summer_start: [month, day] expected, got [13, 1]",
-        "reward_kwargs.energy_weight: 0 to 1 expected, got 2",
-        "reward_kwargs.lambda_energy: a number expected, got 'much'",
+        "reward_kwargs.energy_variables: expected a list of strings, got 'power'",
+        "reward_kwargs.range_comfort_winter: expected [low, high], got [23.5, 20]",
+        "reward_kwargs.range_comfort_summer: expected two numbers, got None",
+        "reward_kwargs.summer_start: expected [month, day], got [13, 1]",
+        "reward_kwargs.energy_weight: expected a number from 0 to 1, got 2",
+        "reward_kwargs.lambda_energy: expected a number, got 'much'",
         "reward_kwargs: unknown setting 'lambda_temprature'; near names: 'lambda_temperature'",
     ):
         assert expected in str(raised.value)
@@ -608,20 +606,20 @@ def test_the_packs_prices_go_by_their_name(own):
 
 
 WRONG: dict[str, tuple[str, dict[str, Any], str]] = {
-    "no hours": ("HourlyLinearReward", {"range_comfort_hours": [19, 9]}, r"range_comfort_hours: \[first, last\] of"),
+    "no hours": ("HourlyLinearReward", {"range_comfort_hours": [19, 9]}, r"expected \[first, last\] of"),
     "half hours": ("HourlyLinearReward", {"range_comfort_hours": [9.5, 19]}, "range_comfort_hours: "),
     "a weight of linear": ("HourlyLinearReward", {"energy_weight": 0.5}, "near names: 'default_energy_weight'"),
     "a factor": ("NormalizedLinearReward", {"lambda_energy": 1}, "unknown setting 'lambda_energy'"),
-    "a maximum below 0": ("NormalizedLinearReward", {"max_energy_penalty": -8}, "0 or more expected, got -8"),
-    "weights above 1": ("EnergyCostLinearReward", {"energy_weight": 0.7}, "are above 1 together"),
+    "a maximum below 0": ("NormalizedLinearReward", {"max_energy_penalty": -8}, "expected at least 0, got -8"),
+    "weights above 1": ("EnergyCostLinearReward", {"energy_weight": 0.7}, "temperature_weight is above 1"),
     "no name of prices": ("EnergyCostLinearReward", {"energy_cost_data_path": ""}, "the file of prices .* got ''"),
-    "prices that are not there": ("EnergyCostLinearReward", {"energy_cost_data_path": "p.csv"}, "no file 'p.csv' besi"),
+    "prices that are not there": ("EnergyCostLinearReward", {"energy_cost_data_path": "p.csv"}, "no file 'p.csv' next"),
     "no such variable": ("ExpReward", {"energy_variables": ["powr"]}, "called 'powr'; near names: 'power'"),
-    "a band upside down": ("ExpReward", {"range_comfort_winter": [24, 20]}, r"\[low, high\] expected"),
-    "no zones": ("MultiZoneReward", {}, "temperature_and_setpoints_conf: temperatures and their setpoints expected"),
+    "a band upside down": ("ExpReward", {"range_comfort_winter": [24, 20]}, r"expected \[low, high\], got"),
+    "no zones": ("MultiZoneReward", {}, "temperature_and_setpoints_conf: expected temperatures and their setpoints"),
     "no such setpoint": ("MultiZoneReward", {"temperature_and_setpoints_conf": {"room_1_air_temperature": "setpont"}},
                          "called 'setpont'; near names: 'setpoint:1'"),
-    "a threshold below 0": ("MultiZoneReward", {"comfort_threshold": -1}, "comfort_threshold: 0 or more expected"),
+    "a threshold below 0": ("MultiZoneReward", {"comfort_threshold": -1}, "comfort_threshold: expected at least 0"),
 }  # fmt: skip
 
 
@@ -643,7 +641,7 @@ def test_an_empty_file_lacks_all_that_is_needed(tmp_path):
 
 
 def test_the_number_of_actuators_is_that_of_the_action_space(own):
-    with pytest.raises(InvalidConfig, match="action_space has 1 dimensions, and there are 2 actuators"):
+    with pytest.raises(InvalidConfig, match="action_space has 1 dimensions, but there are 2 actuators"):
         scenarios_of(own(action_space="Box(low=0, high=1, shape=(1,))"))
 
 
@@ -671,7 +669,7 @@ def test_without_actuators_the_building_controls_itself(own):
     ],
 )
 def test_a_space_is_read(text, means):
-    assert space(text) == means
+    assert read_space(text) == means
 
 
 @pytest.mark.parametrize(
@@ -715,7 +713,7 @@ def test_a_space_is_read(text, means):
 )
 def test_anything_else_is_no_space(text):
     with pytest.raises(InvalidConfig):
-        space(text)
+        read_space(text)
 
 
 CODE = "__import__('os').mkdir({!r})"
@@ -734,7 +732,7 @@ CODE = "__import__('os').mkdir({!r})"
 )
 def test_no_code_of_a_configuration_is_run(text, own, tmp_path):
     code = CODE.format(str(tmp_path / "ran"))
-    with pytest.raises(InvalidConfig, match=r"action_space: .* expected, got"):
+    with pytest.raises(InvalidConfig, match=r"action_space: expected .*, got"):
         scenarios_of(own(action_space=repr(text.format(code))))
     assert not (tmp_path / "ran").exists()
 
@@ -769,9 +767,9 @@ def function(text: str) -> ast.FunctionDef:
 
 
 def test_a_table_is_read():
-    assert table(function(FUNCTION)) == Rows(((1.0, 2.5), (3.0, -4.0)))
+    assert read_table(function(FUNCTION)) == Rows(((1.0, 2.5), (3.0, -4.0)))
     added = "def f(action):\n    action[5] += 25\n    action[0] += -1.5\n    return action.astype(np.float32)"
-    assert table(function(added)) == Offsets(((0, -1.5), (5, 25.0)))
+    assert read_table(function(added)) == Offsets(((0, -1.5), (5, 25.0)))
 
 
 @pytest.mark.parametrize(
@@ -818,7 +816,7 @@ def test_a_demo_that_is_no_literal_is_refused(tmp_path, root):
     text = (root / "__init__.py").read_text()
     code = CODE.format(str(tmp_path / "ran"))
     init.write_text(text.replace("'5ZoneAutoDXVAV.epJSON'", code))
-    with pytest.raises(InvalidConfig, match="plain numbers, texts and lists expected, got"):
+    with pytest.raises(InvalidConfig, match="expected plain numbers, strings and lists, got"):
         reader.demo(init)
     init.write_text(text.replace("Eplus-demo-v1", "Eplus-other-v1"))
     with pytest.raises(InvalidConfig, match="registers no Eplus-demo-v1"):
