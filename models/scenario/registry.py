@@ -1,4 +1,4 @@
-"""Scenarios by id: those of the data packs, and one for each bundled building in each bundled weather."""
+"""Registry of scenarios by id: those of the data packs, and one for each bundled building in each bundled weather."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from topics.messages import Actuator, Sensor, Task
 from topics.scenario_ids import BUILDINGS, WEATHERS, bundled_ids, pack_ids
 
 STEPS = 10
-"""Choices of the discrete scenarios, as many as Sinergym's have."""
+"""Number of choices of the discrete scenarios, the same as in Sinergym's."""
 
 _ID = re.compile(
     rf"({'|'.join(map(re.escape, sorted(BUILDINGS, key=len, reverse=True)))})-({'|'.join(map(re.escape, WEATHERS))})"
@@ -22,7 +22,7 @@ _ID = re.compile(
 
 
 def default_weather_noise() -> Variability:
-    """The weather noise of the paper's stochastic scenarios: temperature in K, humidity in percent."""
+    """Return the weather noise of the paper's stochastic scenarios: temperature in K, humidity in percent."""
     return {
         "dry_bulb_temperature": ColumnNoise(sigma=1.0, mu=0.0, tau_h=24.0),
         "relative_humidity": ColumnNoise(sigma=(2.0, 5.0), mu=0.0, tau_h=24.0),
@@ -30,16 +30,16 @@ def default_weather_noise() -> Variability:
 
 
 def ids() -> tuple[str, ...]:
-    """All ids, without `zenostat/`: the packs' first."""
+    """Return all ids, without `zenostat/`; those of data packs come first."""
     return (*pack_ids(), *bundled_ids())
 
 
 def find_scenario(text: str) -> Scenario:
-    """The scenario of an id, with or without `zenostat/`.
+    """Return the scenario with an id, with or without `zenostat/`.
 
     Raises:
-        UnknownName: there is none; near ones are listed.
-        InvalidConfig: it needs a data pack that is not there.
+        UnknownName: there is none; the text lists similar ids.
+        InvalidConfig: it needs a data pack that has not been added.
     """
     name = text.removeprefix("zenostat/")
     if name in pack_ids():
@@ -64,9 +64,9 @@ def find_scenario(text: str) -> Scenario:
 
 
 def expanded(scenario: Scenario, building: Building, points: Points, task: Task) -> Scenario:
-    """The same scenario with all that it left out and that was found in the model, to be read and edited."""
+    """Return the scenario with the defaults that were chosen from the model filled in, for reading and editing."""
     period = building.period(scenario.begin, scenario.end, scenario.steps_per_hour)
-    found: dict[str, object] = {
+    defaults: dict[str, object] = {
         "begin": period.begin.isoformat(),
         "end": period.end.isoformat(),
         "steps_per_hour": period.steps_per_hour,
@@ -74,14 +74,14 @@ def expanded(scenario: Scenario, building: Building, points: Points, task: Task)
         "meters": {m.name: m.meter for m in points.meters},
         "actuators": {a.name: _actuator(a) for a in points.actuators},
     }
-    left_out = {name: value for name, value in found.items() if getattr(scenario, name) is None}
+    update = {name: value for name, value in defaults.items() if getattr(scenario, name) is None}
     if scenario.actions is None and scenario.control != "point":
-        left_out["actions"] = {a.name: ActionSpec(actuators=a.actuators, low=a.low, high=a.high) for a in task.actions}
+        update["actions"] = {a.name: ActionSpec(actuators=a.actuators, low=a.low, high=a.high) for a in task.actions}
     if isinstance(scenario.discrete, int):
-        left_out["discrete"] = tuple(
+        update["discrete"] = tuple(
             DiscreteActionSpec(actions=c.actions, values=c.values) for c in task.discrete_actions
         )
-    return scenario.model_copy(update={**left_out, "control": "point"})
+    return scenario.model_copy(update={**update, "control": "point"})
 
 
 def _sensor(sensor: Sensor, scenario: Scenario) -> SensorSpec:

@@ -15,11 +15,10 @@ _DAY = re.compile(r"(?:(\d{4})-)?(\d{1,2})-(\d{1,2})")
 
 
 def year_of(begin_month: int, begin_day: int, weekday: str | None) -> int:
-    """The latest common year up to 2017 in which that day is that weekday.
+    """Return the latest common year up to 2017 in which that day is that weekday.
 
-    It is EnergyPlus's own choice for a run period that names a weekday but no year (Input Output
-    Reference, RunPeriod); 2017 where neither is named. A run period that begins on 29 February takes the
-    latest leap year instead.
+    EnergyPlus makes the same choice for a run period with a weekday but no year (Input Output Reference, RunPeriod),
+    and 2017 without either. For a run period that begins on 29 February it is the latest leap year.
     """
     leap = (begin_month, begin_day) == (2, 29)
     if weekday not in _WEEKDAYS:
@@ -29,36 +28,36 @@ def year_of(begin_month: int, begin_day: int, weekday: str | None) -> int:
             continue
         if date(year, begin_month, begin_day).weekday() == _WEEKDAYS.index(weekday):
             return year
-    raise AssertionError("each weekday occurs within any 28 years")
+    raise AssertionError("each weekday occurs on that day within 28 years")
 
 
 def parse_day(text: str, what: str, year: int = _LEAP_YEAR) -> date:
-    """`07-01` in the model's year, or `2018-07-01`; without the model's year, whether it is a day of any.
+    """Parse `07-01` in the model's year, or `2018-07-01`; the default year is a leap year, which has every day.
 
     Raises:
-        InvalidConfig: no such form, or no such day.
+        InvalidConfig: the text has another format, or there is no such day.
     """
     match = _DAY.fullmatch(text.strip())
     if not match:
-        raise InvalidConfig(f"{what} {text!r} is no day; write it as MM-DD or YYYY-MM-DD, for example 07-01")
+        raise InvalidConfig(f"{what} {text!r} is not a date; write it as MM-DD or YYYY-MM-DD, for example 07-01")
     month, day = int(match[2]), int(match[3])
     if not 1 <= month <= 12 or not 1 <= day <= calendar.monthrange(_LEAP_YEAR, month)[1]:
-        raise InvalidConfig(f"{what} {text!r} is in no calendar; write it as MM-DD or YYYY-MM-DD, for example 07-01")
+        raise InvalidConfig(f"{what} {text!r} is not a calendar date; write it as MM-DD or YYYY-MM-DD, for example 07-01")
     try:
         return date(int(match[1] or year), month, day)
     except ValueError:
         raise InvalidConfig(
-            f"{what} {text!r} is not in the calendar of {match[1] or year}"
-            + ("" if match[1] else ", the model's year; name another as YYYY-MM-DD")
+            f"{what} {text!r} does not exist in {match[1] or year}"
+            + ("" if match[1] else ", the model's year; give another year as YYYY-MM-DD")
         ) from None
 
 
 def check_steps_per_hour(steps: int) -> None:
-    """Refuse a number of timesteps an hour that EnergyPlus does not take."""
+    """Check that EnergyPlus supports this number of timesteps per hour; `InvalidConfig` if not."""
     if steps < 1 or steps > 60 or 60 % steps:
         raise InvalidConfig(
             f"steps_per_hour {steps} does not divide the hour; "
-            "EnergyPlus takes 1, 2, 3, 4, 5, 6, 10, 12, 15, 20, 30 or 60"
+            "EnergyPlus supports 1, 2, 3, 4, 5, 6, 10, 12, 15, 20, 30 or 60"
         )
 
 
@@ -77,7 +76,7 @@ class Period:
 
     @property
     def step_s(self) -> float:
-        """Length of a timestep in seconds."""
+        """Duration of a timestep in seconds."""
         return 3600.0 / self.steps_per_hour
 
     @property
@@ -86,6 +85,6 @@ class Period:
         return ((self.end - self.begin).days + 1) * 24 * self.steps_per_hour
 
     def time(self, step: int) -> datetime:
-        """Local standard time at the end of timestep `step`; step 0 is the episode's begin."""
+        """Return the local standard time at the end of timestep `step`; step 0 is the beginning of the episode."""
         begin = datetime(self.begin.year, self.begin.month, self.begin.day)
         return begin + timedelta(seconds=step * self.step_s)

@@ -1,4 +1,4 @@
-"""A scenario: what is simulated, what an agent sees and decides of it, and what it is rewarded for; one file.
+"""Scenario files: building, weather, run period, points, actions and reward.
 
 Each field is also an argument of `gym.make("zenostat/Scenario-v1", ...)` and of a node.
 """
@@ -37,7 +37,7 @@ Sizing = Literal["weather", "model"]
 
 
 Number = Annotated[float, Field(strict=True)]
-"""No text and no boolean."""
+"""A number; strings and booleans are rejected."""
 
 
 class _Part(BaseModel):
@@ -45,7 +45,7 @@ class _Part(BaseModel):
 
 
 class SensorSpec(_Part):
-    """An output variable of EnergyPlus. Without `aggregation`, the scenario's."""
+    """An output variable of EnergyPlus; `aggregation` defaults to the scenario's."""
 
     variable: str
     key: str
@@ -53,7 +53,7 @@ class SensorSpec(_Part):
 
 
 class ActuatorSpec(_Part):
-    """An actuator of EnergyPlus. Bounds left out are the model's own, or those of its unit."""
+    """An actuator of EnergyPlus; its bounds default to the model's own, or those of its unit."""
 
     component_type: str
     control_type: str
@@ -63,9 +63,9 @@ class ActuatorSpec(_Part):
 
 
 class ActionSpec(_Part):
-    """One dimension of the action: it sets all of `actuators`. Bounds left out are the actuators' own.
+    """One dimension of the action, which sets all of `actuators`; its bounds default to the actuators' own.
 
-    The list of actuators alone is short for an action with their own bounds.
+    A list of actuators is short for an action with their own bounds.
     """
 
     actuators: Annotated[tuple[SafeName, ...], Field(min_length=1)]
@@ -74,27 +74,27 @@ class ActionSpec(_Part):
 
     @model_validator(mode="before")
     @classmethod
-    def _actuators_alone(cls, given: Any) -> Any:
-        return {"actuators": given} if isinstance(given, list | tuple) else given
+    def _actuators_alone(cls, value: Any) -> Any:
+        return {"actuators": value} if isinstance(value, list | tuple) else value
 
     @classmethod
     def __get_pydantic_json_schema__(cls, core: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
-        whole = handler.resolve_ref_schema(handler(core))
-        alone, form = whole["properties"]["actuators"], dict(whole)
-        whole.clear()
-        whole["anyOf"] = [form, {key: value for key, value in alone.items() if key != "title"}]
-        return whole
+        schema = handler.resolve_ref_schema(handler(core))
+        actuators, full = schema["properties"]["actuators"], dict(schema)
+        schema.clear()
+        schema["anyOf"] = [full, {key: value for key, value in actuators.items() if key != "title"}]
+        return schema
 
 
 class DiscreteActionSpec(_Part):
-    """One discrete dimension: a row of values for `actions` for each choice."""
+    """One discrete dimension: each choice is a row of values for `actions`."""
 
     actions: Annotated[tuple[SafeName, ...], Field(min_length=1)]
     values: Annotated[tuple[tuple[Number, ...], ...], Field(min_length=1)]
 
 
 class LimitSpec(_Part):
-    """Ends an episode when one of the points has been outside the range for `duration_h` hours without a break."""
+    """Ends an episode when one of the points has been outside the range for `duration_h` consecutive hours."""
 
     points: Annotated[tuple[SafeName, ...], Field(min_length=1)]
     low: Number | None = None
@@ -110,23 +110,23 @@ class LimitSpec(_Part):
         return self
 
 
-def _listed(form: type[_Part]) -> BeforeValidator:
-    """Takes a list in the order of the fields as well: `[Zone Air Temperature, Core_ZN]`."""
-    names = list(form.model_fields)
+def _from_list(spec_type: type[_Part]) -> BeforeValidator:
+    """Also accept a list in the order of the fields: `[Zone Air Temperature, Core_ZN]`."""
+    names = list(spec_type.model_fields)
 
     def read(value: Any) -> Any:
         if isinstance(value, str | Mapping | BaseModel) or not hasattr(value, "__iter__"):
             return value
         values = list(value)
-        least = sum(field.is_required() for field in form.model_fields.values())
-        if not least <= len(values) <= len(names):
-            raise ValueError(f"{least} to {len(names)} parts expected ({', '.join(names)}), got {values}")
+        minimum = sum(field.is_required() for field in spec_type.model_fields.values())
+        if not minimum <= len(values) <= len(names):
+            raise ValueError(f"expected {minimum} to {len(names)} items ({', '.join(names)}), got {values}")
         return dict(zip(names, values, strict=False))
 
-    return BeforeValidator(read, json_schema_input_type=form | list[str | float | None])
+    return BeforeValidator(read, json_schema_input_type=spec_type | list[str | float | None])
 
 
-def _one_or_more(value: Any) -> Any:
+def _as_tuple(value: Any) -> Any:
     return (value,) if isinstance(value, str) else value
 
 
@@ -138,7 +138,7 @@ Count = Annotated[int, Field(strict=True)]
 Weathers = Annotated[
     tuple[str, ...],
     Field(min_length=1),
-    BeforeValidator(_one_or_more, json_schema_input_type=str | Annotated[list[str], Field(min_length=1)]),
+    BeforeValidator(_as_tuple, json_schema_input_type=str | Annotated[list[str], Field(min_length=1)]),
 ]
 Discrete = Annotated[
     Annotated[int, Field(ge=2, strict=True), Tag("@number")] | Annotated[tuple[DiscreteActionSpec, ...], Tag("@list")],
@@ -147,30 +147,30 @@ Discrete = Annotated[
 
 
 class Scenario(_Part):
-    """What is simulated, observed, decided and rewarded.
+    """Definition of an experiment: simulation, observations, actions and reward.
 
     Attributes:
         id: its name, without `zenostat/`.
-        about: what it is, for people.
+        about: a description for users.
         building: short name or path of a model.
         weather: short names or paths of weather files; one is drawn for each episode.
-        weather_order: `random`, or `sequence`: one after the other, an episode each.
-        weather_noise: noise on the weather, by column of the weather file.
-        sizing: `weather`: location and design days follow the weather file; `model`: the model's own stay.
-        begin, end: first and last day, MM-DD or YYYY-MM-DD; the model's own run period if left out.
-        steps_per_hour: timesteps an hour; the model's own if left out.
-        edits: objects of the model, field by field.
-        time: fields of the clock that are observed, before the sensors.
-        sensors, meters, actuators: by the name that they get; a sensible set found in the model if left out.
-        aggregation: how sensors read that do not say: `instant`; `mean`: what EnergyPlus reports, the mean or sum over
-            the timestep; left out: `mean` for rates and energies, `instant` for states.
-        actions: the action's dimensions, by name; found by `control` if left out.
-        control: `point`: a dimension for each actuator; `zone`: the same, with zones choosing on their own where
+        weather_order: `random`, or `sequence`: the files take turns, one per episode.
+        weather_noise: noise by column of the weather file.
+        sizing: `weather`: location and design days of the weather file; `model`: the model's own.
+        begin, end: first and last day, MM-DD or YYYY-MM-DD; default: the model's own run period.
+        steps_per_hour: timesteps per hour; default: the model's own.
+        edits: changes to objects of the model, field by field.
+        time: time features in the observation, before the sensors.
+        sensors, meters, actuators: points by the names that they get; default: a set chosen from the model's points.
+        aggregation: of sensors without their own: `instant`, or `mean` for what EnergyPlus reports (the mean or sum
+            over the timestep); default: `mean` for rates and energies, `instant` for states.
+        actions: the action's dimensions, by name; default: chosen by `control`.
+        control: `point`: a dimension for each actuator; `zone`: the same, with a separate choice for each zone if
             discrete; `building`: one pair of setpoints for all thermostats.
         discrete: choices, or the number of equal steps from the widest to the tightest setpoints; None: continuous.
-        reward: its kind and parameters; None: 0.
-        terminate: limits that end an episode before its time.
-        wrappers: of the environment, by name with their arguments, the innermost first.
+        reward: its kind and parameters; None: always 0.
+        terminate: limits that end an episode early.
+        wrappers: of the environment, by name with their arguments, innermost first.
     """
 
     id: str = ""
@@ -185,9 +185,9 @@ class Scenario(_Part):
     steps_per_hour: Count | None = None
     edits: Edits = Field(default_factory=dict)
     time: tuple[TimeField, ...] = ()
-    sensors: dict[str, Annotated[SensorSpec, _listed(SensorSpec)]] | None = None
+    sensors: dict[str, Annotated[SensorSpec, _from_list(SensorSpec)]] | None = None
     meters: dict[str, str] | None = None
-    actuators: dict[str, Annotated[ActuatorSpec, _listed(ActuatorSpec)]] | None = None
+    actuators: dict[str, Annotated[ActuatorSpec, _from_list(ActuatorSpec)]] | None = None
     aggregation: Literal[Aggregation.INSTANT, Aggregation.MEAN] | None = None
     actions: dict[str, ActionSpec] | None = None
     control: Control = "point"
@@ -204,31 +204,31 @@ class Scenario(_Part):
 
 
 def read_scenario(
-    given: Mapping[str, Any], what: str = "the scenario", errors: ErrorCollector | None = None
+    fields: Mapping[str, Any], what: str = "the scenario", errors: ErrorCollector | None = None
 ) -> Scenario:
-    """`given` as a scenario; `InvalidConfig` names all faults at once.
+    """Validate `fields` as a scenario; `InvalidConfig` lists all errors.
 
-    With `errors` they are gathered there instead, and the scenario has the fields that are right: the rest of it
-    can be checked, too. A building or weather that is missing or wrong is an empty name then.
+    With `errors` they are collected there instead, and the returned scenario has only the valid fields, so that the
+    rest can be checked as well. A missing or invalid building or weather is then an empty name.
     """
     try:
-        return Scenario.model_validate(dict(given))
+        return Scenario.model_validate(dict(fields))
     except ValidationError as error:
-        refused = InvalidConfig(f"{what}: {describe_validation_errors(error, Scenario.model_fields)}")
-        wrong = {fault["loc"][0] if fault["loc"] else None for fault in error.errors(include_url=False)}
-    if errors is None or None in wrong:  # None: of several fields together
-        raise refused
-    errors.found.append(refused)
-    right = {name: value for name, value in given.items() if name not in wrong}
-    return Scenario.model_validate({"building": "", "weather": ("",), **right})
+        config_error = InvalidConfig(f"{what}: {describe_validation_errors(error, Scenario.model_fields)}")
+        invalid = {detail["loc"][0] if detail["loc"] else None for detail in error.errors(include_url=False)}
+    if errors is None or None in invalid:  # None: an error of several fields together
+        raise config_error
+    errors.found.append(config_error)
+    valid = {name: value for name, value in fields.items() if name not in invalid}
+    return Scenario.model_validate({"building": "", "weather": ("",), **valid})
 
 
 def load_yaml(path: Path) -> dict[str, Any]:
-    """A YAML file that holds a mapping.
+    """Read a YAML file that contains a mapping.
 
     Raises:
         UnknownName: there is no such file.
-        InvalidConfig: it is no YAML, or something else than a mapping.
+        InvalidConfig: the file is not YAML, or not a mapping.
     """
     try:
         text = yaml12.read_text(path)
@@ -240,39 +240,39 @@ def load_yaml(path: Path) -> dict[str, Any]:
 
 
 def load_scenario(path: Path, errors: ErrorCollector | None = None) -> Scenario:
-    """The scenario of a file. Paths in it are relative to it. `errors`: as in `read_scenario`."""
-    return read_scenario(beside(load_yaml(path), path.parent), str(path), errors)
+    """Read a scenario file, whose paths are relative to its folder; `errors` is as in `read_scenario`."""
+    return read_scenario(resolve_paths(load_yaml(path), path.parent), str(path), errors)
 
 
-def beside(given: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """`given` with the paths of its files made absolute; they are relative to `folder`."""
+def resolve_paths(fields: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """Make the paths of files in `fields` absolute; they are relative to `folder`."""
 
-    def found(text: Any) -> Any:
+    def absolute(text: Any) -> Any:
         if not isinstance(text, str) or Path(text).suffix.lower() not in (*MODEL_SUFFIXES, *WEATHER_SUFFIXES, ".csv"):
             return text
         try:
             return str((folder / Path(text).expanduser()).resolve())
-        except RuntimeError:  # ~name of nobody: the catalogue says so
+        except RuntimeError:  # ~name of an unknown user, which the catalog reports
             return text
 
-    result = dict(given)
+    result = dict(fields)
     if "building" in result:
-        result["building"] = found(result["building"])
+        result["building"] = absolute(result["building"])
     if "weather" in result:
         weather = result["weather"]
-        result["weather"] = [found(w) for w in weather] if isinstance(weather, list | tuple) else found(weather)
+        result["weather"] = [absolute(w) for w in weather] if isinstance(weather, list | tuple) else absolute(weather)
     if isinstance(reward := result.get("reward"), Mapping):
-        result["reward"] = {name: _signal(value, found) for name, value in reward.items()}
+        result["reward"] = {name: _time_series(value, absolute) for name, value in reward.items()}
     return result
 
 
-def _signal(value: Any, found: Callable[[Any], Any]) -> Any:
-    """A price or an intensity from a file, with its path."""
-    return {**value, "csv": found(value["csv"])} if isinstance(value, Mapping) and "csv" in value else value
+def _time_series(value: Any, absolute: Callable[[Any], Any]) -> Any:
+    """Make the path of a reward's time series (a price, an emission intensity) absolute."""
+    return {**value, "csv": absolute(value["csv"])} if isinstance(value, Mapping) and "csv" in value else value
 
 
 def dump(scenario: Scenario, *, defaults: bool = False) -> str:
-    """The scenario as YAML; `load_scenario` gives an equal one. `defaults`: also what could be left out."""
+    """Write the scenario as YAML, which `load_scenario` reads back; `defaults`: include fields with default values."""
     plain = scenario.model_dump(mode="json", exclude_defaults=not defaults, exclude_none=defaults)
     if scenario.reward is None:
         plain["reward"] = None

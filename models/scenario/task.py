@@ -1,4 +1,4 @@
-"""What an agent decides: the dimensions of its action, each with its actuators, and its discrete choices."""
+"""Build an agent's task: the dimensions of its action, each with its actuators, and its discrete choices."""
 
 from __future__ import annotations
 
@@ -18,31 +18,30 @@ T = TypeVar("T")
 
 
 def task_of(scenario: Scenario, points: Points) -> Task:
-    """The task that a scenario sets on these points.
+    """Return the task of a scenario for these points.
 
     Raises:
-        InvalidConfig: actions of unknown actuators, bounds that cannot be, choices that leave the action's bounds;
-            all faults at once.
+        InvalidConfig: unknown actuators, invalid bounds, or choices outside the action's bounds; lists all errors.
     """
-    faults: list[str] = []
+    errors: list[str] = []
     if scenario.actions is None:
-        actions = _found(scenario, points.actuators, faults)
+        actions = _default_actions(scenario, points.actuators, errors)
     else:
-        actions = _named(scenario, points.actuators, faults)
+        actions = _named_actions(scenario, points.actuators, errors)
     choices: tuple[DiscreteAction, ...] = ()
-    if isinstance(scenario.discrete, int) and not faults:
-        choices = _steps(actions, points.actuators, scenario, faults)
+    if isinstance(scenario.discrete, int) and not errors:
+        choices = _steps(actions, points.actuators, scenario, errors)
     elif isinstance(scenario.discrete, tuple):
         choices = tuple(DiscreteAction(actions=c.actions, values=c.values) for c in scenario.discrete)
-        faulty = set(scenario.actions or ()) - {a.name for a in actions}
-        faults += _choice_faults(choices, actions, faulty)
+        invalid = set(scenario.actions or ()) - {a.name for a in actions}
+        errors += _choice_errors(choices, actions, invalid)
     names = [sensor.name for sensor in points.sensors] + [meter.name for meter in points.meters]
     for number, limit in enumerate(scenario.terminate):
         for name in limit.points:
             if name not in names:
-                faults.append(f"terminate.{number}: there is no sensor or meter {name!r}; {did_you_mean(name, names)}")
-    if faults:
-        raise InvalidConfig("\n".join(faults))
+                errors.append(f"terminate.{number}: there is no sensor or meter {name!r}; {did_you_mean(name, names)}")
+    if errors:
+        raise InvalidConfig("\n".join(errors))
     return Task(
         scenario=scenario.id,
         time=scenario.time,
@@ -57,72 +56,71 @@ def task_of(scenario: Scenario, points: Points) -> Task:
     )
 
 
-def _found(scenario: Scenario, actuators: Sequence[Actuator], faults: list[str]) -> tuple[Action, ...]:
-    """An action for each actuator; with `control: building` one for each kind of thermostat setpoint."""
+def _default_actions(scenario: Scenario, actuators: Sequence[Actuator], errors: list[str]) -> tuple[Action, ...]:
+    """Return an action for each actuator; with `control: building`, one for each kind of thermostat setpoint."""
     if scenario.control != "building":
-        return tuple(_joined(a.name, [a]) for a in actuators)
+        return tuple(_combine(a.name, [a]) for a in actuators)
     kinds: dict[str, list[Actuator]] = {}
     for actuator in actuators:
         if actuator.component_type == THERMOSTAT:
             kinds.setdefault(safe_name(actuator.control_type), []).append(actuator)
     for actuator in actuators:
         if actuator.component_type != THERMOSTAT and actuator.name in kinds:
-            faults.append(f"actuator {actuator.name!r} is called as all thermostats together are; name it otherwise")
+            errors.append(f"actuator {actuator.name!r} has the name of all thermostats together; rename it")
         elif actuator.component_type != THERMOSTAT:
             kinds[actuator.name] = [actuator]
-    actions = tuple(_joined(name, members) for name, members in kinds.items())
+    actions = tuple(_combine(name, members) for name, members in kinds.items())
     for action in actions:
-        faults += _bound_faults(action, None, None)
+        errors += _bound_errors(action, None, None)
     return actions
 
 
-def _joined(name: str, members: Sequence[Actuator]) -> Action:
-    lows, highs = _known(a.low for a in members), _known(a.high for a in members)
+def _combine(name: str, members: Sequence[Actuator]) -> Action:
+    lows, highs = _not_none(a.low for a in members), _not_none(a.high for a in members)
     low, high = max(lows) if lows else None, min(highs) if highs else None
     return Action(name=name, unit=members[0].unit, low=low, high=high, actuators=tuple(a.name for a in members))
 
 
-def _known(values: Iterable[T | None]) -> list[T]:
+def _not_none(values: Iterable[T | None]) -> list[T]:
     return [value for value in values if value is not None]
 
 
-def _named(scenario: Scenario, actuators: Sequence[Actuator], faults: list[str]) -> tuple[Action, ...]:
-    by_name, taken = {a.name: a for a in actuators}, dict[str, str]()
+def _named_actions(scenario: Scenario, actuators: Sequence[Actuator], errors: list[str]) -> tuple[Action, ...]:
+    by_name, owner = {a.name: a for a in actuators}, dict[str, str]()
     actions = []
     for name, spec in (scenario.actions or {}).items():
         try:
             check_name(name, "the action's name")
-        except InvalidConfig as fault:
-            faults.append(str(fault))
+        except InvalidConfig as error:
+            errors.append(str(error))
             continue
         members = []
         for actuator in spec.actuators:
             if actuator not in by_name:
-                faults.append(f"action {name!r}: there is no actuator {actuator!r}; {did_you_mean(actuator, by_name)}")
-            elif actuator in taken:
-                faults.append(f"action {name!r}: the actuator {actuator!r} belongs to action {taken[actuator]!r}")
+                errors.append(f"action {name!r}: there is no actuator {actuator!r}; {did_you_mean(actuator, by_name)}")
+            elif actuator in owner:
+                errors.append(f"action {name!r}: the actuator {actuator!r} belongs to action {owner[actuator]!r}")
             else:
-                taken[actuator] = name
+                owner[actuator] = name
                 members.append(by_name[actuator])
         if len(members) == len(spec.actuators):
-            action = _joined(name, members)
-            faults += _bound_faults(action, spec.low, spec.high)
-            low, high = (
-                own if said is None else said for own, said in ((action.low, spec.low), (action.high, spec.high))
-            )
+            action = _combine(name, members)
+            errors += _bound_errors(action, spec.low, spec.high)
+            low = action.low if spec.low is None else spec.low
+            high = action.high if spec.high is None else spec.high
             actions.append(action.model_copy(update={"low": low, "high": high}))
     return tuple(actions)
 
 
-def _bound_faults(action: Action, low: float | None, high: float | None) -> list[str]:
-    faults = []
-    for what, said in (("low", low), ("high", high)):
-        if said is not None and not _inside(said, action):
-            faults.append(f"action {action.name!r}: {what} {said:g} is outside its actuators' {_range(action)}")
-    least, most = action.low if low is None else low, action.high if high is None else high
-    if least is not None and most is not None and not least < most:
-        faults.append(f"action {action.name!r}: its lower bound {least:g} is not below its upper bound {most:g}")
-    return faults
+def _bound_errors(action: Action, low: float | None, high: float | None) -> list[str]:
+    errors = []
+    for side, bound in (("low", low), ("high", high)):
+        if bound is not None and not _inside(bound, action):
+            errors.append(f"action {action.name!r}: {side} {bound:g} is outside its actuators' {_range(action)}")
+    lower, upper = action.low if low is None else low, action.high if high is None else high
+    if lower is not None and upper is not None and not lower < upper:
+        errors.append(f"action {action.name!r}: its lower bound {lower:g} is not below its upper bound {upper:g}")
+    return errors
 
 
 def _inside(value: float, action: Action) -> bool:
@@ -136,9 +134,9 @@ def _range(action: Action) -> str:
 
 
 def _steps(
-    actions: Sequence[Action], actuators: Sequence[Actuator], scenario: Scenario, faults: list[str]
+    actions: Sequence[Action], actuators: Sequence[Actuator], scenario: Scenario, errors: list[str]
 ) -> tuple[DiscreteAction, ...]:
-    """Equal steps over each group of actions: heating setpoints upwards, cooling setpoints downwards."""
+    """Divide each group of actions into equal steps: heating setpoints upwards, cooling setpoints downwards."""
     assert isinstance(scenario.discrete, int)
     by_name = {a.name: a for a in actuators}
     groups: dict[str, list[Action]] = {}
@@ -148,8 +146,8 @@ def _steps(
         group = ("all" if scenario.control == "building" else first.key) if paired else action.name
         groups.setdefault(f"{first.component_type}/{group}", []).append(action)
         if action.low is None or action.high is None:
-            faults.append(f"action {action.name!r} has no bounds to step between; give it some, or name its choices")
-    if faults:
+            errors.append(f"action {action.name!r} has no bounds for equal steps; add bounds or list its choices")
+    if errors:
         return ()
     return tuple(_choice(members, by_name, scenario.discrete) for members in groups.values())
 
@@ -166,31 +164,33 @@ def _choice(members: Sequence[Action], by_name: dict[str, Actuator], count: int)
     return DiscreteAction(actions=tuple(a.name for a in members), values=rows)
 
 
-def _choice_faults(choices: Sequence[DiscreteAction], actions: Sequence[Action], faulty: set[str]) -> list[str]:
-    """What is wrong with choices; of `faulty` actions nothing is known but that they are there."""
-    by_name, faults, seen = {a.name: a for a in actions}, [], list[str]()
+def _choice_errors(choices: Sequence[DiscreteAction], actions: Sequence[Action], invalid: set[str]) -> list[str]:
+    """Return the errors of the choices; actions in `faulty` have errors themselves, and are only known to exist."""
+    by_name, errors, seen = {a.name: a for a in actions}, [], list[str]()
     for number, choice in enumerate(choices):
-        where = f"discrete.{number}"
+        label = f"discrete.{number}"
         unknown = [name for name in choice.actions if name not in by_name]
-        faults += [f"{where}: there is no action {n!r}; {did_you_mean(n, by_name)}" for n in unknown if n not in faulty]
+        errors += [
+            f"{label}: there is no action {n!r}; {did_you_mean(n, by_name)}" for n in unknown if n not in invalid
+        ]
         for name in choice.actions:
             if name in seen:
-                faults.append(f"{where}: action {name!r} has its choices already")
+                errors.append(f"{label}: action {name!r} already has choices")
             seen.append(name)
         for index, row in enumerate(choice.values):
             if len(row) != len(choice.actions):
-                faults.append(f"{where}: row {index} has {len(row)} values for {len(choice.actions)} actions")
+                errors.append(f"{label}: row {index} has {len(row)} values for {len(choice.actions)} actions")
             elif not unknown:
-                faults += _row_faults(f"{where}: row {index}", row, [by_name[name] for name in choice.actions])
+                errors += _row_errors(f"{label}: row {index}", row, [by_name[name] for name in choice.actions])
     missing = [name for name in by_name if name not in seen]
     if missing:
-        faults.append(f"discrete: no choices for {', '.join(missing)}")
-    return faults
+        errors.append(f"discrete: no choices for {', '.join(missing)}")
+    return errors
 
 
-def _row_faults(where: str, row: Sequence[float], actions: Sequence[Action]) -> list[str]:
+def _row_errors(label: str, row: Sequence[float], actions: Sequence[Action]) -> list[str]:
     return [
-        f"{where}: {action.name} = {value:g} is outside {_range(action)}"
+        f"{label}: {action.name} = {value:g} is outside {_range(action)}"
         for value, action in zip(row, actions, strict=True)
         if not _inside(value, action)
     ]

@@ -129,7 +129,7 @@ def test_ctrl_c_in_a_controller_leaves_the_node_waiting(scratch):
             ["node", "--building", "office-small", "--weather", "USA_CO"],
             ["matches several", "USA_CO_Denver", "USA_CO_Golden"],
         ),
-        (["node", *DAY[:4], "--begin", "02-30"], ["begin '02-30' is in no calendar"]),
+        (["node", *DAY[:4], "--begin", "02-30"], ["begin '02-30' is not a calendar date"]),
         (["node", *DAY, "--steps-per-hour", "7"], ["7 does not divide the hour"]),
         (["node", *DAY, "--name", "my office"], ["'my office' cannot stand in a topic", "'my_office'"]),
         (["node", *DAY, "--listen", "tcp/0.0.0.0:7447"], ["can be reached from other machines", "--expose"]),

@@ -25,8 +25,8 @@ WORDS = (
     "wheather: there is no such field; near names: 'weather'",
     "weather: it is missing",
     "no building 'offfice-small'; near names: 'office-small'",
-    "begin '13-01' is in no calendar",
-    "end '07-32' is in no calendar",
+    "begin '13-01' is not a calendar date",
+    "end '07-32' is not a calendar date",
     "steps_per_hour 7 does not divide the hour",
 )
 
@@ -62,11 +62,11 @@ def test_nothing_is_told_that_follows_from_another_error(tmp_path: Path) -> None
 
 @pytest.mark.parametrize("day", ["13-01", "00-10", "02-30", "2018-04-31", "07-00"])
 def test_a_day_of_no_year_does_not_blame_the_year(day: str) -> None:
-    with pytest.raises(InvalidConfig, match="is in no calendar; write it as MM-DD") as caught:
+    with pytest.raises(InvalidConfig, match="is not a calendar date; write it as MM-DD") as caught:
         parse_day(day, "begin", 2017)
     assert "2017" not in str(caught.value)
 
 
 def test_a_leap_day_of_a_common_year_blames_the_year() -> None:
-    with pytest.raises(InvalidConfig, match="'02-29' is not in the calendar of 2017, the model's year; name another"):
+    with pytest.raises(InvalidConfig, match="'02-29' does not exist in 2017, the model's year; give another year"):
         parse_day("02-29", "begin", 2017)

@@ -88,14 +88,14 @@ def test_a_day_is_written_with_or_without_its_year(text: str, year: int, day: da
 
 @pytest.mark.parametrize("text", ["", "July 1", "07/01", "2017-07", "07-01-2017", "07-01T00:00", "1.7.", "-7-1", "07-"])
 def test_what_is_no_day_is_refused_with_the_form(text: str) -> None:
-    with pytest.raises(InvalidConfig, match=r"begin .* is no day; write it as MM-DD or YYYY-MM-DD") as raised:
+    with pytest.raises(InvalidConfig, match=r"begin .* is not a date; write it as MM-DD or YYYY-MM-DD") as raised:
         parse_day(text, "begin", 2017)
     assert repr(text) in str(raised.value)
 
 
 @pytest.mark.parametrize("text", ["02-29", "2017-02-29"])
 def test_a_day_that_is_not_in_the_calendar_is_refused(text: str) -> None:
-    with pytest.raises(InvalidConfig, match=r"end .* is not in the calendar of 2017"):
+    with pytest.raises(InvalidConfig, match=r"end .* does not exist in 2017"):
         parse_day(text, "end", 2017)
 
 

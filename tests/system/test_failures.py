@@ -145,8 +145,8 @@ def test_an_unknown_building_and_weather_are_named_at_once() -> None:
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"begin": "02-30"}, r"begin '02-30' is in no calendar"),
-        ({"begin": "1 July"}, r"begin '1 July' is no day; write it as MM-DD or YYYY-MM-DD"),
+        ({"begin": "02-30"}, r"begin '02-30' is not a calendar date"),
+        ({"begin": "1 July"}, r"begin '1 July' is not a date; write it as MM-DD or YYYY-MM-DD"),
         ({"begin": "07-02", "end": "07-01"}, r"the run period ends \(.*07-01\) before it begins \(.*07-02\)"),
         ({"steps_per_hour": 7}, r"steps_per_hour 7 does not divide the hour"),
         ({"sensors": {"a b": ("Zone Air Temperature", "CORE_ZN")}}, r"the point name 'a b' cannot stand in a topic"),

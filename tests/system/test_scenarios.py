@@ -267,8 +267,8 @@ def cut_epw(folder: Path) -> Path:
 FAULTS: dict[str, tuple[dict[str, Any], type[UsageError], str]] = {
     "a timestep that does not divide the hour": ({"steps_per_hour": 7}, InvalidConfig, "7 does not divide the hour"),
     "no timestep at all": ({"steps_per_hour": 0}, InvalidConfig, "0 does not divide the hour"),
-    "a day that is none": ({"begin": "02-30"}, InvalidConfig, "02-30.*is in no calendar"),
-    "the leap day of a common year": ({"begin": "02-29", "end": "03-01"}, InvalidConfig, "02-29.*not in the calendar"),
+    "a day that is none": ({"begin": "02-30"}, InvalidConfig, "02-30.*is not a calendar date"),
+    "the leap day of a common year": ({"begin": "02-29", "end": "03-01"}, InvalidConfig, "02-29.*does not exist in"),
     "the leap day without data": ({"begin": "2020-02-29", "end": "2020-03-01"}, InvalidConfig, "29 February|02-29"),
     "a variable that is not there": (
         {"sensors": {"t": ["Zone Air Temprature", "Core_ZN"]}},
