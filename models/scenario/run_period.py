@@ -37,12 +37,13 @@ def parse_day(text: str, what: str, year: int = _LEAP_YEAR) -> date:
     Raises:
         InvalidConfig: the text has another format, or there is no such day.
     """
+    hint = "write it as MM-DD or YYYY-MM-DD, for example 07-01"
     match = _DAY.fullmatch(text.strip())
     if not match:
-        raise InvalidConfig(f"{what} {text!r} is not a date; write it as MM-DD or YYYY-MM-DD, for example 07-01")
+        raise InvalidConfig(f"{what} {text!r} is not a date; {hint}")
     month, day = int(match[2]), int(match[3])
     if not 1 <= month <= 12 or not 1 <= day <= calendar.monthrange(_LEAP_YEAR, month)[1]:
-        raise InvalidConfig(f"{what} {text!r} is not a calendar date; write it as MM-DD or YYYY-MM-DD, for example 07-01")
+        raise InvalidConfig(f"{what} {text!r} is not a calendar date; {hint}")
     try:
         return date(int(match[1] or year), month, day)
     except ValueError:

@@ -25,10 +25,10 @@ from models.scenario.schema import (
     DiscreteActionSpec,
     Scenario,
     SensorSpec,
-    beside,
     dump,
     load_scenario,
     read_scenario,
+    resolve_paths,
 )
 from models.weather.noise import ColumnNoise
 from topics.errors import InvalidConfig, UnknownName, UsageError
@@ -471,23 +471,23 @@ def test_paths_are_relative_to_the_file(tmp_path: Path, monkeypatch: pytest.Monk
 
 def test_one_weather_by_path(tmp_path: Path) -> None:
     (tmp_path / "mine.epw").write_text("")
-    assert beside({"weather": "mine.epw"}, tmp_path) == {"weather": str(tmp_path / "mine.epw")}
+    assert resolve_paths({"weather": "mine.epw"}, tmp_path) == {"weather": str(tmp_path / "mine.epw")}
 
 
 def test_a_short_name_is_no_path(tmp_path: Path) -> None:
     (tmp_path / "office-small").write_text("")
-    assert beside({"building": "office-small"}, tmp_path) == {"building": "office-small"}
+    assert resolve_paths({"building": "office-small"}, tmp_path) == {"building": "office-small"}
 
 
 def test_what_is_no_text_is_left_for_the_check(tmp_path: Path) -> None:
     given = {"building": 5, "weather": [None, 1], "begin": "x.epw"}
-    assert beside(given, tmp_path) == given
+    assert resolve_paths(given, tmp_path) == given
 
 
 def test_a_path_in_the_users_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HOME", str(tmp_path))
     (tmp_path / "mine.idf").write_text("")
-    assert beside({"building": "~/mine.idf"}, tmp_path / "far") == {"building": str(tmp_path / "mine.idf")}
+    assert resolve_paths({"building": "~/mine.idf"}, tmp_path / "far") == {"building": str(tmp_path / "mine.idf")}
 
 
 def test_the_home_of_nobody_is_a_mistake_of_the_users(tmp_path: Path) -> None:
