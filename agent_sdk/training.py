@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import random
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -25,6 +24,7 @@ from agent_sdk.evaluation.metrics import EpisodeMetrics
 from agent_sdk.vec_normalization import beside_model, load_normalization, mark_normalized, normalization_of
 from agent_sdk.wrappers import restore_wrappers, save_wrappers
 from topics import yaml12
+from topics.atomic_file import atomic_file
 from topics.errors import InvalidConfig, UnknownName, did_you_mean
 from topics.extras import install_command
 from topics.messages import CommandOp, Manifest
@@ -158,12 +158,8 @@ class EvaluationCallback(BaseCallback):
     def _save(self, learnt: str) -> None:
         if self._path is None:
             return
-        hidden = self._path.with_name(f".{os.getpid()}.{self._path.name}")
-        try:
-            self.model.save(hidden)
-            hidden.replace(self._path)
-        finally:
-            hidden.unlink(missing_ok=True)
+        with atomic_file(self._path) as temporary:
+            self.model.save(temporary)
         normalising = self.model.get_vec_normalize_env()
         beside, wrappers = beside_model(self._path), self._path.with_suffix(".wrappers.yaml")
         if normalising is not None:

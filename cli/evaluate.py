@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import os
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -14,6 +13,7 @@ import typer
 from cli.console import err, out, progress
 from cli.run import read_parameters
 from cli.tables import show, show_json
+from topics.atomic_file import atomic_file
 from topics.errors import InvalidConfig
 
 if TYPE_CHECKING:
@@ -156,12 +156,8 @@ def _parquet() -> tuple[Any, Any]:
 
 def write(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
     """Writes rows of the same keys; the file is there whole or not at all. None is an empty cell, or null."""
-    hidden = path.with_name(f".{os.getpid()}.{path.name}")
-    try:
-        (_write_parquet if path.suffix == ".parquet" else _write_csv)(rows, hidden)
-        hidden.replace(path)
-    finally:
-        hidden.unlink(missing_ok=True)
+    with atomic_file(path) as temporary:
+        (_write_parquet if path.suffix == ".parquet" else _write_csv)(rows, temporary)
 
 
 def _write_csv(rows: Sequence[Mapping[str, Any]], path: Path) -> None:

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from models.err_file import explain
+from topics.atomic_file import atomic_file
 from topics.errors import ModelError
 
 ISOLATED = (sys.executable, "-P", "-m")
@@ -96,9 +97,8 @@ def _survey(model: str, weather: str, target: str) -> None:
     prepared["Output:SQLite"] = {"dictionary": {"option_type": "Simple"}}
     points = _run_until_ready(prepared, weather, os.path.join(folder, "keys"))
     points += _unlisted_variables(points, os.path.join(folder, "keys", "eplusout.sql"))
-    with open(target + ".part", "w") as file:
-        json.dump({"kinds": kinds, "points": points}, file)
-    os.replace(target + ".part", target)
+    with atomic_file(Path(target)) as temporary:
+        temporary.write_text(json.dumps({"kinds": kinds, "points": points}))
 
 
 def _variable_kinds(dictionary: str) -> dict[str, list[str]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,6 +13,7 @@ from gymnasium.vector import VectorWrapper
 from agent_sdk.wrappers.adapters import Single, Vector
 from agent_sdk.wrappers.names import inside
 from topics import yaml12
+from topics.atomic_file import atomic_file
 from topics.errors import InvalidConfig
 
 _KINDS = ("float32", "float64")
@@ -36,12 +36,8 @@ def save_wrappers(env: Any, path: str | Path) -> None:
     kept = {"wrappers": [{"wrapper": keeper.name, **keeper.get()} for keeper in _keepers(env)]}
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    hidden = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        hidden.write_text(yaml12.dump(kept), encoding="utf-8")
-        hidden.replace(path)
-    finally:
-        hidden.unlink(missing_ok=True)
+    with atomic_file(path) as temporary:
+        temporary.write_text(yaml12.dump(kept), encoding="utf-8")
 
 
 def restore_wrappers(env: Any, path: str | Path) -> None:
