@@ -321,7 +321,7 @@ class BuildingEnv(SpaceNames, gym.Env[Observation, Any]):
 
         `info` has `time` and `step` of the sample; `action`: the value commanded for each actuator; `effective`: its
         effective value (NaN where EnergyPlus does not tell); `value_source`: who set it ("agent" is this environment,
-        "" the baseline control); `reward_terms`, whose sum is the reward, and `reward_measures`; the node's counts
+        "" the baseline control); `reward_terms`, whose sum is the reward, and `reward_metrics`; the node's counts
         of `late` and `rejected` messages; and at the episode's end `output_dir`, the folder of EnergyPlus's files, if
         they are kept.
 
@@ -356,7 +356,7 @@ class BuildingEnv(SpaceNames, gym.Env[Observation, Any]):
         info["action"] = self._actions.commanded(commanded, mask)
         memory, reward = self._memory, 0.0
         if memory.reward is not None:
-            total, info["reward_terms"], info["reward_measures"] = memory.reward(truth, begin)
+            total, info["reward_terms"], info["reward_metrics"] = memory.reward(truth, begin)
             reward = float(total)
         broken = ""
         if memory.limits is not None:

@@ -62,7 +62,7 @@ class EpisodeState(Generic[C]):
                 _, terms, measures = copy.deepcopy(self.reward)(values, begin)
             except Exception:  # somebody's own may not be ready for sample 0; the first step tells what is wrong
                 terms, measures = {}, {}
-            self._unrewarded = {"reward_terms": _nan(terms), "reward_measures": _nan(measures)}
+            self._unrewarded = {"reward_terms": _nan(terms), "reward_metrics": _nan(measures)}
         return copy.deepcopy(self._unrewarded)
 
     def state(self) -> dict[str, Any]:

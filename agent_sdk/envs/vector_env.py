@@ -282,7 +282,7 @@ class BuildingVectorEnv(SpaceNames, VectorEnv[Observations, Any, NDArray[Any]]):
         rewards = np.zeros(count)
         memory = self._memory
         if memory.reward is not None:
-            rewards[:], told["reward_terms"], told["reward_measures"] = memory.reward(frame.fault_free_values, begins)
+            rewards[:], told["reward_terms"], told["reward_metrics"] = memory.reward(frame.fault_free_values, begins)
         broken = memory.limits.violated_slots(frame.fault_free_values) if memory.limits is not None else {}
         observed, live = frame.observed(begins, ends), self._every.copy()
         terminated, truncated = np.zeros(count, np.bool_), frame.truncated

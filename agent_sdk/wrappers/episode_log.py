@@ -60,7 +60,7 @@ class EpisodeLog(WrapperLogic):
         """See `WrapperLogic`."""
         for row, slot in enumerate(step.slots):
             terms = step.infos.get(row, "reward_terms") or {}
-            measures = step.infos.get(row, "reward_measures") or {}
+            measures = step.infos.get(row, "reward_metrics") or {}
             if slot not in self._open:
                 self._begin(slot, terms, measures)
             self._open[slot][0].row(self._cells(row, slot, step, terms, measures))

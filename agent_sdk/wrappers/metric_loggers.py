@@ -80,7 +80,7 @@ class MeansLog(WrapperLogic):
     def values(self, row: int, step: StepBatch) -> dict[str, float]:
         """Numbers of one timestep of the slot `step.slots[row]`, by name; their means are logged."""
         values = {"reward": float(step.rewards[row])}
-        for group, key in (("reward", "reward_terms"), ("measure", "reward_measures")):
+        for group, key in (("reward", "reward_terms"), ("measure", "reward_metrics")):
             said = step.infos.get(row, key) or {}
             values |= {f"{group}.{name}": float(value) for name, value in said.items() if np.ndim(value) == 0}
         return values | dict(zip(self._names, np.ravel(step.observations[row]).tolist(), strict=True))

@@ -103,7 +103,7 @@ def test_a_normalized_reward_whose_maxima_stay_is_sinergyms() -> None:
     rewards = []
     for _ in range(20):
         _, reward, _, _, info = env.step(env.action_space.sample())
-        power_w, degrees = info["reward_measures"]["power_w"], info["reward_measures"]["degrees_outside"]
+        power_w, degrees = info["reward_metrics"]["power_w"], info["reward_metrics"]["degrees_outside"]
         assert reward == pytest.approx(0.5 * -power_w / 8.0 + 0.5 * -degrees / 12.0)
         rewards.append(reward)
     assert min(rewards) < -10.0  # far from 0 to -1, where ours lies

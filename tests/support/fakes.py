@@ -85,7 +85,7 @@ class FakeBuilding(gym.Env[NDArray[np.float32], Any]):
         info = self._info([heat, cool, self._context])
         energy, comfort = -1e-3 * joules, -abs(self._core - 24.0)
         info["reward_terms"] = {"energy": energy, "comfort": comfort}
-        info["reward_measures"] = {"joules": joules}
+        info["reward_metrics"] = {"joules": joules}
         return self._observed(begin, cool, joules), energy + comfort, False, self._step == self.manifest.steps, info
 
     @property
