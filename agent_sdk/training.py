@@ -287,7 +287,7 @@ class PolicyController(Controller):
         if self._normalization is not None:
             observation = self._normalization.normalize_obs(observation)
         chosen = self._actions.values(self._memory.action(observation))
-        kinds = self._actions.mask or bytes([CommandOp.SET] * len(chosen))
+        kinds = self._actions.operations or bytes([CommandOp.SET] * len(chosen))
         named = zip(self.manifest.actuators, chosen.tolist(), kinds, strict=True)
         return {actuator.name: value for actuator, value, kind in named if kind == CommandOp.SET}
 

@@ -341,7 +341,7 @@ class ControllerLink:
     def send(
         self,
         values: Mapping[str, float | None] | NDArray[np.float64] | None = None,
-        mask: bytes | None = None,
+        operations: bytes | None = None,
         *,
         still: Collection[int] = (),
     ) -> None:
@@ -351,7 +351,7 @@ class ControllerLink:
             values: by actuator name, None releasing it to the building's own control and the others kept
                 as they are; or an array of all actuators in manifest order, shape (actuators,), of several slots
                 (slots, actuators); or None to keep all.
-            mask: with an array, a `CommandOp` byte for each of its values; None sets all.
+            operations: with an array, a `CommandOp` byte for each of its values; None sets all.
             still: slots that are to stand still while the others go on.
 
         Raises:
@@ -364,25 +364,25 @@ class ControllerLink:
         if self._over:
             return
         wire = self._latest.message
-        raw, mask = self._coded(values, mask)
+        raw, operations = self._coded(values, operations)
         steps = [None if slot in still else step for slot, step in enumerate(wire.step)] if still else wire.step
         self._answered = True
         try:
-            self._put_command(codec.pack(episode=wire.episode, step=steps, operations=mask, values=raw))
+            self._put_command(codec.pack(episode=wire.episode, step=steps, operations=operations, values=raw))
         except (zenoh.ZError, RuntimeError):
             if self._ended is None:
                 raise
             raise self._ended from None
 
     def _coded(
-        self, values: Mapping[str, float | None] | NDArray[np.float64] | None, given: bytes | None
+        self, values: Mapping[str, float | None] | NDArray[np.float64] | None, operations: bytes | None
     ) -> tuple[bytes, bytes | None]:
         if isinstance(values, np.ndarray):
             if values.shape != self._shape:
                 raise InvalidAction(f"values of shape {values.shape}; {self._shape} expected: one for each actuator")
-            return values.astype(codec.FLOAT, copy=False).tobytes(), given
+            return values.astype(codec.FLOAT, copy=False).tobytes(), operations
         slots, count = self.manifest.slots, len(self.manifest.actuators)
-        row, mask = np.zeros(count), np.full(count, _KEEP, np.uint8)
+        row, codes = np.zeros(count), np.full(count, _KEEP, np.uint8)
         for name, value in (values or {}).items():
             if name not in self._actuators:
                 raise InvalidAction(
@@ -391,8 +391,8 @@ class ControllerLink:
             index = self._actuators[name]
             if value is not None and not np.isfinite(value):
                 raise InvalidAction(f"{name} = {value}; a finite number or None (release) expected")
-            row[index], mask[index] = (0.0, _RELEASE) if value is None else (value, _SET)
-        return row.tobytes() * slots, mask.tobytes() * slots
+            row[index], codes[index] = (0.0, _RELEASE) if value is None else (value, _SET)
+        return row.tobytes() * slots, codes.tobytes() * slots
 
     def __iter__(self) -> Iterator[SampleView]:
         """Samples from the present one to the episode's last; one that was not answered keeps all as it is."""

@@ -23,7 +23,7 @@ class Actions:
 
     Attributes:
         space: `Box`, float32, shape (actions,), or `DiscreteSpec`, or `MultiDiscrete`.
-        mask: what a command does to each actuator, raw; None if they set all.
+        operations: what a command does to each actuator, raw; None if they set all.
     """
 
     def __init__(self, manifest: Manifest) -> None:
@@ -46,7 +46,7 @@ class Actions:
         left = [a.name for a in manifest.actuators if a.name not in action_of]
         self._actuators, self._left = manifest.actuators, left
         kept = [CommandOp.KEEP if a.name in left else CommandOp.SET for a in manifest.actuators]
-        self.mask = bytes(kept) if left else None
+        self.operations = bytes(kept) if left else None
 
     @property
     def names(self) -> list[str]:
@@ -64,11 +64,11 @@ class Actions:
             return chosen
         return chosen[self._fan] if len(self._actions) else np.zeros(len(self._fan))
 
-    def commanded(self, values: NDArray[np.float64], mask: bytes | None) -> NDArray[np.float64]:
+    def commanded(self, values: NDArray[np.float64], operations: bytes | None) -> NDArray[np.float64]:
         """The values of a command as an info has them: NaN for actuators that it does not set; shape as `values`."""
-        if mask is None:
+        if operations is None:
             return values
-        return np.where(np.frombuffer(mask, np.uint8).reshape(values.shape) == CommandOp.SET, values, np.nan)
+        return np.where(np.frombuffer(operations, np.uint8).reshape(values.shape) == CommandOp.SET, values, np.nan)
 
     def rows(self, actions: ArrayLike, slots: int, unread: Collection[int] = ()) -> NDArray[np.float64]:
         """The same of several slots at once: shape (slots, actuators).

@@ -346,14 +346,14 @@ class BuildingEnv(SpaceNames, gym.Env[Observation, Any]):
         if previous is None or self._ended or self._hold.closed:
             self._hold.check_open()
             raise EpisodeChanged("the episode is over; call reset()" if previous else "call reset() before step()")
-        commanded, mask = self._command(action)
+        commanded, operations = self._command(action)
         link = self.link
-        link.send(commanded, mask)
+        link.send(commanded, operations)
         sample = self._sample = link.receive()
         values, end, info = sample.values, sample.time, self._info(sample)
         begin = end - self._timestep
         truth = sample.fault_free_values if sample.message.fault_free_values else values
-        info["action"] = self._actions.commanded(commanded, mask)
+        info["action"] = self._actions.commanded(commanded, operations)
         memory, reward = self._memory, 0.0
         if memory.reward is not None:
             total, info["reward_terms"], info["reward_metrics"] = memory.reward(truth, begin)
@@ -386,15 +386,15 @@ class BuildingEnv(SpaceNames, gym.Env[Observation, Any]):
         return self._sample
 
     def _command(self, action: ArrayLike) -> tuple[NDArray[np.float64], bytes | None]:
-        values, mask = self._values(action), self._actions.mask
+        values, operations = self._values(action), self._actions.operations
         if self._memory.context:
-            assert mask is not None
-            kinds = bytearray(mask)
+            assert operations is not None
+            codes = bytearray(operations)
             for index, value in self._memory.context.items():
-                kinds[index] = CommandOp.RELINQUISH if value is None else CommandOp.SET
+                codes[index] = CommandOp.RELINQUISH if value is None else CommandOp.SET
                 values[index] = 0.0 if value is None else value
-            mask, self._memory.context = bytes(kinds), {}
-        return values, mask
+            operations, self._memory.context = bytes(codes), {}
+        return values, operations
 
     def set_context(self, values: Mapping[str, float | None]) -> None:
         """Sets actuators that are in no action, from the next step on until it is called again; None releases one.

@@ -106,7 +106,7 @@ class BuildingVectorEnv(SpaceNames, VectorEnv[Observations, Any, NDArray[Any]]):
         self.metadata = {"render_modes": [*RENDER_MODES], "render_fps": 4, "autoreset_mode": self.autoreset_mode}
         self.envs = tuple(Slot(self, number) for number in range(num_envs))
         self._timestep = timestep(manifest)
-        self._mask = None if self._actions.mask is None else self._actions.mask * num_envs
+        self._operations = None if self._actions.operations is None else self._actions.operations * num_envs
         self._frame: VectorSample | None = None
         self._busy = False
         self._seen = np.zeros(self.observation_space.shape or (), np.float32)
@@ -238,15 +238,15 @@ class BuildingVectorEnv(SpaceNames, VectorEnv[Observations, Any, NDArray[Any]]):
 
     def _step(self, actions: ArrayLike) -> Stepped:
         again = self._ready()
-        commanded, mask = self._command(actions, again)
+        commanded, operations = self._command(actions, again)
         begun = self._begin(again) if again else {}
         if len(again) == self.num_envs:
             none = np.zeros(self.num_envs, np.bool_)
             return self._seen.copy(), np.zeros(self.num_envs), none, none.copy(), begun
         link = self.link
-        link.send(commanded if self.num_envs > 1 else commanded[0], mask, still=again)
+        link.send(commanded if self.num_envs > 1 else commanded[0], operations, still=again)
         frame = self._frame = VectorSample(link.receive())
-        rewards, terminated, truncated, infos = self._outcome(frame, commanded, mask, again)
+        rewards, terminated, truncated, infos = self._outcome(frame, commanded, operations, again)
         ended = terminated | truncated
         if self.autoreset_mode is AutoresetMode.SAME_STEP:
             if ended.any():
@@ -269,7 +269,7 @@ class BuildingVectorEnv(SpaceNames, VectorEnv[Observations, Any, NDArray[Any]]):
         return again
 
     def _outcome(
-        self, frame: VectorSample, commanded: NDArray[np.float64], mask: bytes | None, again: list[int]
+        self, frame: VectorSample, commanded: NDArray[np.float64], operations: bytes | None, again: list[int]
     ) -> tuple[NDArray[np.float64], Flags, Flags, Infos]:
         """Rewards, terminated, truncated and infos of the slots that have gone on; observations go to `_seen`."""
         count, ends = self.num_envs, frame.times
@@ -278,7 +278,7 @@ class BuildingVectorEnv(SpaceNames, VectorEnv[Observations, Any, NDArray[Any]]):
         else:
             begins = [end - self._timestep for end in ends]
         told = self._of_sample(frame)
-        told["action"] = self._actions.commanded(commanded, mask)
+        told["action"] = self._actions.commanded(commanded, operations)
         rewards = np.zeros(count)
         memory = self._memory
         if memory.reward is not None:
@@ -347,18 +347,18 @@ class BuildingVectorEnv(SpaceNames, VectorEnv[Observations, Any, NDArray[Any]]):
     # Commands
 
     def _command(self, actions: ArrayLike, unread: Sequence[int]) -> tuple[NDArray[np.float64], bytes | None]:
-        values, mask = self._actions.rows(actions, self.num_envs, unread), self._mask
+        values, operations = self._actions.rows(actions, self.num_envs, unread), self._operations
         contexts = self._memory.context
         if any(contexts):
-            assert mask is not None
-            kinds = np.frombuffer(mask, np.uint8).reshape(values.shape).copy()
+            assert operations is not None
+            codes = np.frombuffer(operations, np.uint8).reshape(values.shape).copy()
             for slot, context in enumerate(contexts):
                 for index, value in context.items():
-                    kinds[slot, index] = CommandOp.RELINQUISH if value is None else CommandOp.SET
+                    codes[slot, index] = CommandOp.RELINQUISH if value is None else CommandOp.SET
                     values[slot, index] = 0.0 if value is None else value
                 contexts[slot] = {}
-            mask = kinds.tobytes()
-        return values, mask
+            operations = codes.tobytes()
+        return values, operations
 
     def set_context(self, values: Mapping[str, float | None]) -> None:
         """`BuildingEnv.set_context` in all slots; `envs[i].set_context` does it in one."""

@@ -31,7 +31,7 @@ class Link(Protocol):
     def receive(self) -> SampleView:
         """Waits for the next sample."""
 
-    def send(self, values: NDArray[np.float64], mask: bytes | None = None) -> None:
+    def send(self, values: NDArray[np.float64], operations: bytes | None = None) -> None:
         """Answers the present sample: a value for each actuator, and what is done with it (None: all are set)."""
 
     def weather(self, columns: Sequence[str]) -> WeatherSeries:
@@ -56,7 +56,7 @@ class VectorLink(Protocol):
     def receive(self) -> SampleView:
         """Waits for the next frame."""
 
-    def send(self, values: Floats, mask: bytes | None = None, *, still: Sequence[int] = ()) -> None:
+    def send(self, values: Floats, operations: bytes | None = None, *, still: Sequence[int] = ()) -> None:
         """Answers the present frame: shape (slots, actuators); those that are `still` do not go on."""
 
     def weather(self, columns: Sequence[str], slot: int = 0) -> WeatherSeries:

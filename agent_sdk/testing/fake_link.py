@@ -83,7 +83,7 @@ class FakeLink:
         )
         return self._sample(*self.building.advance(self._held))
 
-    def send(self, values: Mapping[str, float | None] | Floats | None = None, mask: bytes | None = None) -> None:
+    def send(self, values: Mapping[str, float | None] | Floats | None = None, operations: bytes | None = None) -> None:
         """Answers the present sample, as `ControllerLink.send` does.
 
         Raises:
@@ -93,7 +93,9 @@ class FakeLink:
             raise PeerError("there is no sample to answer yet; call reset() first")
         if self._latest.truncated:
             return
-        self._sent = self._read_array(values, mask) if isinstance(values, np.ndarray) else self._read(values or {})
+        self._sent = (
+            self._read_array(values, operations) if isinstance(values, np.ndarray) else self._read(values or {})
+        )
 
     def weather(self, columns: Sequence[str]) -> WeatherSeries:
         """See `FakeBuilding.weather`."""
@@ -113,11 +115,13 @@ class FakeLink:
                 self.send()
             sample = self.receive()
 
-    def _read_array(self, values: Floats, mask: bytes | None) -> tuple[Floats, Floats]:
+    def _read_array(self, values: Floats, operations: bytes | None) -> tuple[Floats, Floats]:
         if values.shape != self._held.shape:
             raise InvalidAction(f"values of shape {values.shape}; {self._held.shape} expected: one for each actuator")
         kinds = (
-            np.full(values.shape, float(CommandOp.SET)) if mask is None else np.frombuffer(mask, np.uint8).astype(float)
+            np.full(values.shape, float(CommandOp.SET))
+            if operations is None
+            else np.frombuffer(operations, np.uint8).astype(float)
         )
         return values.astype(np.float64), kinds
 

@@ -51,7 +51,7 @@ def test_each_actuator_has_an_action_of_its_own_where_nothing_is_joined() -> Non
     own = Actions(manifest(actuators=FOUR))
     assert own.values([16.0, 23.0, 17.0, 24.0]).tolist() == [16.0, 23.0, 17.0, 24.0]
     assert own.names == ["heat_a", "cool_a", "heat_b", "cool_b"]
-    assert own.mask is None
+    assert own.operations is None
 
 
 def test_all_actuators_of_an_action_get_its_value() -> None:
@@ -80,9 +80,9 @@ def test_whatever_is_joined_each_actuator_gets_its_actions_value(data: st.DataOb
     set_here = [i for i in range(count) if owner[i] != -1]
     assert [values[i] for i in set_here] == [by_group[owner[i]] for i in set_here]
     if len(set_here) == count:
-        assert made.mask is None
+        assert made.operations is None
     else:
-        assert list(made.mask or b"") == [CommandOp.KEEP if o == -1 else CommandOp.SET for o in owner]
+        assert list(made.operations or b"") == [CommandOp.KEEP if o == -1 else CommandOp.SET for o in owner]
 
 
 # Actuators that no action sets
@@ -90,7 +90,7 @@ def test_whatever_is_joined_each_actuator_gets_its_actions_value(data: st.DataOb
 
 def test_what_no_action_sets_is_kept() -> None:
     some = actions(FOUR, COOL)
-    assert list(some.mask or b"") == [CommandOp.KEEP, CommandOp.SET, CommandOp.KEEP, CommandOp.SET]
+    assert list(some.operations or b"") == [CommandOp.KEEP, CommandOp.SET, CommandOp.KEEP, CommandOp.SET]
     values = some.values([25.0])
     assert values.shape == (4,)
     assert np.isfinite(values).all()
@@ -99,13 +99,13 @@ def test_what_no_action_sets_is_kept() -> None:
 
 def test_without_actions_all_is_kept() -> None:
     none = actions(FOUR)
-    assert (none.space.shape, list(none.mask or b"")) == ((0,), [CommandOp.KEEP] * 4)
+    assert (none.space.shape, list(none.operations or b"")) == ((0,), [CommandOp.KEEP] * 4)
     assert none.values([]).shape == (4,)
 
 
 def test_without_actuators_there_is_nothing_to_say() -> None:
     none = actions(())
-    assert none.mask is None
+    assert none.operations is None
     assert none.values(np.zeros(0, np.float32)).shape == (0,)
     with pytest.raises(InvalidAction, match="building's own control"):
         none.values([1.0])
@@ -303,7 +303,7 @@ def test_several_dimensions_take_an_integer_each(wrong: Any) -> None:
 def test_choices_leave_alone_what_no_action_sets() -> None:
     some = actions(FOUR, COOL, choices=(DiscreteAction(actions=("cool",), values=((30.0,), (24.0,))),))
     assert some.values(1)[[1, 3]].tolist() == [24.0, 24.0]
-    assert list(some.mask or b"") == [CommandOp.KEEP, CommandOp.SET, CommandOp.KEEP, CommandOp.SET]
+    assert list(some.operations or b"") == [CommandOp.KEEP, CommandOp.SET, CommandOp.KEEP, CommandOp.SET]
 
 
 def test_an_action_rescaled_in_float32_means_the_bound() -> None:
