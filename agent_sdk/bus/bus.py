@@ -1,4 +1,4 @@
-"""A controller's side of the bus, without Gymnasium.
+"""The client of the bus, without Gymnasium.
 
 with agent_sdk.connect("tcp/127.0.0.1:7447") as bus:
     for sample in bus.controller("office"):
@@ -9,32 +9,29 @@ from __future__ import annotations
 
 import itertools
 import os
-import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
-from queue import Empty, SimpleQueue
 from typing import Any, TypeVar, cast
 
 import zenoh
 from pydantic import ValidationError
-from zenoh import CongestionControl, QueryTarget
-from zenoh.handlers import Callback, RingChannel
+from zenoh import QueryTarget
 
 from agent_sdk.bus import fork_guard
+from agent_sdk.bus.actuator_write import put_write
 from agent_sdk.bus.controller_link import ControllerLink
+from agent_sdk.bus.listener import listen
 from agent_sdk.bus.sample import SampleView
 from bridge.runtime import affinity
 from bridge.runtime.affinity import Affinity
 from bridge.transport.access_control import Permission, may
 from bridge.transport.session import DEFAULT_ENDPOINT, FORKED, open_session
-from bridge.transport.wakeup import Wake
 from topics import codec, keys
 from topics.errors import (
     BusError,
     InvalidAction,
     InvalidConfig,
-    NodeLost,
     NodeNotFound,
     PeerError,
     RequestRejected,
@@ -73,13 +70,10 @@ from topics.messages import (
     Write,
 )
 
-R = TypeVar("R", bound=Message)
+M = TypeVar("M", bound=Message)
 
-_REQUEST_TIMEOUT_S = 600.0  # a start of the largest bundled building takes 14 s; death is noticed at once
-_LISTEN = 16384
-_MEET_S = 10.0
-_ANSWER_S = 60.0  # a node that starts an engine hears a write when it has done so
-_LEFT = "this bus was left by close(); connect to it again"
+_REQUEST_TIMEOUT_S = 600.0  # starting the largest bundled building takes 14 s; the death of a node is noticed at once
+_CLOSED = "this bus is closed; connect to it again"
 _numbers = itertools.count()
 
 
@@ -93,40 +87,47 @@ def connect(
     role: Role = Role.CONTROLLER,
     certificate: str | None = None,
 ) -> Bus:
-    """Connects to the bus at `endpoint`; use it with `with`.
+    """Connect to the bus at `endpoint`; use the result in a `with` statement.
 
     Args:
-        endpoint: `tcp/HOST:PORT`, `unixsock-stream/PATH`, or, with keys, `tls/HOST:PORT`.
-        wait: keep trying in the background instead of failing.
-        affinity: where this process's bus threads run; see `bridge.runtime.affinity`.
-        core: the node's core, if it is known already.
-        keys: a folder that `zenostat keys init` made.
-        role: whose certificate to show: a controller's, or a monitor's, which may only read.
-        certificate: the name of another certificate of that role.
+        endpoint: `tcp/HOST:PORT`, `unixsock-stream/PATH`, or, with `keys`, `tls/HOST:PORT`.
+        wait: Keep trying in the background instead of failing.
+        affinity: Placement of this process's bus threads; see `bridge.runtime.affinity`.
+        core: The node's core, if it is already known.
+        keys: A folder created by `zenostat keys init`.
+        role: Which certificate to use: a controller's, or a monitor's, which may only read.
+        certificate: Name of another certificate of that role.
 
     Raises:
-        NodeNotFound: nobody listens there, or no session over TLS came about.
-        InvalidConfig: no such form of an endpoint, or keys that cannot be used.
+        NodeNotFound: No process listens at the endpoint, or the TLS session failed.
+        InvalidConfig: The endpoint is malformed, or the keys cannot be used.
     """
-    with _placed(Affinity(affinity), core):
+    with _thread_placement(Affinity(affinity), core):
         session = open_session(connect=[endpoint], wait=wait, keys=keys, role=role, certificate=certificate)
     return Bus(endpoint, session, Affinity(affinity), role if keys else None)
 
 
-def _made(kind: type[R], **fields: Any) -> R:
+def _build(message_type: type[M], **fields: Any) -> M:
+    """Build a message; `InvalidConfig` lists all invalid fields."""
     try:
-        return kind(**fields)
+        return message_type(**fields)
     except ValidationError as error:
-        raise InvalidConfig(codec.describe_validation_errors(error, kind.model_fields)) from None
+        raise InvalidConfig(codec.describe_validation_errors(error, message_type.model_fields)) from None
 
 
 class Bus:
-    """A connection to the nodes that are reached by one endpoint; `role` is that of its certificate, if it has one."""
+    """A connection to all nodes that are reachable through one endpoint.
+
+    Attributes:
+        endpoint: The endpoint that it is connected to.
+        role: The role of its certificate; None without TLS.
+        session: The Zenoh session.
+    """
 
     def __init__(self, endpoint: str, session: zenoh.Session, affinity: Affinity, role: Role | None = None) -> None:
         self.endpoint = endpoint
         self.role = role
-        self._close, self._left = ExitStack(), False
+        self._close, self._closed = ExitStack(), False
         self._affinity = affinity
         self._links: set[ControllerLink] = set()
         self.session = self._close.enter_context(session)
@@ -139,15 +140,15 @@ class Bus:
         self.close()
 
     def close(self) -> None:
-        """Leaves the bus; twice is fine. A request of another thread ends with `BusError`."""
-        self._left = True
+        """Close the connection and its controller links; idempotent. Pending requests raise `BusError`."""
+        self._closed = True
         for link in [*self._links]:
             link.close()
         self._close.close()
         fork_guard.open_buses.discard(self)
 
     def forked(self) -> None:
-        """Disown the bus in a forked process: whatever is asked of it raises `BusError`, and closing does nothing."""
+        """Disown the bus in a forked process: every request raises `BusError`, and closing does nothing."""
         fork_guard.keep(self.session, self._close, *(link.__dict__.copy() for link in self._links))
         self.session, self._close = cast("zenoh.Session", fork_guard.ForkedSession()), ExitStack()
         for link in self._links:
@@ -155,131 +156,127 @@ class Bus:
         self._links = set()
 
     def nodes(self) -> list[str]:
-        """Names of the nodes that are there."""
-        # Not by their tokens: Zenoh 1.10 leaves out those that this session is subscribed to, one time in ten.
+        """Return the names of all nodes on the bus, sorted."""
+        # Not through liveliness tokens: one time in ten, Zenoh 1.10 omits those that this session is subscribed to.
         replies = self.session.get(keys.MANIFEST.at("*"), target=QueryTarget.ALL)
         return sorted({keys.node_of(str(r.ok.key_expr)) for r in replies if r.ok})
 
     def controllers(self) -> list[tuple[str, str]]:
-        """(node, controller) of all controllers that are there."""
+        """Return pairs (node, controller) of all controllers on the bus, sorted."""
         replies = self.session.liveliness().get(keys.CONTROLLER_TOKEN.at("*", name="*"))
-        found = [str(r.ok.key_expr) for r in replies if r.ok]
-        return sorted({(keys.node_of(key), keys.last_chunk(key)) for key in found})
+        tokens = [str(r.ok.key_expr) for r in replies if r.ok]
+        return sorted({(keys.node_of(token), keys.last_chunk(token)) for token in tokens})
 
     def manifest(self, node: str) -> Manifest:
-        """All that is to know of a node; `NodeNotFound` if it is not on the bus."""
+        """Return a node's manifest; `NodeNotFound` if it is not on the bus."""
         return self._ask(keys.MANIFEST, node, None, Manifest)
 
     def status(self, node: str, *, memory: bool = False) -> Status:
-        """Where a node stands; `NodeNotFound` if it is not on the bus.
+        """Return a node's status; `NodeNotFound` if it is not on the bus.
 
         Args:
-            node: its name.
-            memory: also what each engine shares with no other process, which takes some milliseconds each.
+            node: The node's name.
+            memory: Include each engine's private memory, which takes a few milliseconds per engine.
         """
         return self._ask(keys.STATUS, node, Query(memory=memory), Status)
 
     def stop(self, node: str) -> None:
-        """Tells a node to end."""
+        """Stop a node."""
         self._ask(keys.STOP, node, Stop(), Ack)
 
     def pace(self, node: str, speed: float | None = None, *, mode: Mode | str = Mode.PACED, source: str = "") -> None:
-        """Sets who sets a node's pace, from now on.
+        """Set a node's mode: what decides when it simulates the next timestep.
 
         Args:
-            node: its name.
-            speed: simulated seconds in a second, above 0 and at most 1e9; only in the mode `paced`.
-            mode: `lockstep` (the required controllers), `paced` (the wall clock) or `free` (nobody).
-            source: who asks, for the event that tells of it.
+            node: The node's name.
+            speed: Simulated seconds per second, above 0 and at most 1e9; only with `paced`.
+            mode: `lockstep` (required controllers), `paced` (the wall clock) or `free` (nothing; full speed).
+            source: Name of the requester, for the event that reports the change.
 
         Raises:
-            InvalidConfig: no such mode, or a speed that cannot be.
+            InvalidConfig: Unknown mode, or speed out of range.
             RequestRejected: `paced` without a speed, or another mode with one.
         """
-        self._ask(keys.PACE, node, _made(SetPace, mode=mode, speed=speed, source=source), Ack)
+        self._ask(keys.PACE, node, _build(SetPace, mode=mode, speed=speed, source=source), Ack)
 
     def pause(self, node: str, *, source: str = "") -> None:
-        """Has a node stand still, in whatever mode; when it has answered it does."""
-        self._ask(keys.PAUSE, node, _made(Pause, source=source), Ack)
+        """Pause a node, in any mode; return once it is paused."""
+        self._ask(keys.PAUSE, node, _build(Pause, source=source), Ack)
 
     def resume(self, node: str, *, source: str = "") -> None:
-        """Has a node that was paused go on from where it stands, without catching up."""
-        self._ask(keys.RESUME, node, _made(Resume, source=source), Ack)
+        """Resume a paused node from its current timestep; it does not catch up."""
+        self._ask(keys.RESUME, node, _build(Resume, source=source), Ack)
 
     def step(self, node: str, steps: int = 1, *, source: str = "") -> None:
-        """Has a node that is paused go some timesteps: in lockstep once they are answered, else at once.
+        """Let a paused node simulate some timesteps: in lockstep as soon as they are answered, else at once.
 
         Raises:
-            InvalidConfig: not 1 to 1,000,000 timesteps.
-            RequestRejected: the node is not paused.
+            InvalidConfig: `steps` is not from 1 to 1,000,000.
+            RequestRejected: The node is not paused.
         """
-        self._ask(keys.STEP, node, _made(StepRequest, steps=steps, source=source), Ack)
+        self._ask(keys.STEP, node, _build(StepRequest, steps=steps, source=source), Ack)
 
     def faults(self, node: str, plan: FaultPlan | Mapping[str, Any] | Path | None) -> None:
-        """Has a node inject these faults from now on, in place of those that were there; None: no more.
+        """Replace the faults that a node injects; None stops all injection.
 
         Args:
-            node: its name.
-            plan: a plan, the fields of one, or a file (YAML); see docs/faults.md.
+            node: The node's name.
+            plan: A plan, its fields, or a YAML file; see docs/faults.md.
 
         Raises:
-            InvalidConfig: no such file, or faults that cannot be on this node; names all that is wrong.
+            InvalidConfig: No such file, or faults that do not fit this node; the text lists all errors.
         """
         if isinstance(plan, Path):
-            from bridge.faults import read_plan  # few need it
+            from bridge.faults import read_plan  # imported here because few programs need it
 
             plan = read_plan(plan)
         if not isinstance(plan, FaultPlan):
-            plan = _made(FaultPlan, **(plan or {}))
+            plan = _build(FaultPlan, **(plan or {}))
         self._ask(keys.FAULTS, node, plan, Ack)
 
     def latest(self, node: str) -> Sample:
-        """The node's latest sample."""
+        """Return a node's latest sample."""
         return self._ask(keys.SAMPLE, node, None, Sample)
 
     def claim(self, node: str, claim: Claim) -> Ack:
-        """Claims actuators of a node; `RequestRejected` says who holds them."""
+        """Claim actuators of a node; `RequestRejected` names the controllers that hold them."""
         return self._ask(keys.CLAIM, node, claim, Ack)
 
     def reset(self, node: str, reset: Reset) -> Ack:
-        """Starts a new episode of a node."""
+        """Start a new episode of a node."""
         return self._ask(keys.RESET, node, reset, Ack)
 
     def snapshot(self, node: str, controller: str = "") -> SnapshotTaken:
-        """Has a node keep where it stands, to go back there by a `Reset`; it is dropped when `controller` leaves.
+        """Take a snapshot of a node, to return to with a `Reset`; the node drops it when `controller` disconnects.
 
         Raises:
-            RequestRejected: no episode runs, or there are as many snapshots and branches as the node allows.
-            ForkFailed: the system cannot fork the engine.
+            RequestRejected: No episode is running, or the node has its maximum of snapshots and branches.
+            ForkFailed: The system cannot fork the engine.
         """
         return self._ask(keys.SNAPSHOT, node, TakeSnapshot(controller=controller), SnapshotTaken)
 
     def drop(self, node: str, snapshot: str) -> None:
-        """Gives a snapshot's memory back; `RequestRejected` if there is none of that name."""
+        """Drop a snapshot and free its memory; `RequestRejected` if the node has none of that name."""
         self._ask(keys.DROP, node, DropSnapshot(snapshot=snapshot), Ack)
 
     def branch(self, node: str, branch: CreateBranch) -> str:
-        """Has a node go on twice from where it stands: the name of the new one, which is a node like any other.
+        """Create a branch of a node and return the branch's name; a branch is a node like any other.
 
         Raises:
-            RequestRejected, ForkFailed: as for `snapshot`; a branch has no branches.
+            RequestRejected, ForkFailed: As for `snapshot`; a branch cannot have branches.
         """
         return self._ask(keys.BRANCH, node, branch, BranchCreated).node
 
     def weather(self, node: str, columns: Sequence[str], slot: int = 0) -> WeatherSeries:
-        """The weather that a slot's present episode reads, noise included; `UnknownName` lists the columns."""
+        """Return weather of a slot's current episode, noise included; `UnknownName` lists the columns."""
         return self._ask(keys.WEATHER, node, WeatherQuery(columns=list(columns), slot=slot), WeatherSeries)
 
     def scenario(self, node: str) -> str:
-        """The scenario that a node simulates, as a scenario file (YAML)."""
+        """Return the scenario that a node simulates, as the text of a scenario file (YAML)."""
         return self._ask(keys.SCENARIO, node, Query(), ScenarioText).text
 
     def read(self, node: str, *, slot: int = 0) -> SampleView:
-        """The sample that a node stands at, without controlling it; `NodeNotFound` if it is not on the bus.
-
-        Raises:
-            UnknownName: the node has no such slot.
-        """
+        """Return a slot's current sample without controlling the node; `UnknownName` if there is no such slot."""
         manifest = self.manifest(node)
         if not 0 <= slot < manifest.slots:
             raise UnknownName(f"node {node!r} has no slot {slot}; it has 0 to {manifest.slots - 1}")
@@ -295,21 +292,21 @@ class Bus:
         duration_s: float | None = None,
         source: str = "anonymous",
     ) -> Event:
-        """Writes one actuator, as a person or a device; it rules from the next timestep on. Gives the node's answer.
+        """Write one actuator as a person or a device, and return the node's answer; effective from the next timestep.
 
         Args:
-            node: the node's name.
-            point: the actuator's name.
-            value: in its unit; None releases it at this priority.
-            priority: 1 (highest) to 16; 8 is a person's.
-            duration_s: seconds of simulated time after which it is released by itself; None: until somebody does.
-            source: who writes; made unique on the bus, since that tells the node's answer from others.
+            node: The node's name.
+            point: The actuator's name.
+            value: In the actuator's unit; None relinquishes it at this priority.
+            priority: 1 (highest) to 16; 8 is a manual operator's.
+            duration_s: Simulated seconds after which the value is relinquished; None keeps it until it is relinquished.
+            source: Name of the writer; made unique on the bus, because it identifies the node's answer.
 
         Raises:
-            NodeNotFound: no such node.
-            UnknownName: no such actuator; the text lists near ones.
-            InvalidAction: a value, priority or time that cannot be.
-            RequestRejected: the node did not take it, with its reason.
+            NodeNotFound: No such node.
+            UnknownName: No such actuator; the text lists similar names.
+            InvalidAction: Value, priority or duration out of range.
+            RequestRejected: The node rejected the write, with its reason.
         """
         manifest = self.manifest(node)
         known = [actuator.name for actuator in manifest.actuators]
@@ -320,118 +317,49 @@ class Bus:
             write = Write(value=value, priority=priority, duration_s=duration_s, source=unique)
         except ValidationError as error:
             raise InvalidAction(f"{point}: {codec.describe_validation_errors(error)}") from None
-        event = self._put_write(manifest, point, write)
+        event = put_write(self.session, manifest, point, write)
         if event.kind is EventKind.REJECTED:
-            raise RequestRejected(f"node {node!r} did not take it: {event.text}")
+            raise RequestRejected(f"node {node!r} rejected the write: {event.text}")
         return event
 
-    def _put_write(self, manifest: Manifest, point: str, write: Write) -> Event:
-        """Listens, writes once the node is met, and waits for what it says of this write."""
-        node, heard = manifest.node, SimpleQueue[zenoh.Sample]()
-        token, deadline = keys.NODE_TOKEN.at(node, name=manifest.instance), time.monotonic() + _MEET_S
-        on_any = Callback(heard.put, indirect=False)
-        sent = False
-        with (
-            self.session.declare_subscriber(keys.EVENT.at(node), on_any),
-            self.session.liveliness().declare_subscriber(token, on_any, history=True),
-        ):
-            while True:
-                try:
-                    message = heard.get(timeout=max(deadline - time.monotonic(), 0.0))
-                except Empty:
-                    if not sent:
-                        raise NodeNotFound(f"node {node!r} has gone") from None
-                    raise PeerError(f"node {node!r} did not answer the write of {point!r}; read it to see") from None
-                if str(message.key_expr) == token:
-                    if message.kind == zenoh.SampleKind.DELETE:
-                        raise NodeLost(f"node {node!r} is gone")
-                    if not sent:
-                        self._put(keys.ACTUATOR.at(node, name=point), write)
-                        sent, deadline = True, time.monotonic() + _ANSWER_S
-                    continue
-                event = codec.decode(Event, message.payload.to_bytes(), str(message.encoding))
-                if event.source == write.source and event.kind in (EventKind.WRITTEN, EventKind.REJECTED):
-                    return event
-
-    def _put(self, key: str, message: Message) -> None:
-        said = zenoh.Encoding(codec.encoding(type(message)))
-        self.session.put(key, codec.encode(message), encoding=said, congestion_control=CongestionControl.BLOCK)
-
-    def _ask(self, topic: keys.Topic, node: str, question: Message | None, answer: type[R]) -> R:
+    def _ask(self, topic: keys.Topic, node: str, request: Message | None, reply_type: type[M]) -> M:
         if self.role is not None and Permission.ASK not in may(self.role, topic):
-            raise InvalidConfig(f"a {self.role} may not ask {topic.key}; connect with the certificate of another role")
+            raise InvalidConfig(
+                f"a {self.role} may not query {topic.key}; connect with the certificate of another role"
+            )
         try:
             replies = self.session.get(
                 topic.at(node),
-                payload=codec.encode(question) if question else None,
-                encoding=zenoh.Encoding(codec.encoding(type(question))) if question else None,
+                payload=codec.encode(request) if request else None,
+                encoding=zenoh.Encoding(codec.encoding(type(request))) if request else None,
                 timeout=_REQUEST_TIMEOUT_S,
             )
         except zenoh.ZError:
-            if not self._left:
+            if not self._closed:
                 raise
-            raise BusError(_LEFT) from None
+            raise BusError(_CLOSED) from None
         for reply in replies:
             if reply.ok is None:
-                why = reply.err.payload.to_string() if reply.err else "no reason given"
-                raise PeerError(f"node {node!r} did not answer {topic.key}: {why}")
-            said, payload = str(reply.ok.encoding), reply.ok.payload.to_bytes()
-            if said == codec.encoding(ErrorReply):
-                raise from_wire(codec.decode(ErrorReply, payload, said).__dict__)
-            return codec.decode(answer, payload, said)
-        if self._left:
-            raise BusError(_LEFT)
+                reason = reply.err.payload.to_string() if reply.err else "no reason given"
+                raise PeerError(f"node {node!r} did not answer {topic.key}: {reason}")
+            encoding, payload = str(reply.ok.encoding), reply.ok.payload.to_bytes()
+            if encoding == codec.encoding(ErrorReply):
+                raise from_wire(codec.decode(ErrorReply, payload, encoding).__dict__)
+            return codec.decode(reply_type, payload, encoding)
+        if self._closed:
+            raise BusError(_CLOSED)
         raise NodeNotFound(f"no node {node!r} on {self.endpoint}; {did_you_mean(node, self.nodes())}")
 
-    @contextmanager
-    def _unless_forked(self, stack: ExitStack) -> Iterator[zenoh.Session]:
-        """Leaves to the parent process what a forked one cannot undeclare."""
-        session = self.session
-        try:
-            yield session
-        finally:
-            if self.session is not session:
-                fork_guard.keep(stack.pop_all())
+    def listen(self, node: str) -> AbstractContextManager[Iterator[SampleView]]:
+        """Receive all samples of a node from now on: `with bus.listen("office") as samples:`.
 
-    @contextmanager
-    def listen(self, node: str) -> Iterator[Iterator[SampleView]]:
-        """All samples of a node from now on, without controlling it: `with bus.listen("office") as samples:`.
-
-        A listener that falls behind by more than some ten thousand samples misses the oldest.
+        A listener that lags by more than about ten thousand samples misses the oldest.
 
         Raises:
-            NodeNotFound: no such node.
-            NodeLost: (from the iterator) the node is gone.
+            NodeNotFound: No such node.
+            NodeLost: The node is gone; raised by the iterator.
         """
-        manifest = self.manifest(node)
-        names = {name: i for i, name in enumerate(manifest.names)}
-        token, wake_key = keys.NODE_TOKEN.at(node, name=manifest.instance), keys.wake(node)
-        wake = Wake(self.session, wake_key)
-
-        def on_token(sample: zenoh.Sample) -> None:
-            if sample.kind == zenoh.SampleKind.DELETE:
-                wake()
-
-        with ExitStack() as stack, self._unless_forked(stack) as session:
-            inbox = stack.enter_context(self.session.declare_subscriber(keys.stream(node), RingChannel(_LISTEN)))
-            watch = self.session.liveliness().declare_subscriber(token, Callback(on_token, indirect=False))
-            stack.callback(watch.undeclare)
-            stack.callback(wake.close)
-            self.manifest(node)  # the end of one that has gone meanwhile would not be told
-
-            def samples() -> Iterator[SampleView]:
-                while True:
-                    if self.session is not session:
-                        raise BusError(FORKED)
-                    message = inbox.recv()
-                    key = str(message.key_expr)
-                    if key == wake_key:
-                        raise NodeLost(f"node {node!r} is gone")
-                    if key == keys.SAMPLE.at(node):
-                        wire = codec.decode(Sample, message.payload.to_bytes(), str(message.encoding))
-                        yield SampleView(wire, manifest, names)
-
-            yield samples()
+        return listen(self, node)
 
     def controller(
         self,
@@ -442,18 +370,18 @@ class Bus:
         actuators: list[str] | None = None,
         required: bool = True,
     ) -> ControllerLink:
-        """Takes control of a node: claims actuators (None: all) at a priority level.
+        """Connect a controller to a node and claim actuators at a priority.
 
         Args:
-            node: the node's name.
-            name: of this controller; made unique on the bus.
-            priority: 1 (highest) to 16; 8 is a person's.
-            actuators: names; None is all.
-            required: the node waits for this controller in lockstep.
+            node: The node's name.
+            name: The controller's name; made unique on the bus.
+            priority: 1 (highest) to 16; 8 is a manual operator's.
+            actuators: Names of actuators; None claims all.
+            required: Whether the node waits for this controller in lockstep.
 
         Raises:
-            NodeNotFound: no such node.
-            RequestRejected: somebody else holds that level.
+            NodeNotFound: No such node.
+            RequestRejected: Another controller holds one of the actuators at that priority.
         """
         identity = f"{keys.check_name(name, 'the controller')}-{os.getpid()}-{next(_numbers)}"
         claim = Claim(controller=identity, priority=priority, actuators=actuators, required=required)
@@ -462,11 +390,11 @@ class Bus:
         return link
 
     def forget(self, link: ControllerLink) -> None:
-        """A controller has let go of its node: the bus need not close it."""
+        """Remove a link that has been closed."""
         self._links.discard(link)
 
 
-def _placed(wanted: Affinity, core: int | None) -> AbstractContextManager[None]:
-    if wanted is Affinity.TOGETHER:
+def _thread_placement(placement: Affinity, core: int | None) -> AbstractContextManager[None]:
+    if placement is Affinity.TOGETHER:
         affinity.set_affinity(core)
-    return affinity.threads_started_on(None if wanted is Affinity.OFF else core)
+    return affinity.threads_started_on(None if placement is Affinity.OFF else core)

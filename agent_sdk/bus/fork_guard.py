@@ -1,4 +1,4 @@
-"""Buses in a forked process: they stay with the parent, since Zenoh's threads do not survive a fork."""
+"""Disown buses in a forked process: they stay with the parent, because Zenoh's threads do not survive a fork."""
 
 from __future__ import annotations
 
@@ -11,28 +11,28 @@ from topics.errors import BusError
 
 
 class Disownable(Protocol):
-    """What cannot be used after a fork."""
+    """An object that cannot be used in a forked process."""
 
     def forked(self) -> None:
-        """Called in the forked process, before anything else runs there."""
+        """Disown it; called in the forked process before anything else runs there."""
 
 
 class ForkedSession:
-    """In place of a session, any use of which would wait for threads that are not there."""
+    """Replacement for a session, because using one would wait for threads that do not exist."""
 
     def __getattr__(self, name: str) -> Any:
         raise BusError(FORKED)
 
 
 open_buses: WeakSet[Disownable] = WeakSet()
-"""Those of this process."""
+"""The buses of this process."""
 
-_of_parent: list[object] = []
+_parent_objects: list[object] = []
 
 
-def keep(*what: object) -> None:
-    """Keep Zenoh's objects of the parent to the process's end: when they are freed they wait for its threads."""
-    _of_parent.extend(what)
+def keep(*objects: object) -> None:
+    """Keep the parent's Zenoh objects until this process ends: freeing them would wait for threads of the parent."""
+    _parent_objects.extend(objects)
 
 
 def _disown() -> None:

@@ -1,4 +1,4 @@
-"""Presence of a node on the bus, and leaving Zenoh's objects while another thread uses them."""
+"""Presence of a node on the bus, and undeclaring Zenoh's objects while another thread uses them."""
 
 from __future__ import annotations
 
@@ -13,51 +13,51 @@ from zenoh.handlers import Callback
 
 from topics import keys
 
-_DISCOVERY_S = 10.0
-_LEAVE_S = 2.0
+_DISCOVERY_TIMEOUT_S = 10.0
+_UNDECLARE_TIMEOUT_S = 2.0
 
 
 class NodeWatch:
-    """The liveliness of a node; `watch` says of which instance.
+    """Watches the liveliness of one instance of a node.
 
     Args:
-        session: on the node's bus.
-        node: its name.
-        on_loss: called by a thread of Zenoh's when the node, or the way to it, is gone.
+        session: A session on the node's bus.
+        node: The node's name.
+        on_loss: Called in a thread of Zenoh's when the node, or the connection to it, is lost.
 
     Attributes:
-        lost: whether that has happened since `lost` was last set to False.
+        lost: Whether it was lost since this was last set to False.
     """
 
     def __init__(self, session: zenoh.Session, node: str, on_loss: Callable[[], None]) -> None:
         self.lost = False
         self._session, self._node, self._on_loss = session, node, on_loss
-        self._there = threading.Event()
+        self._present = threading.Event()
         self._close = ExitStack()
 
     def watch(self, instance: str) -> None:
-        """Watch this instance from now on, in place of any other."""
+        """Watch this instance from now on, instead of any other."""
         self._close.close()
-        self._there.clear()
-        token, heard = keys.NODE_TOKEN.at(self._node, name=instance), Callback(self._on_token, indirect=False)
-        declared: Any = self._session.liveliness().declare_subscriber(token, heard, history=True)
-        self._close.callback(declared.undeclare)
+        self._present.clear()
+        token, callback = keys.NODE_TOKEN.at(self._node, name=instance), Callback(self._on_token, indirect=False)
+        subscriber: Any = self._session.liveliness().declare_subscriber(token, callback, history=True)
+        self._close.callback(subscriber.undeclare)
 
     def _on_token(self, token: zenoh.Sample) -> None:
         if token.kind == zenoh.SampleKind.DELETE:
             self.lost = True
-            self._there.clear()
+            self._present.clear()
             self._on_loss()
         else:
-            self._there.set()
+            self._present.set()
 
     def wait(self) -> bool:
-        """Wait until the node is there; whether it is, and was not lost meanwhile.
+        """Wait until the node is present; return whether it is, and was not lost meanwhile.
 
-        A node's death is only told to who has heard of its life; and Zenoh 1.10 answers liveliness queries emptily
-        while a history is on its way.
+        Zenoh reports the loss of a token only to subscribers that have received it, and Zenoh 1.10 answers liveliness
+        queries with nothing while a history is being delivered.
         """
-        return self._there.wait(_DISCOVERY_S) and not self.lost
+        return self._present.wait(_DISCOVERY_TIMEOUT_S) and not self.lost
 
     def close(self) -> None:
         """Stop watching."""
@@ -65,14 +65,14 @@ class NodeWatch:
 
 
 def undeclare(declared: Any) -> None:
-    """Undeclare a subscriber or publisher once the thread that is within it has left."""
-    deadline = time.monotonic() + _LEAVE_S
+    """Undeclare a subscriber or publisher as soon as no other thread is using it."""
+    deadline = time.monotonic() + _UNDECLARE_TIMEOUT_S
     while True:
         try:
             declared.undeclare()
         except RuntimeError:  # "Already borrowed": pyo3 lends an object to one thread at a time
             if time.monotonic() > deadline:
-                return  # the caller is a signal's handler in that very thread; the session's close undeclares it
+                return  # the caller is a signal handler in that same thread; closing the session undeclares it
             time.sleep(0.001)
         else:
             return

@@ -1,4 +1,4 @@
-"""A sample as a controller sees it: values by name, who ruled what, and a way to answer."""
+"""A sample as a controller sees it: values by name, value sources, and a method to answer."""
 
 from __future__ import annotations
 
@@ -17,21 +17,27 @@ _TRUNCATED, _FALLBACK = int(Flag.TRUNCATED), int(Flag.FALLBACK)
 
 
 class Replier(Protocol):
-    """Where an answer goes."""
+    """Sends the answer to a sample."""
 
     def send(self, values: Mapping[str, float | None] | NDArray[np.float64] | None = None) -> None:
-        """Answers the present sample."""
+        """Answer the current sample."""
 
 
 class SampleView:
-    """One slot of one sample. `sample["core_zn_air_temperature"]` is a value in the point's unit."""
+    """One slot of one sample. `sample["core_zn_air_temperature"]` is a value in the point's unit.
+
+    Attributes:
+        message: The sample message, with all slots.
+        manifest: The node's manifest.
+        slot: Number of the slot, from 0.
+    """
 
     __slots__ = ("_index", "_link", "manifest", "message", "slot")
 
     def __init__(
-        self, wire: Sample, manifest: Manifest, index: Mapping[str, int], link: Replier | None = None, slot: int = 0
+        self, message: Sample, manifest: Manifest, index: Mapping[str, int], link: Replier | None = None, slot: int = 0
     ) -> None:
-        self.message, self.manifest, self.slot, self._index, self._link = wire, manifest, slot, index, link
+        self.message, self.manifest, self.slot, self._index, self._link = message, manifest, slot, index, link
 
     @property
     def episode(self) -> int:
@@ -50,70 +56,70 @@ class SampleView:
 
     @property
     def truncated(self) -> bool:
-        """Whether this is the episode's last sample: the run period is over."""
+        """Whether this is the episode's last sample, at the end of the run period."""
         return bool(self.message.flags[self.slot] & _TRUNCATED)
 
     @property
     def fallback(self) -> bool:
-        """Whether the timestep that this sample closes went on without a command of a required controller."""
+        """Whether the timestep that ends with this sample ran without a command of a required controller."""
         return bool(self.message.flags[self.slot] & _FALLBACK)
 
     @property
     def values(self) -> NDArray[np.float64]:
-        """Sensors, then meters, shape (points,), in manifest order and units."""
+        """Values of sensors, then meters, shape (points,), in manifest order and units."""
         return self._points(self.message.values, "values")
 
     @property
     def fault_free_values(self) -> NDArray[np.float64]:
-        """What EnergyPlus said: `values`, but for the faults that the node injects into them."""
+        """Values as EnergyPlus computed them: `values` without the faults that the node injects; same shape."""
         raw = self.message.fault_free_values
         return self._points(raw, "fault_free_values") if raw else self.values
 
     @property
     def effective(self) -> NDArray[np.float64]:
-        """What each actuator really was, shape (actuators,); NaN where EnergyPlus does not tell."""
+        """Effective value of each actuator, shape (actuators,); NaN where EnergyPlus does not report it."""
         return self._actuators(self.message.effective, "effective")
 
     @property
     def baseline(self) -> NDArray[np.float64] | None:
-        """Like `values`, of the building left to its own control; None unless the node runs it."""
+        """`values` of the same building under baseline control; None unless the node runs a baseline."""
         return self._points(self.message.baseline, "baseline") if self.manifest.baseline else None
 
     @property
     def baseline_effective(self) -> NDArray[np.float64] | None:
-        """Like `effective`, what the building's own control sets its actuators to in `baseline`."""
+        """Effective values that the baseline control sets in `baseline`; None unless the node runs a baseline."""
         return (
             self._actuators(self.message.baseline_effective, "baseline_effective") if self.manifest.baseline else None
         )
 
-    def _points(self, raw: bytes, what: str) -> NDArray[np.float64]:
-        return codec.row(raw, self.slot, self.manifest.slots, len(self._index), what)
+    def _points(self, raw: bytes, field: str) -> NDArray[np.float64]:
+        return codec.row(raw, self.slot, self.manifest.slots, len(self._index), field)
 
-    def _actuators(self, raw: bytes, what: str) -> NDArray[np.float64]:
-        return codec.row(raw, self.slot, self.manifest.slots, len(self.manifest.actuators), what)
+    def _actuators(self, raw: bytes, field: str) -> NDArray[np.float64]:
+        return codec.row(raw, self.slot, self.manifest.slots, len(self.manifest.actuators), field)
 
     @property
     def value_source(self) -> dict[str, str]:
-        """Actuator to who set it; `""` is the building's own control."""
+        """Value source of each actuator by name; `""` is the baseline control."""
         shape = (self.manifest.slots, len(self.manifest.actuators))
-        who = codec.indices(self.message.source_index, shape, "source_index")[self.slot]
-        return {a.name: self.message.sources[i] for a, i in zip(self.manifest.actuators, who.tolist(), strict=True)}
+        sources = codec.indices(self.message.source_index, shape, "source_index")[self.slot]
+        return {a.name: self.message.sources[i] for a, i in zip(self.manifest.actuators, sources.tolist(), strict=True)}
 
     def __getitem__(self, name: str) -> float:
-        """The value of a sensor or meter; `UnknownName` lists near names."""
+        """Return the value of a sensor or meter; `UnknownName` lists similar names."""
         index = self._index.get(name)
         if index is None:
             raise UnknownName(f"no sensor or meter {name!r}; {did_you_mean(name, self._index)}")
         return float(self.values[index])
 
     def as_dict(self) -> dict[str, float]:
-        """All sensors and meters by name."""
+        """Return the values of all sensors and meters by name."""
         return dict(zip(self._index, self.values.tolist(), strict=True))
 
     def send(self, values: Mapping[str, float | None] | NDArray[np.float64] | None = None) -> None:
-        """Answers this sample; see `ControllerLink.send`."""
+        """Answer this sample; see `ControllerLink.send`."""
         if self._link is None:
-            raise UnknownName("this sample belongs to a listener; only a controller can answer")
+            raise UnknownName("this sample was received by a listener; only a controller can answer")
         self._link.send(values)
 
     def __repr__(self) -> str:

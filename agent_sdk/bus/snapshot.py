@@ -1,4 +1,4 @@
-"""A place in an episode to go back to."""
+"""Snapshots: samples of an episode that an environment can return to."""
 
 from __future__ import annotations
 
@@ -20,15 +20,19 @@ from topics.messages import Manifest
 
 @dataclass(slots=True)
 class Snapshot:
-    """Where an environment stood: `env.reset(options={"snapshot": snap})` goes back there.
+    """A stopped copy of an environment's engines; `env.reset(options={"snapshot": snap})` returns to it.
 
-    The node keeps an engine that waits at that sample; it costs the memory by which the episode has diverged from it
-    since (`zenostat status` shows it). `close()`, or the end of a `with`, gives it back; so does the environment's end.
+    The node keeps an engine that waits at the sample; it costs the memory by which the episode has diverged from it
+    since (`zenostat status` shows it). `close()`, the end of a `with` statement, or closing the environment frees it.
 
     Attributes:
-        node, instance: whose it is.
-        name: what it is called there.
-        sample: the one at which it stands.
+        bus: The bus of the node.
+        node, instance: Name and instance of the node that keeps it.
+        name: Its name on that node.
+        sample: The sample at which it was taken.
+        env_state: State of the environment: reward, limits, context.
+        wrapper_states: State of each wrapper around the environment.
+        closed: Whether it has been closed.
     """
 
     bus: Bus
@@ -41,10 +45,10 @@ class Snapshot:
     closed: bool = False
 
     def check(self, manifest: Manifest) -> None:
-        """Whether an environment on this node can go back to it.
+        """Check that an environment on this node can return to it.
 
         Raises:
-            InvalidConfig: it is closed, of another node, or its node has started again since.
+            InvalidConfig: It is closed, of another node, or its node was restarted since.
         """
         if self.closed:
             raise InvalidConfig(f"snapshot {self.name} of node {self.node!r} is closed; take another one")
@@ -54,18 +58,16 @@ class Snapshot:
             )
         if self.instance != manifest.instance:
             raise InvalidConfig(
-                f"snapshot {self.name} went with the node {self.node!r} that it was of, which has started again since; "
-                "take another one"
+                f"snapshot {self.name} was lost when its node {self.node!r} was restarted; take another one"
             )
 
     def close(self) -> None:
-        """Gives its memory back; twice is fine, and so is after the node's end."""
+        """Free its memory; idempotent, also after the node has ended."""
         if not self.closed:
             self.closed = True
-            with suppress(
-                BusError, RequestRejected, ZError
-            ):  # the node or the bus has ended, and its snapshots with it
-                if self.bus.manifest(self.node).instance == self.instance:  # another's may have the same name
+            # If the node has ended or the bus is closed, the snapshot is gone already.
+            with suppress(BusError, RequestRejected, ZError):
+                if self.bus.manifest(self.node).instance == self.instance:  # a restarted node may reuse the name
                     self.bus.drop(self.node, self.name)
 
     def __enter__(self) -> Snapshot:
@@ -75,43 +77,43 @@ class Snapshot:
         self.close()
 
 
-def forking(link: object) -> ControllerLink:
-    """The hold on a node that can fork; `InvalidConfig` if it is none, as of a fake building."""
+def require_node(link: object) -> ControllerLink:
+    """Return the link to a node that can fork; `InvalidConfig` for any other link, such as a fake building's."""
     if not isinstance(link, ControllerLink):
-        raise InvalidConfig("this environment has no node: nothing that could be forked")
+        raise InvalidConfig("this environment has no node; only an environment of a node has snapshots and branches")
     return link
 
 
-def take(link: ControllerLink, sample: SampleView, memory: EpisodeState[Any]) -> Snapshot:
-    """Keeps where a node stands, at `sample`, and the memory of its environment and of the wrappers around it.
+def take(link: ControllerLink, sample: SampleView, state: EpisodeState[Any]) -> Snapshot:
+    """Take a snapshot of a node at `sample`, with the state of its environment and of the wrappers around it.
 
     Raises:
-        RequestRejected: no episode is running, the node has its maximum of snapshots and branches, or it is one.
-        ForkFailed: the system has no memory for a fork; the episode goes on.
+        RequestRejected: No episode is running, the node is a branch, or has its maximum of snapshots and branches.
+        ForkFailed: The system has no memory for a fork; the episode continues.
     """
     node, bus = link.manifest.node, link.bus
     name = bus.snapshot(node, link.name).snapshot
-    return Snapshot(bus, node, link.manifest.instance, name, sample, memory.state(), memory.wrapper_states())
+    return Snapshot(bus, node, link.manifest.instance, name, sample, state.capture(), state.wrapper_states())
 
 
-def asked_for(options: Mapping[str, Any], manifest: Manifest, others: Collection[str] = ()) -> Snapshot | None:
-    """The snapshot that the options of a reset name, if they name one.
+def from_options(options: Mapping[str, Any], manifest: Manifest, allowed: Collection[str] = ()) -> Snapshot | None:
+    """Return the snapshot in the options of a reset, if there is one.
 
     Args:
-        options: of `reset`.
-        manifest: of the environment's node.
-        others: what else the options may name.
+        options: The options of `reset`.
+        manifest: The manifest of the environment's node.
+        allowed: Names of the other options.
 
     Raises:
-        InvalidConfig: an unknown option; no snapshot, or one that this environment cannot go back to.
+        InvalidConfig: Unknown option, not a snapshot, or one that this environment cannot return to.
     """
-    known = ("snapshot", *others)
+    known = ("snapshot", *allowed)
     if unknown := sorted(set(options) - set(known)):
         raise InvalidConfig(f"unknown reset options {unknown}; there is: {', '.join(map(repr, known))}")
     snapshot = options.get("snapshot")
     if snapshot is None:
         return None
     if not isinstance(snapshot, Snapshot):
-        raise InvalidConfig(f"options['snapshot'] is {snapshot!r}; what env.unwrapped.snapshot() gave is expected")
+        raise InvalidConfig(f"options['snapshot'] is {snapshot!r}; a result of env.unwrapped.snapshot() expected")
     snapshot.check(manifest)
     return snapshot

@@ -1,4 +1,4 @@
-"""From an agent's action to a value for each actuator, checked."""
+"""Convert an agent's action to a checked value for each actuator."""
 
 from __future__ import annotations
 
@@ -15,38 +15,38 @@ from topics.errors import InvalidAction, did_you_mean
 from topics.messages import Action, CommandOp, DiscreteAction, Manifest
 from topics.units import with_unit
 
-_FEW = 8
+_SMALL = 8
 
 
 class Actions:
     """The actions of a node's task.
 
     Attributes:
-        space: `Box`, float32, shape (actions,), or `DiscreteSpec`, or `MultiDiscrete`.
-        operations: what a command does to each actuator, raw; None if they set all.
+        space: `Box`, float32, shape (actions,), or `Discrete`, or `MultiDiscrete`.
+        operations: A `CommandOp` byte for each actuator; None if the actions set all of them.
     """
 
     def __init__(self, manifest: Manifest) -> None:
         task = manifest.task
         self.space = spaces.action_space(manifest)
         self._actions = task.actions
-        self._choices = [_Table(choice, task.actions) for choice in task.discrete_actions]
+        self._tables = [_ChoiceTable(discrete, task.actions) for discrete in task.discrete_actions]
         self._low = np.array([-np.inf if a.low is None else a.low for a in task.actions])
         self._high = np.array([np.inf if a.high is None else a.high for a in task.actions])
         if isinstance(self.space, spaces.Floats):
             low, high = np.minimum(self.space.low, self._low), np.maximum(self.space.high, self._high)
-            self._least, self._most = low - _slack(low), high + _slack(high)
+            self._min, self._max = low - _slack(low), high + _slack(high)
         action_of = {name: i for i, action in enumerate(task.actions) for name in action.actuators}
-        # What an action is compared with number by number, if they are few: that takes less time than arrays do.
         self._floor, self._ceiling = _finite(self._low), _finite(self._high)
+        # A small action is compared with these number by number, which takes less time than arrays do.
         self._bounds = list(zip(self._floor.tolist(), self._ceiling.tolist(), strict=True))
-        self._few = len(self._bounds) <= _FEW
-        self._fan = np.array([action_of.get(a.name, 0) for a in manifest.actuators], np.intp)
-        self._one_each = self._fan.tolist() == list(range(len(task.actions)))
-        left = [a.name for a in manifest.actuators if a.name not in action_of]
-        self._actuators, self._left = manifest.actuators, left
-        kept = [CommandOp.KEEP if a.name in left else CommandOp.SET for a in manifest.actuators]
-        self.operations = bytes(kept) if left else None
+        self._is_small = len(self._bounds) <= _SMALL
+        self._action_index = np.array([action_of.get(a.name, 0) for a in manifest.actuators], np.intp)
+        self._is_identity = self._action_index.tolist() == list(range(len(task.actions)))
+        unbound = [a.name for a in manifest.actuators if a.name not in action_of]
+        self._actuators, self._unbound = manifest.actuators, unbound
+        codes = [CommandOp.KEEP if a.name in unbound else CommandOp.SET for a in manifest.actuators]
+        self.operations = bytes(codes) if unbound else None
 
     @property
     def names(self) -> list[str]:
@@ -54,50 +54,74 @@ class Actions:
         return [action.name for action in self._actions]
 
     def values(self, action: ArrayLike) -> NDArray[np.float64]:
-        """A value for each actuator, shape (actuators,), in manifest order and units.
+        """Return a value for each actuator, shape (actuators,), in manifest order and units.
 
         Raises:
-            InvalidAction: a wrong shape, out of bounds, not finite, or no such choice.
+            InvalidAction: Wrong shape, out of bounds, not finite, or no such choice.
         """
-        chosen = self._chosen(action) if self._choices else self._checked(action)
-        if self._one_each:
-            return chosen
-        return chosen[self._fan] if len(self._actions) else np.zeros(len(self._fan))
+        checked = self._from_choices(action) if self._tables else self._check(action)
+        if self._is_identity:
+            return checked
+        return checked[self._action_index] if len(self._actions) else np.zeros(len(self._action_index))
+
+    def command(self, action: ArrayLike, context: dict[int, float | None]) -> tuple[NDArray[np.float64], bytes | None]:
+        """Return values, as `values` does, and operations of a command; the context is consumed.
+
+        Args:
+            action: The agent's action.
+            context: Values of further actuators by position, as of `context`; None relinquishes one.
+        """
+        values, operations = self.values(action), self.operations
+        if context:
+            assert operations is not None
+            codes = bytearray(operations)
+            for index, value in context.items():
+                codes[index] = CommandOp.RELINQUISH if value is None else CommandOp.SET
+                values[index] = 0.0 if value is None else value
+            operations = bytes(codes)
+            context.clear()
+        return values, operations
 
     def commanded(self, values: NDArray[np.float64], operations: bytes | None) -> NDArray[np.float64]:
-        """The values of a command as an info has them: NaN for actuators that it does not set; shape as `values`."""
+        """Return the values of a command with NaN for actuators that it does not set; shape as `values`."""
         if operations is None:
             return values
         return np.where(np.frombuffer(operations, np.uint8).reshape(values.shape) == CommandOp.SET, values, np.nan)
 
     def rows(self, actions: ArrayLike, slots: int, unread: Collection[int] = ()) -> NDArray[np.float64]:
-        """The same of several slots at once: shape (slots, actuators).
+        """Return the values of several slots, shape (slots, actuators).
 
         Args:
-            actions: as the batched space has them; shape (slots, actions), or (slots,) of one discrete choice.
-            slots: how many.
-            unread: slots whose actions nobody reads, whatever they are; zeros.
+            actions: Elements of the batched space, shape (slots, actions), or (slots,) for one discrete action.
+            slots: Number of slots.
+            unread: Slots whose actions are ignored, whatever they are; their values are zero.
 
         Raises:
-            InvalidAction: as `values` does; the text names the slot.
+            InvalidAction: As for `values`; the text names the slot.
         """
-        chosen = self._chosen_rows(actions, slots, unread) if self._choices else self._checked(actions, slots, unread)
-        if not self._one_each:
-            chosen = chosen[:, self._fan] if len(self._actions) else np.zeros((slots, len(self._fan)))
+        checked = (
+            self._rows_from_choices(actions, slots, unread) if self._tables else self._check(actions, slots, unread)
+        )
+        if not self._is_identity:
+            checked = (
+                checked[:, self._action_index] if len(self._actions) else np.zeros((slots, len(self._action_index)))
+            )
         if unread:
-            chosen[list(unread)] = 0.0
-        return chosen
+            checked[list(unread)] = 0.0
+        return checked
 
     def context(self, values: Mapping[str, float | None]) -> dict[int, float | None]:
-        """By position, values of actuators that are in no action.
+        """Return, by position, values of actuators that belong to no action.
 
         Raises:
-            InvalidAction: an unknown actuator, one that an action sets, or a value out of its bounds or not finite.
+            InvalidAction: Unknown actuator, one that an action sets, or a value out of bounds or not finite.
         """
-        found: dict[int, float | None] = {}
+        context: dict[int, float | None] = {}
         for name, value in values.items():
-            if name not in self._left:
-                raise InvalidAction(f"{name!r} is no actuator beside the actions; {did_you_mean(name, self._left)}")
+            if name not in self._unbound:
+                raise InvalidAction(
+                    f"{name!r} is not an actuator outside the actions; {did_you_mean(name, self._unbound)}"
+                )
             index = next(i for i, a in enumerate(self._actuators) if a.name == name)
             actuator = self._actuators[index]
             low = -np.inf if actuator.low is None else actuator.low
@@ -106,80 +130,78 @@ class Actions:
                 raise InvalidAction(
                     f"{name} = {value!r}; its bounds are {with_unit(f'{low:g} to {high:g}', actuator.unit)}"
                 )
-            found[index] = value
-        return found
+            context[index] = value
+        return context
 
-    def _checked(
-        self, action: ArrayLike, slots: int | None = None, unread: Collection[int] = ()
-    ) -> NDArray[np.float64]:
-        """The action, or a row of each slot's."""
+    def _check(self, action: ArrayLike, slots: int | None = None, unread: Collection[int] = ()) -> NDArray[np.float64]:
+        """Return a copy of a continuous action within its bounds; of several slots, a row for each."""
         values = as_array(action, np.float64)
         shape = self._low.shape if slots is None else (slots, *self._low.shape)
         if values.shape != shape:
-            named = ", ".join(self.names) or "the building's own control"
-            raise InvalidAction(f"action of shape {values.shape}; {shape} expected: {named}")
-        if slots is None and self._few and self._plainly_inside(values):
+            names = ", ".join(self.names) or "no actions, baseline control only"
+            raise InvalidAction(f"action of shape {values.shape}; {shape} expected: {names}")
+        if slots is None and self._is_small and self._is_within_bounds(values):
             return values.copy()  # infos keep it
-        if (np.minimum(np.maximum(values, self._floor), self._ceiling) == values).all():  # NaN is not
+        if (np.minimum(np.maximum(values, self._floor), self._ceiling) == values).all():  # False for NaN
             return values.copy()
-        inside = self._inside(values)
+        inside = self._within_tolerance(values)
         if unread:
             inside[list(unread)] = True
         if not inside.all():
-            raise InvalidAction(self._fault(values, inside))
-        checked: NDArray[np.float64] = np.clip(values, self._low, self._high)
-        return checked
+            raise InvalidAction(self._describe_violations(values, inside))
+        clipped: NDArray[np.float64] = np.clip(values, self._low, self._high)
+        return clipped
 
-    def _plainly_inside(self, values: NDArray[np.float64]) -> bool:
-        for value, (low, high) in zip(values.tolist(), self._bounds, strict=True):  # noqa: SIM110  # no generator
+    def _is_within_bounds(self, values: NDArray[np.float64]) -> bool:
+        for value, (low, high) in zip(values.tolist(), self._bounds, strict=True):  # noqa: SIM110  # a generator is slow
             if not low <= value <= high:
                 return False
         return True
 
-    def _inside(self, values: NDArray[np.float64]) -> NDArray[np.bool_]:
-        # An action that was rescaled in float32 ends a few units in the last place beside a bound: the bound is meant.
-        inside: NDArray[np.bool_] = np.isfinite(values) & (values >= self._least) & (values <= self._most)
-        return inside  # an unbounded action takes any finite value
+    def _within_tolerance(self, values: NDArray[np.float64]) -> NDArray[np.bool_]:
+        # Rescaling an action in float32 can miss a bound by a few units in the last place; the bound is meant.
+        inside: NDArray[np.bool_] = np.isfinite(values) & (values >= self._min) & (values <= self._max)
+        return inside  # for an unbounded action, any finite value
 
-    def _fault(self, values: NDArray[np.float64], inside: NDArray[np.bool_]) -> str:
-        faults = []
+    def _describe_violations(self, values: NDArray[np.float64], inside: NDArray[np.bool_]) -> str:
+        violations = []
         for *slot, index in np.argwhere(~inside).tolist():
             action = self._actions[index]
             bounds = with_unit(f"{self._low[index]:g} to {self._high[index]:g}", action.unit)
-            faults.append(f"{_of(slot)}{action.name} = {values[*slot, index]:g}; its bounds are {bounds}")
-        return "; ".join(faults)
+            violations.append(f"{_slot_prefix(slot)}{action.name} = {values[*slot, index]:g}; its bounds are {bounds}")
+        return "; ".join(violations)
 
-    def _chosen(self, action: ArrayLike) -> NDArray[np.float64]:
-        picked: NDArray[Any] = np.atleast_1d(as_array(action, None))
-        if picked.shape != (len(self._choices),) or not np.issubdtype(picked.dtype, np.integer):
+    def _from_choices(self, action: ArrayLike) -> NDArray[np.float64]:
+        choices: NDArray[Any] = np.atleast_1d(as_array(action, None))
+        if choices.shape != (len(self._tables),) or not np.issubdtype(choices.dtype, np.integer):
             raise InvalidAction(f"action {action!r}; {self.space} expected")
         values = np.empty(len(self._actions))
-        for table, index in zip(self._choices, picked.tolist(), strict=True):
-            if not 0 <= index < len(table.rows):
-                raise InvalidAction(table.fault(index))
-            values[table.columns] = table.rows[index]
+        for table, choice in zip(self._tables, choices.tolist(), strict=True):
+            if not 0 <= choice < len(table.rows):
+                raise InvalidAction(table.describe_invalid(choice))
+            values[table.columns] = table.rows[choice]
         return values
 
-    def _chosen_rows(self, actions: ArrayLike, slots: int, unread: Collection[int]) -> NDArray[np.float64]:
-        picked = as_array(actions, None)
+    def _rows_from_choices(self, actions: ArrayLike, slots: int, unread: Collection[int]) -> NDArray[np.float64]:
+        choices = as_array(actions, None)
         shape = (slots, *(self.space.shape or ()))
-        if picked.shape != shape or not np.issubdtype(picked.dtype, np.integer):
+        if choices.shape != shape or not np.issubdtype(choices.dtype, np.integer):
             raise InvalidAction(f"action {actions!r}; {self.space} expected of each of {slots} slots")
-        picked = picked.reshape(slots, len(self._choices))
+        choices = choices.reshape(slots, len(self._tables))
         if unread:
-            picked = picked.copy()
-            picked[list(unread)] = 0
+            choices = choices.copy()
+            choices[list(unread)] = 0
         values = np.empty((slots, len(self._actions)))
-        for table, chosen in zip(self._choices, picked.T, strict=True):
-            wrong = (chosen < 0) | (chosen >= len(table.rows))
-            if wrong.any():
-                slot = int(wrong.argmax())
-                raise InvalidAction(_of([slot]) + table.fault(int(chosen[slot])))
-            values[:, table.columns] = table.rows[chosen]
+        for table, column in zip(self._tables, choices.T, strict=True):
+            invalid = (column < 0) | (column >= len(table.rows))
+            if invalid.any():
+                slot = int(invalid.argmax())
+                raise InvalidAction(_slot_prefix([slot]) + table.describe_invalid(int(column[slot])))
+            values[:, table.columns] = table.rows[column]
         return values
 
 
-def _of(slot: list[int]) -> str:
+def _slot_prefix(slot: list[int]) -> str:
     return f"slot {slot[0]}: " if slot else ""
 
 
@@ -190,16 +212,16 @@ def _slack(bound: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _finite(bounds: NDArray[np.float64]) -> NDArray[np.float64]:
-    most = np.finfo(np.float64).max
-    finite: NDArray[np.float64] = np.clip(bounds, -most, most)
+    largest = np.finfo(np.float64).max
+    finite: NDArray[np.float64] = np.clip(bounds, -largest, largest)
     return finite
 
 
-def as_array(action: ArrayLike, kind: type[np.float64] | None) -> NDArray[Any]:
-    """An action as an array of float64, or of its own type.
+def as_array(action: ArrayLike, dtype: type[np.float64] | None) -> NDArray[Any]:
+    """Convert an action to an array of float64, or of its own type.
 
     Raises:
-        InvalidAction: not numbers, complex ones, or values that a mask hides.
+        InvalidAction: Not numbers, complex numbers, or masked values.
     """
     if type(action) is not np.ndarray and np.ma.is_masked(action):
         raise InvalidAction(f"action {action!r} has masked values; a number for each expected")
@@ -207,20 +229,20 @@ def as_array(action: ArrayLike, kind: type[np.float64] | None) -> NDArray[Any]:
         values = np.asarray(action)
         if values.dtype.kind == "c":  # NumPy would drop the imaginary part
             raise InvalidAction(f"action {action!r} is complex; real numbers expected")
-        return np.asarray(values, kind)
+        return np.asarray(values, dtype)
     except (TypeError, ValueError) as error:
-        raise InvalidAction(f"action {action!r} is no array of numbers: {error}") from None
+        raise InvalidAction(f"action {action!r} is not an array of numbers: {error}") from None
 
 
-class _Table:
-    """One discrete dimension: the positions of its actions, and a row of values for each choice."""
+class _ChoiceTable:
+    """One discrete action: the positions of the actions that it sets, and a row of their values for each choice."""
 
-    def __init__(self, choice: DiscreteAction, actions: tuple[Action, ...]) -> None:
-        places = {action.name: i for i, action in enumerate(actions)}
-        self.names = choice.actions
-        self.columns = np.array([places[name] for name in choice.actions], np.intp)
-        self.rows = np.array(choice.values, np.float64)
+    def __init__(self, discrete: DiscreteAction, actions: tuple[Action, ...]) -> None:
+        positions = {action.name: i for i, action in enumerate(actions)}
+        self.names = discrete.actions
+        self.columns = np.array([positions[name] for name in discrete.actions], np.intp)
+        self.rows = np.array(discrete.values, np.float64)
 
-    def fault(self, index: int) -> str:
-        """What is wrong with a choice that is not there."""
-        return f"choice {index} of {', '.join(self.names)}; 0 to {len(self.rows) - 1} expected"
+    def describe_invalid(self, choice: int) -> str:
+        """Describe the error of an index without a row."""
+        return f"choice {choice} of {', '.join(self.names)}; 0 to {len(self.rows) - 1} expected"

@@ -1,4 +1,4 @@
-"""An environment's hold on a node: one of its own, one on a bus, or what stands in for one."""
+"""An environment's connection to a node: a local one, one on a bus, or a replacement for a node."""
 
 from __future__ import annotations
 
@@ -6,15 +6,18 @@ import time
 import warnings
 from collections.abc import Mapping
 from contextlib import AbstractContextManager, ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from agent_sdk.bus.bus import Bus
-from agent_sdk.bus.bus import connect as join
+from agent_sdk.bus.bus import connect as connect_bus
 from agent_sdk.bus.controller_link import ControllerLink
 from agent_sdk.bus.local_node import LocalNode, Monitor, ignore_interrupts
 from agent_sdk.bus.sample import SampleView
+from agent_sdk.bus.snapshot import require_node
 from agent_sdk.envs import arguments
+from agent_sdk.envs.space_names import SpaceNames
 from agent_sdk.rewards import AnyReward, Reward, read_reward
 from bridge.runtime.affinity import Affinity
 from topics.errors import BusError, EpisodeChanged, InvalidConfig
@@ -22,33 +25,45 @@ from topics.messages import Manifest
 
 NAME = "building"
 AGENT = "agent"
-"""What an environment is called in its own `info["value_source"]`; its name on the bus differs from run to run."""
+"""The environment's name in its own `info["value_source"]`; its name on the bus differs from run to run."""
 RENDER_MODES = ("rgb_array", "rerun")
 BUSY = "another thread is in step() or reset() of this environment; one thread at a time, or an environment for each"
-_REAPED_S = 1.0
-"""How soon after its last message a killed process has ended."""
+_EXIT_TIMEOUT_S = 1.0
+"""How long after its last message a killed process may take to end."""
+
+
+@dataclass(frozen=True)
+class _Target:
+    """Where the node is, and how to control it."""
+
+    endpoint: str
+    node: str
+    priority: int
+    placement: Affinity
+    core: int | None = None
 
 
 class NodeConnection:
-    """Finds a node elsewhere, or starts one, which tells its manifest before anybody joins its bus.
+    """Connects to a node on a bus, or starts a local one, whose manifest is known before its bus is used.
 
     Args:
-        given: what the user decided of the node, by the names of `arguments.NODE_ARGUMENTS`.
-        reward, connect, node, priority, affinity, render_mode, keys, link: see `BuildingEnv`.
-        slots: how many engines the node has.
+        node_arguments: The user's arguments for the node, by the names of `arguments.NODE_ARGUMENTS`.
+        reward, connect, node, priority, affinity, render_mode, keys, link: See `BuildingEnv`.
+        slots: Number of the node's engines.
 
     Attributes:
-        manifest: what the node is.
-        local_node: the node that was started; None if it runs elsewhere.
-        reward: what rewards; None if nothing does.
+        manifest: The node's manifest.
+        local_node: The node that was started; None if it runs elsewhere.
+        reward: The reward; None if there is none.
+        closed: Whether it has been closed.
 
     Raises:
-        UsageError, BusError, SimulatorError: see `topics.errors`; nothing is left behind.
+        UsageError, BusError, SimulatorError: See `topics.errors`; everything that was started is closed again.
     """
 
     def __init__(
         self,
-        given: Mapping[str, Any],
+        node_arguments: Mapping[str, Any],
         *,
         reward: AnyReward | None,
         connect: str | None,
@@ -60,164 +75,176 @@ class NodeConnection:
         link: Any = None,
         slots: int = 1,
     ) -> None:
-        self._close, self.closed, self._watched = ExitStack(), False, False
+        self._close, self.closed, self._has_monitor = ExitStack(), False, False
         self.local_node: LocalNode | None = None
         self._link, self._slots = link, slots
         self._keys = None if keys is None else Path(keys)
         self._bus: Bus | None = None
-        self._way: tuple[str, str, int, Affinity, int | None]
+        self._target: _Target
         with ExitStack() as undo:
             undo.callback(self.abandon)
-            _check_render(render_mode)
+            if render_mode is not None and render_mode not in RENDER_MODES:
+                raise InvalidConfig(f"render_mode {render_mode!r}; there are: {', '.join(RENDER_MODES)}")
             if keys is not None and connect is None:
-                raise InvalidConfig("keys= go with connect='tls/HOST:PORT': a node of one's own is on no network")
+                raise InvalidConfig("keys= needs connect='tls/HOST:PORT'; a local node is not on a network")
             if link is not None:
-                if given or connect or render_mode == "rerun":
+                if node_arguments or connect or render_mode == "rerun":
                     raise InvalidConfig(
-                        "link= brings a building of its own, and is on no bus; leave out what else decides"
+                        "link= has a building of its own and no bus; leave out the arguments that choose a building or "
+                        "a bus, and render_mode='rerun'"
                     )
                 self._close.callback(link.close)
                 self.manifest: Manifest = link.manifest
+            elif connect is None:
+                self._start_local(node_arguments, reward, node or NAME, priority, Affinity(affinity))
             else:
-                self._find_node(given, reward, connect, node, priority, Affinity(affinity))
+                self._connect(node_arguments, connect, node, priority, Affinity(affinity))
             self._check_slots()
-            wanted = self.manifest.task.reward if reward == arguments.FROM_SCENARIO else reward
-            self.reward: Reward | None = None if wanted is None else read_reward(wanted)
+            chosen = self.manifest.task.reward if reward == arguments.FROM_SCENARIO else reward
+            self.reward: Reward | None = None if chosen is None else read_reward(chosen)
             undo.pop_all()
 
-    def _find_node(
-        self,
-        given: Mapping[str, Any],
-        reward: AnyReward | None,
-        endpoint: str | None,
-        node: str | None,
-        priority: int,
-        placement: Affinity,
+    def _start_local(
+        self, node_arguments: Mapping[str, Any], reward: AnyReward | None, node: str, priority: int, placement: Affinity
     ) -> None:
-        if endpoint is None:
-            wanted = arguments.for_node(given, node or NAME, self._slots)
-            if reward != arguments.FROM_SCENARIO:
-                wanted["own_reward"] = True
-            arguments.check_reward(reward, wanted, placement)
-            self._start(wanted, node or NAME, priority, placement)
-            return
-        if given:
-            raise InvalidConfig(f"{', '.join(given)}: the node at {endpoint} has its own; leave out what it decides")
+        settings = arguments.for_node(node_arguments, node, self._slots)
+        if reward != arguments.FROM_SCENARIO:
+            settings["own_reward"] = True
+        arguments.check_reward(reward, settings, placement)
+        self._start(settings, node, priority, placement)
+
+    def _connect(
+        self, node_arguments: Mapping[str, Any], endpoint: str, node: str | None, priority: int, placement: Affinity
+    ) -> None:
+        if node_arguments:
+            raise InvalidConfig(
+                f"{', '.join(node_arguments)}: the node at {endpoint} has its own settings; leave these arguments out"
+            )
         if node is None:
             raise InvalidConfig(f"connect={endpoint!r} needs the node's name: node='office'")
-        self._way = (endpoint, node, priority, placement, None)
-        self.manifest = self._joined().manifest(node)
-        self._check_slots()  # before anything is claimed
+        self._target = _Target(endpoint, node, priority, placement)
+        self.manifest = self._connected_bus().manifest(node)
+        self._check_slots()  # before the link claims actuators
         self.manifest = self.link.manifest
 
-    def _start(self, wanted: dict[str, Any], node: str, priority: int, placement: Affinity) -> None:
-        own = LocalNode(wanted, placement)
-        self._close.callback(own.close)
-        assert own.manifest is not None
-        self.local_node, self.manifest, self._wanted = own, own.manifest, wanted
-        self._way = (own.endpoint, node, priority, placement, own.core)
+    def _start(self, settings: dict[str, Any], node: str, priority: int, placement: Affinity) -> None:
+        local_node = LocalNode(settings, placement)
+        self._close.callback(local_node.close)
+        assert local_node.manifest is not None
+        self.local_node, self.manifest, self._settings = local_node, local_node.manifest, settings
+        self._target = _Target(local_node.endpoint, node, priority, placement, local_node.core)
 
     def reset(self, *, seed: int | None) -> SampleView:
-        """Starts an episode, on another node if the environment's own ends just now; see `ControllerLink.reset`."""
+        """Start an episode, on a new node if the local one is just ending; see `ControllerLink.reset`."""
         try:
             sample: SampleView = self.link.reset(seed=seed)
         except BusError:
-            if self.local_node is None or not self._has_ended(self.local_node) or not self.renew():
+            if self.local_node is None or not self._has_ended(self.local_node) or not self.restart_if_ended():
                 raise
             sample = self.link.reset(seed=seed)
         self.manifest = self.link.manifest
         return sample
 
-    def _has_ended(self, own: LocalNode) -> bool:
-        deadline = time.monotonic() + _REAPED_S
-        while not own.end and time.monotonic() < deadline:
+    def _has_ended(self, local_node: LocalNode) -> bool:
+        deadline = time.monotonic() + _EXIT_TIMEOUT_S
+        while not local_node.end and time.monotonic() < deadline:
             time.sleep(0.01)
-        return bool(own.end)
+        return bool(local_node.end)
 
-    def renew(self) -> bool:
-        """Starts another node where the environment's own has ended, and warns; whether it did.
+    def restart_if_ended(self) -> bool:
+        """Start a new local node if the former one has ended, and warn; return whether it did.
 
         Raises:
-            UsageError, BusError, SimulatorError: as when the environment was made; it can be tried again.
+            UsageError, BusError, SimulatorError: As when the environment was made; the call can be repeated.
         """
-        own = self.local_node
-        if own is None or self.closed:
+        local_node = self.local_node
+        if local_node is None or self.closed:
             return False
         lost = isinstance(self._link, ControllerLink) and self._link.lost
-        if not own.end and not (lost and self._has_ended(own)):  # a killed process is off the bus before it has ended
+        if not local_node.end and not (lost and self._has_ended(local_node)):  # a killed process leaves the bus first
             return False
-        how = own.end
-        _, node, priority, placement, _ = self._way
+        cause, target = local_node.end, self._target
         self._close.close()
         self._link = self._bus = None
-        self._start(self._wanted, node, priority, placement)
-        if self._watched:
+        self._start(self._settings, target.node, target.priority, target.placement)
+        if self._has_monitor:
             self.open_monitor()
         warnings.warn(
-            f"the environment's own node had ended ({how}), and another one was started; its snapshots are gone, and "
+            f"the environment's own node had ended ({cause}), and another one was started; its snapshots are lost, and "
             "without a seed its weather is drawn anew",
             stacklevel=4,
         )
         return True
 
     def _check_slots(self) -> None:
-        node, there = self.manifest.node, self.manifest.slots
-        if there == self._slots:
+        node, count = self.manifest.node, self.manifest.slots
+        if count == self._slots:
             return
-        if there > 1:
+        if count > 1:
             raise InvalidConfig(
-                f"node {node!r} has {there} slots, not {self._slots}: gymnasium.make_vec(…, num_envs={there})"
+                f"node {node!r} has {count} slots, not {self._slots}: gymnasium.make_vec(…, num_envs={count})"
             )
         raise InvalidConfig(f"node {node!r} has a single slot, not {self._slots}: gymnasium.make(…), or num_envs=1")
 
     @property
     def link(self) -> Any:
-        """The control of the node.
+        """The link to the node.
 
-        An own node's bus is joined when it is first needed: up to then this process has no threads of Zenoh's and may
-        be forked, as Gymnasium's asynchronous vector environments do it.
+        The bus of a local node is connected on first use: until then this process has no threads of Zenoh's and may be
+        forked, as Gymnasium's asynchronous vector environments do.
         """
         if self._link is None:
-            _, node, priority, _, _ = self._way
-            self._link = self._close.enter_context(self._joined().controller(node, name="env", priority=priority))
+            bus, target = self._connected_bus(), self._target
+            self._link = self._close.enter_context(bus.controller(target.node, name="env", priority=target.priority))
         return self._link
 
-    def _joined(self) -> Bus:
+    def _connected_bus(self) -> Bus:
         if self._bus is None:
-            endpoint, _, _, placement, core = self._way
-            self._bus = self._close.enter_context(join(endpoint, affinity=placement, core=core, keys=self._keys))
+            target = self._target
+            bus = connect_bus(target.endpoint, affinity=target.placement, core=target.core, keys=self._keys)
+            self._bus = self._close.enter_context(bus)
         return self._bus
 
     def open_monitor(self) -> None:
-        """Opens a live view of the bus, which ends with the hold."""
-        self._watched = True
-        self._close.callback(Monitor(self._way[0], self._keys).close)
+        """Open a live view of the bus, which closes with the connection."""
+        self._has_monitor = True
+        self._close.callback(Monitor(self._target.endpoint, self._keys).close)
 
     def warn(self, stacklevel: int) -> None:
-        """Says what in the model works against the scenario's actuators; `stacklevel` as of the caller."""
+        """Warn of controls in the model that conflict with the scenario's actuators; `stacklevel` is the caller's."""
         for warning in self.manifest.warnings:
             warnings.warn(f"{self.manifest.building}: {warning}", stacklevel=stacklevel + 1)
 
-    def push_exit(self, what: AbstractContextManager[object]) -> None:
-        """Has something else that was entered end with the hold, before all else."""
-        self._close.push(what)
+    def push_exit(self, exits: AbstractContextManager[object]) -> None:
+        """Exit another context manager first when the connection closes."""
+        self._close.push(exits)
 
     def check_open(self) -> None:
-        """Refuses to go on with an environment that was closed."""
+        """Raise `EpisodeChanged` if the environment is closed."""
         if self.closed:
             raise EpisodeChanged("the environment is closed; make another one") from None
 
     def abandon(self) -> None:
-        """Closes what an error or Ctrl-C left half made; a second Ctrl-C does not disturb it."""
+        """Close after an error or Ctrl-C; a second Ctrl-C does not interrupt it."""
         with ignore_interrupts():
             self.close()
 
     def close(self) -> None:
-        """Lets go of the node, and ends it if it was started here; twice is fine."""
+        """Disconnect from the node, and end it if it is local; idempotent."""
         self.closed = True
         self._close.close()
 
 
-def _check_render(mode: str | None) -> None:
-    if mode is not None and mode not in RENDER_MODES:
-        raise InvalidConfig(f"render_mode {mode!r}; there are: {', '.join(RENDER_MODES)}")
+class ConnectedEnv(SpaceNames):
+    """An environment, or a vector of them, that is connected to a node."""
+
+    _connection: NodeConnection
+
+    @property
+    def local_node(self) -> LocalNode | None:
+        """The local node; None if the node runs elsewhere."""
+        return self._connection.local_node
+
+    def _forkable_link(self) -> ControllerLink:
+        self._connection.check_open()
+        return require_node(self._connection.link)

@@ -1,4 +1,4 @@
-"""What an environment remembers of its episode beside the building's own state."""
+"""State of an environment's episode besides the building's own."""
 
 from __future__ import annotations
 
@@ -19,63 +19,66 @@ from agent_sdk.rewards.base import Begin
 C = TypeVar("C")
 
 
-def _nan(found: Mapping[str, Any]) -> dict[str, Any]:
-    """The same keys with NaN for each number, in the same shape and kind."""
-    return {name: np.full(one.shape, np.nan) if np.ndim(one) else _kind(one)(math.nan) for name, one in found.items()}
+def _nan_like(numbers: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the same keys with NaN for each number, in the same shape and type."""
+    return {
+        name: np.full(number.shape, np.nan) if np.ndim(number) else _float_type(number)(math.nan)
+        for name, number in numbers.items()
+    }
 
 
-def _kind(number: Any) -> type[float]:
-    return type(number) if isinstance(number, float) else float  # float64 is one
+def _float_type(number: Any) -> type[float]:
+    return type(number) if isinstance(number, float) else float  # np.float64 is a float
 
 
 @dataclass(slots=True)
 class EpisodeState(Generic[C]):
-    """Of one building, or of several slots.
+    """State of the episode of one building, or of several slots.
 
     Attributes:
-        reward, limits: those of the task, if it has any.
-        context: what stands in the next command beside the action.
-        wrappers: those of the SDK around the environment, which remember something as well.
+        reward, limits: Those of the task; None if it has none.
+        context: Values of actuators outside the actions for the next command.
+        wrappers: The SDK's wrappers around the environment that have a state.
     """
 
     reward: BoundReward | None
     limits: TerminationLimits | None
     context: C
     wrappers: WeakSet[Any] = field(default_factory=WeakSet)
-    _unrewarded: dict[str, Any] | None = None
+    _reset_entries: dict[str, Any] | None = None
 
     def reset(self, slots: Sequence[int] | None = None) -> None:
-        """An episode begins (in these slots; None: in all): reward and limits forget the former one."""
-        for remembers in (self.reward, self.limits):
-            if remembers is not None:
-                remembers.reset(slots)
+        """Reset reward and limits for a new episode in these slots; None: in all."""
+        for stateful in (self.reward, self.limits):
+            if stateful is not None:
+                stateful.reset(slots)
 
     def unrewarded(self, values: NDArray[np.float64], begin: Begin) -> dict[str, Any]:
-        """What the info of a reset has of the reward, so that all infos have the same keys: NaN for each number.
+        """Return the reward's entries in the info of a reset, with NaN for each number, so that all infos have them.
 
-        Which they are is asked of a copy of the reward once, at the first sample.
+        A copy of the reward is called once, at the first sample, to learn its keys.
         """
         if self.reward is None:
             return {}
-        if self._unrewarded is None:
+        if self._reset_entries is None:
             try:
-                _, terms, measures = copy.deepcopy(self.reward)(values, begin)
-            except Exception:  # somebody's own may not be ready for sample 0; the first step tells what is wrong
-                terms, measures = {}, {}
-            self._unrewarded = {"reward_terms": _nan(terms), "reward_metrics": _nan(measures)}
-        return copy.deepcopy(self._unrewarded)
+                _, terms, metrics = copy.deepcopy(self.reward)(values, begin)
+            except Exception:  # a user's reward may not be ready for sample 0; the first step raises what is wrong
+                terms, metrics = {}, {}
+            self._reset_entries = {"reward_terms": _nan_like(terms), "reward_metrics": _nan_like(metrics)}
+        return copy.deepcopy(self._reset_entries)
 
-    def state(self) -> dict[str, Any]:
-        """All of it, on its own."""
+    def capture(self) -> dict[str, Any]:
+        """Return an independent copy of the state of reward, limits and context."""
         reward = self.reward.state() if self.reward is not None else {}
         return copy.deepcopy({"reward": reward, "limits": self.limits, "context": self.context})
 
     def wrapper_states(self) -> WeakKeyDictionary[Any, Any]:
-        """What each wrapper remembers."""
+        """Return the state of each wrapper."""
         return WeakKeyDictionary({wrapper: wrapper.remembered() for wrapper in self.wrappers})
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Goes on from a `state`."""
+        """Restore a captured state."""
         state = copy.deepcopy(dict(state))
         if self.reward is not None:
             self.reward.restore(state["reward"])

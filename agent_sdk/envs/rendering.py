@@ -15,11 +15,11 @@ from topics.messages import Manifest
 
 _DAY = timedelta(days=1)
 _SIZE_IN, _DPI = (9.6, 6.4), 100
-_MOST_LINES = 12
+_MAX_LINES = 12
 
 
 class RollingHistory:
-    """The samples of the last day, and their picture."""
+    """The samples of the last day, and a picture of them."""
 
     def __init__(self, manifest: Manifest) -> None:
         try:
@@ -35,17 +35,17 @@ class RollingHistory:
         self._rows: deque[tuple[datetime, NDArray[np.float64]]] = deque()
 
     def clear(self) -> None:
-        """An episode begins."""
+        """Remove all samples."""
         self._rows.clear()
 
     def add(self, time: datetime, values: NDArray[np.float64]) -> None:
-        """A sample; those older than a day are let go."""
+        """Add a sample and remove those older than a day."""
         self._rows.append((time, values))
         while time - self._rows[0][0] > _DAY:
             self._rows.popleft()
 
     def picture(self) -> NDArray[np.uint8]:
-        """Temperatures and powers over the last day, shape (640, 960, 3), 0 to 255."""
+        """Draw temperatures and powers of the last day, shape (640, 960, 3), 0 to 255."""
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
 
@@ -56,7 +56,7 @@ class RollingHistory:
         times = [time for time, _ in self._rows]
         table = np.array([values for _, values in self._rows]).reshape(len(times), -1)
         for (unit, columns), axis in zip(shown.items(), axes[:, 0], strict=False):
-            for column in columns[:_MOST_LINES]:
+            for column in columns[:_MAX_LINES]:
                 axis.plot(times, table[:, column], label=self._manifest.sensors[column].name, linewidth=1.2)
             axis.set_ylabel(unit)
             axis.grid(visible=True, alpha=0.3)

@@ -12,55 +12,59 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from agent_sdk.bus.local_node import LocalNode
-from agent_sdk.bus.snapshot import Snapshot, asked_for, forking, take
+from agent_sdk.bus.snapshot import Snapshot, from_options, take
 from agent_sdk.envs import arguments, spaces
 from agent_sdk.envs.actions import Actions
-from agent_sdk.envs.connection import AGENT, BUSY, RENDER_MODES, NodeConnection
+from agent_sdk.envs.connection import BUSY, RENDER_MODES, ConnectedEnv, NodeConnection
 from agent_sdk.envs.episode_state import EpisodeState
+from agent_sdk.envs.infos import VectorSampleInfos
 from agent_sdk.envs.rendering import RollingHistory
-from agent_sdk.envs.space_names import SpaceNames
 from agent_sdk.envs.termination import TerminationLimits
 from agent_sdk.envs.vector_infos import Infos, masked, merge, select
 from agent_sdk.envs.vector_sample import VectorLink, VectorSample, timestep
 from agent_sdk.envs.vector_slot import Seeds, Slot, seeds_of, slots_of
 from agent_sdk.rewards import AnyReward
-from agent_sdk.wrappers import apply_wrappers
 from bridge.runtime.affinity import Affinity
 from topics.errors import BusError, EpisodeChanged, InvalidConfig, UsageError
 from topics.messages import CommandOp, WeatherSeries
 
 Observations = NDArray[np.float32]
 Flags = NDArray[np.bool_]
-Stepped = tuple[Observations, NDArray[np.float64], Flags, Flags, Infos]
+StepResult = tuple[Observations, NDArray[np.float64], Flags, Flags, Infos]
 
-MOST = 256
-"""Slots of a node."""
+MAX_SLOTS = 256
 
 
-class BuildingVectorEnv(SpaceNames, VectorEnv[Observations, Any, NDArray[Any]]):
+class BuildingVectorEnv(ConnectedEnv, VectorEnv[Observations, Any, NDArray[Any]]):
     """One node with an engine for each environment; `gym.make_vec("zenostat/5zone-hot-continuous-v1", num_envs=8)`.
 
-    All engines simulate their timestep at the same time, and a step is one frame there and one back. Slot i is what
-    a single environment with its seed gives: an int seeds slot i with `seed + i`, a list each with its own.
+    All engines simulate their timestep at the same time; a step is one command to the node and one sample back. Slot i
+    gives the same results as a single environment with its seed: an int seeds slot i with `seed + i`, a list each slot
+    with its own seed.
 
     Args:
-        num_envs: how many, 1 to 256. A node on a bus must have as many slots.
-        autoreset_mode: `NextStep`: a slot whose episode has ended begins anew at the next step, whose action it does
-            not read; `SameStep`: at once, the end's observation and info standing in `final_obs` and `final_info`;
-            `Disabled`: only by `reset(options={"reset_mask": …})`.
-        reward, connect, node, priority, affinity, render_mode, link: see `BuildingEnv`. A reward of your own gets an
-            array for each point and a list of times, with an entry a slot.
-        given: what is simulated, as `BuildingEnv` takes it.
+        num_envs: Number of slots, 1 to 256. A node on a bus must have as many slots.
+        autoreset_mode: With `NextStep`, a slot whose episode has ended starts a new one at the next step, whose action
+            it ignores; with `SameStep` at once, with the last observation and info in `final_obs` and `final_info`;
+            with `Disabled` only by `reset(options={"reset_mask": …})`.
+        reward, connect, node, priority, affinity, render_mode, keys, link: See `BuildingEnv`. A reward of your own
+            gets an array for each point and a list of times, with an entry for each slot.
+        node_arguments: The simulation, as for `BuildingEnv`.
+
+    Attributes:
+        manifest: The node's manifest.
+        reward: The reward; None if there is none.
+        wrappers: The wrappers of `agent_sdk.wrappers` around this environment that have a state.
+        envs: The slots, as `Slot` objects.
 
     Raises:
-        UsageError, BusError, SimulatorError: see `topics.errors`; nothing is left behind.
+        UsageError, BusError, SimulatorError: See `topics.errors`; everything that was started is closed again.
 
     Warns:
-        UserWarning: something in the model works against the scenario's actuators.
+        UserWarning: Controls in the model conflict with the scenario's actuators.
     """
 
-    closed = True  # until it is built: Gymnasium before 1.4 closes whatever it deletes
+    closed = True  # until construction ends, because Gymnasium before 1.4 closes an environment when it is deleted
 
     def __init__(
         self,
@@ -75,66 +79,64 @@ class BuildingVectorEnv(SpaceNames, VectorEnv[Observations, Any, NDArray[Any]]):
         render_mode: str | None = None,
         keys: str | Path | None = None,
         link: VectorLink | None = None,
-        **given: Any,
+        **node_arguments: Any,
     ) -> None:
-        self.num_envs, self.autoreset_mode = _count(num_envs), _mode(autoreset_mode)
-        self._hold = NodeConnection(
-            {name: value for name, value in _known(given).items() if value is not None},
+        self.num_envs, self.autoreset_mode = _check_count(num_envs), _check_mode(autoreset_mode)
+        _check_names(node_arguments)
+        self._connection = NodeConnection(
+            {name: value for name, value in node_arguments.items() if value is not None},
             reward=reward, connect=connect, node=node, priority=priority, affinity=affinity, render_mode=render_mode,
             keys=keys, link=link, slots=self.num_envs,
         )  # fmt: skip
         with ExitStack() as undo:
-            undo.callback(self._hold.abandon)
-            manifest = self.manifest = self._hold.manifest
+            undo.callback(self._connection.abandon)
+            manifest = self.manifest = self._connection.manifest
             self._actions = Actions(manifest)
             self.single_action_space = self._actions.space
             self.single_observation_space = spaces.observation_space(manifest)
             self.action_space = batch_space(self.single_action_space, num_envs)
             self.observation_space = batch_space(self.single_observation_space, num_envs)
-            self.reward = self._hold.reward
-            self._memory: EpisodeState[list[dict[int, float | None]]] = EpisodeState(
+            self.reward = self._connection.reward
+            self._state: EpisodeState[list[dict[int, float | None]]] = EpisodeState(
                 self.reward.bind(manifest) if self.reward is not None else None,
                 TerminationLimits(manifest, num_envs) if manifest.task.terminate else None,
                 [{} for _ in range(num_envs)],
             )
-            self.wrappers = self._memory.wrappers
+            self.wrappers = self._state.wrappers
             self._histories = [RollingHistory(manifest) for _ in range(num_envs)] if render_mode == "rgb_array" else []
             if render_mode == "rerun":
-                self._hold.open_monitor()
+                self._connection.open_monitor()
             undo.pop_all()
         self.render_mode = render_mode
         self.metadata = {"render_modes": [*RENDER_MODES], "render_fps": 4, "autoreset_mode": self.autoreset_mode}
         self.envs = tuple(Slot(self, number) for number in range(num_envs))
         self._timestep = timestep(manifest)
         self._operations = None if self._actions.operations is None else self._actions.operations * num_envs
-        self._frame: VectorSample | None = None
+        self._sample: VectorSample | None = None
         self._busy = False
-        self._seen = np.zeros(self.observation_space.shape or (), np.float32)
-        self._over, self._every = np.zeros(num_envs, np.bool_), np.ones(num_envs, np.bool_)
-        self._begun: Infos = {}
-        self._output_dir = [""] * num_envs
-        self._sources: tuple[bytes, list[str]] = (b"", [])
-        self._value_source: NDArray[np.object_] = np.empty(num_envs, object)
+        self._observations = np.zeros(self.observation_space.shape or (), np.float32)
+        self._done, self._all_slots = np.zeros(num_envs, np.bool_), np.ones(num_envs, np.bool_)
+        self._infos = VectorSampleInfos(num_envs, has_limits=self._state.limits is not None)
         self.closed = False
-        self._hold.warn(stacklevel=3)
+        self._connection.warn(stacklevel=3)
 
     # Episodes
 
     def reset(self, *, seed: Seeds = None, options: dict[str, Any] | None = None) -> tuple[Observations, Infos]:
-        """Starts an episode in each slot, or in those of `options={"reset_mask": …}`, a bool array of shape (slots,).
+        """Start an episode in each slot, or in those of `options={"reset_mask": …}`, a bool array of shape (slots,).
 
-        Seeds and infos are those of `BuildingEnv.reset`. The observations of the other slots are their latest.
+        Seeds and infos are those of `BuildingEnv.reset`. The observations of the other slots are their latest ones.
 
-        `options={"snapshot": snap}` goes back to a `snapshot()` instead, in all slots.
+        `options={"snapshot": snap}` returns to a `snapshot()` instead, in all slots.
 
         Raises:
-            InvalidConfig: other options, no such mask, no such seeds; a snapshot that is closed, of another node, or of
-                a node that has ended.
-            EngineDied, ForkFailed: an engine of the snapshot; the running episodes go on.
-            NodeNotFound, NodeLost, UsageError: as of `BuildingEnv.reset`.
+            InvalidConfig: Unknown option, invalid mask or seeds; a snapshot that is closed, of another node, or of a
+                node that has ended.
+            EngineDied, ForkFailed: An engine of the snapshot failed; the running episodes continue.
+            NodeNotFound, NodeLost, UsageError: As for `BuildingEnv.reset`.
 
         Warns:
-            UserWarning: the environment's own node had ended, and another one was started; why it had.
+            UserWarning: The local node had ended and another one was started, with the reason.
         """
         busy, self._busy = self._busy, True  # one statement without a call: CPython switches no threads within it
         if busy:
@@ -142,88 +144,81 @@ class BuildingVectorEnv(SpaceNames, VectorEnv[Observations, Any, NDArray[Any]]):
         try:
             return self._reset(seed, options or {})
         except (EpisodeChanged, BusError):
-            self._hold.check_open()
+            self._connection.check_open()
             raise
         finally:
             self._busy = False
 
     def _reset(self, seed: Seeds, options: dict[str, Any]) -> tuple[Observations, Infos]:
-        self._hold.check_open()
-        if self._hold.renew():
-            self.manifest, self._frame = self._hold.manifest, None
-        snapshot = asked_for(options, self.manifest, ["reset_mask"])
+        self._connection.check_open()
+        if self._connection.restart_if_ended():
+            self.manifest, self._sample = self._connection.manifest, None
+        snapshot = from_options(options, self.manifest, ["reset_mask"])
         if snapshot is not None and "reset_mask" in options:
-            raise InvalidConfig("a snapshot is of all slots; leave out reset_mask")
+            raise InvalidConfig("a snapshot contains all slots; leave out reset_mask")
         slots = slots_of(options, self.num_envs)
         seeds = seeds_of(seed, slots, self.num_envs)
-        if self._frame is None and len(slots) < self.num_envs:
+        if self._sample is None and len(slots) < self.num_envs:
             raise EpisodeChanged("call reset() for all slots first")
         if isinstance(seed, int):
             super().reset(seed=seed)
-        infos = self._begin(slots, seeds, snapshot)
-        return self._seen.copy(), infos
+        infos = self._start_episodes(slots, seeds, snapshot)
+        return self._observations.copy(), infos
 
-    def _begin(
+    def _start_episodes(
         self, slots: list[int], seeds: list[int | None] | None = None, snapshot: Snapshot | None = None
     ) -> Infos:
-        """New episodes in these slots, or going back; their infos. The observations go to `_seen`."""
-        whole = len(slots) == self.num_envs
-        if snapshot is None:  # where a node cannot go back, its episodes go on
-            self._frame = None
-        first = seeds[0] if seeds and self.num_envs == 1 else seeds
+        """Start new episodes in these slots, or return to a snapshot; update the observations and return the infos."""
+        is_all = len(slots) == self.num_envs
+        if snapshot is None:  # if returning to a snapshot fails, the running episodes continue
+            self._sample = None
+        seed = seeds[0] if seeds and self.num_envs == 1 else seeds
         link = self.link
-        to = snapshot.name if snapshot is not None else ""
-        frame = VectorSample(link.reset(seed=first, slots=None if whole else slots, snapshot=to))
+        name = snapshot.name if snapshot is not None else ""
+        sample = VectorSample(link.reset(seed=seed, slots=None if is_all else slots, snapshot=name))
         self.manifest = link.manifest
-        self._memory.reset(None if whole else slots)
-        times = frame.times
-        begins = [time - self._timestep if step else time for time, step in zip(times, frame.message.step, strict=True)]
-        self._seen[slots] = frame.observed(begins, times)[slots]
+        self._state.reset(None if is_all else slots)
+        ends, steps = sample.times, sample.message.step
+        begins = [end - self._timestep if step else end for end, step in zip(ends, steps, strict=True)]
+        self._observations[slots] = sample.observed(begins, ends)[slots]
         for slot in slots:
-            self._over[slot], self._memory.context[slot] = False, {}
+            self._done[slot], self._state.context[slot] = False, {}
             if self._histories:
                 self._histories[slot].clear()
-                self._histories[slot].add(times[slot], frame.values[slot])
+                self._histories[slot].add(ends[slot], sample.values[slot])
         if snapshot is not None:
-            self._memory.restore(snapshot.env_state)
-        self._frame = frame
-        begun: Infos = {}
-        for slot, how in zip(slots, link.accepted.episode_starts, strict=True):
-            self._output_dir[slot] = how.output_dir
-            told = {"weather": how.weather, "weather_noise": how.noise_parameters, "engine_start": how.engine_start}
-            begun = self._add_info(begun, told, slot)
-        these = np.zeros(self.num_envs, np.bool_)
-        these[slots] = True
-        self._begun = merge(select(self._begun, ~these), begun)
-        blank = {"action": np.full((self.num_envs, len(self.manifest.actuators)), np.nan)}
-        told = self._of_sample(frame) | blank | self._memory.unrewarded(frame.fault_free_values, times)
-        return select(masked(told, self._every) | self._begun, these)
+            self._state.restore(snapshot.env_state)
+        self._sample = sample
+        chosen = self._infos.start_episodes(slots, link.accepted.episode_starts, self._add_info)
+        entries = self._infos.of_sample(sample, link)
+        entries["action"] = np.full((self.num_envs, len(self.manifest.actuators)), np.nan)
+        entries |= self._state.unrewarded(sample.fault_free_values, ends)
+        return select(masked(entries, self._all_slots) | self._infos.episode_start, chosen)
 
     def snapshot(self) -> Snapshot:
-        """Keeps where all slots stand, to go back there by `reset(options={"snapshot": snap})` any number of times.
+        """Take a snapshot of all slots, to return to with `reset(options={"snapshot": snap})` any number of times.
 
         Raises:
-            EpisodeChanged: an episode is over, or none has begun.
-            RequestRejected: there are as many snapshots and branches as the node allows.
-            ForkFailed: the system has no memory for a fork; the episodes go on.
+            EpisodeChanged: A slot's episode has ended, or none has started.
+            RequestRejected: The node has its maximum of snapshots and branches.
+            ForkFailed: The system has no memory for a fork; the episodes continue.
         """
-        self._hold.check_open()
-        link = forking(self.link)
-        if self._frame is None or self._over.any():
+        link = self._forkable_link()
+        if self._sample is None or self._done.any():
             raise EpisodeChanged("call reset() first: each slot must be in an episode")
-        return take(link, self._frame.sample, self._memory)
+        return take(link, self._sample.sample, self._state)
 
     # Timesteps
 
-    def step(self, actions: ArrayLike) -> Stepped:
-        """Simulates one timestep of each slot; in mode `NextStep` those that have ended begin anew instead.
+    def step(self, actions: ArrayLike) -> StepResult:
+        """Simulate one timestep of each slot; with `NextStep`, slots whose episode has ended start a new one instead.
 
         Infos are those of `BuildingEnv.step`, in Gymnasium's form for vectors.
 
         Raises:
-            InvalidAction: wrong shape, out of bounds, not finite, or no such choice; nothing was simulated.
-            NodeLost, SimulatorError, RequestRejected, EpisodeChanged: see `ControllerLink.receive`.
-            UsageError: another thread is in `step` or `reset`.
+            InvalidAction: Wrong shape, out of bounds, not finite, or no such choice; nothing was simulated.
+            NodeLost, SimulatorError, RequestRejected, EpisodeChanged: See `ControllerLink.receive`.
+            UsageError: Another thread is in `step` or `reset`.
         """
         busy, self._busy = self._busy, True  # one statement without a call: CPython switches no threads within it
         if busy:
@@ -231,124 +226,91 @@ class BuildingVectorEnv(SpaceNames, VectorEnv[Observations, Any, NDArray[Any]]):
         try:
             return self._step(actions)
         except (EpisodeChanged, BusError):
-            self._hold.check_open()
+            self._connection.check_open()
             raise
         finally:
             self._busy = False
 
-    def _step(self, actions: ArrayLike) -> Stepped:
-        again = self._ready()
-        commanded, operations = self._command(actions, again)
-        begun = self._begin(again) if again else {}
-        if len(again) == self.num_envs:
+    def _step(self, actions: ArrayLike) -> StepResult:
+        restarting = self._restarting_slots()
+        commanded, operations = self._command(actions, restarting)
+        start_infos = self._start_episodes(restarting) if restarting else {}
+        if len(restarting) == self.num_envs:
             none = np.zeros(self.num_envs, np.bool_)
-            return self._seen.copy(), np.zeros(self.num_envs), none, none.copy(), begun
+            return self._observations.copy(), np.zeros(self.num_envs), none, none.copy(), start_infos
         link = self.link
-        link.send(commanded if self.num_envs > 1 else commanded[0], operations, still=again)
-        frame = self._frame = VectorSample(link.receive())
-        rewards, terminated, truncated, infos = self._outcome(frame, commanded, operations, again)
-        ended = terminated | truncated
+        link.send(commanded if self.num_envs > 1 else commanded[0], operations, still=restarting)
+        sample = self._sample = VectorSample(link.receive())
+        entries = self._infos.of_sample(sample, link)
+        entries["action"] = self._actions.commanded(commanded, operations)
+        rewards, terminated, truncated, infos = self._outcome(sample, entries, restarting)
+        done = terminated | truncated
         if self.autoreset_mode is AutoresetMode.SAME_STEP:
-            if ended.any():
-                infos = self._end(ended, infos)
+            if done.any():
+                infos = self._restart(done, infos)
         else:
-            self._over = ended
-            infos = merge(infos, begun) if begun else infos
-        return self._seen.copy(), rewards, terminated, truncated, infos
+            self._done = done
+            infos = merge(infos, start_infos) if start_infos else infos
+        return self._observations.copy(), rewards, terminated, truncated, infos
 
-    def _ready(self) -> list[int]:
-        """The slots that begin anew with this step."""
-        if self._frame is None or self.closed:
-            self._hold.check_open()
+    def _restarting_slots(self) -> list[int]:
+        """Return the slots that start a new episode in this step."""
+        if self._sample is None or self.closed:
+            self._connection.check_open()
             raise EpisodeChanged("call reset() before step()")
-        again: list[int] = np.flatnonzero(self._over).tolist() if self._over.any() else []
-        if again and self.autoreset_mode is AutoresetMode.DISABLED:
+        done: list[int] = np.flatnonzero(self._done).tolist() if self._done.any() else []
+        if done and self.autoreset_mode is AutoresetMode.DISABLED:
             raise EpisodeChanged(
-                f"the episode is over in slots {', '.join(map(str, again))}; call reset(options={{'reset_mask': …}})"
+                f"the episode is over in slots {', '.join(map(str, done))}; call reset(options={{'reset_mask': …}})"
             )
-        return again
+        return done
 
     def _outcome(
-        self, frame: VectorSample, commanded: NDArray[np.float64], operations: bytes | None, again: list[int]
+        self, sample: VectorSample, entries: Infos, restarted: list[int]
     ) -> tuple[NDArray[np.float64], Flags, Flags, Infos]:
-        """Rewards, terminated, truncated and infos of the slots that have gone on; observations go to `_seen`."""
-        count, ends = self.num_envs, frame.times
+        """Update the observations; return rewards, terminated, truncated and infos of the slots that have advanced."""
+        count, ends = self.num_envs, sample.times
         if ends.count(ends[0]) == count:
             begins = [ends[0] - self._timestep] * count
         else:
             begins = [end - self._timestep for end in ends]
-        told = self._of_sample(frame)
-        told["action"] = self._actions.commanded(commanded, operations)
         rewards = np.zeros(count)
-        memory = self._memory
-        if memory.reward is not None:
-            rewards[:], told["reward_terms"], told["reward_metrics"] = memory.reward(frame.fault_free_values, begins)
-        broken = memory.limits.violated_slots(frame.fault_free_values) if memory.limits is not None else {}
-        observed, live = frame.observed(begins, ends), self._every.copy()
-        terminated, truncated = np.zeros(count, np.bool_), frame.truncated
-        self._tell_ends(told, broken, truncated)
-        infos = masked(told, live) | select(self._begun, self._every)
-        if again:
-            self._memory.reset(again)  # they are at sample 0 in this frame, and have gone nowhere
-            live[again], observed[again] = False, self._seen[again]
-            rewards[again] = 0.0
+        state, values = self._state, sample.fault_free_values
+        if state.reward is not None:
+            rewards[:], entries["reward_terms"], entries["reward_metrics"] = state.reward(values, begins)
+        violations = state.limits.violated_slots(values) if state.limits is not None else {}
+        observations, live = sample.observed(begins, ends), self._all_slots.copy()
+        terminated, truncated = np.zeros(count, np.bool_), sample.truncated
+        self._infos.add_ends(entries, violations, truncated)
+        infos = masked(entries, live) | select(self._infos.episode_start, self._all_slots)
+        if restarted:
+            self._state.reset(restarted)  # these slots are still at sample 0
+            live[restarted], observations[restarted] = False, self._observations[restarted]
+            rewards[restarted] = 0.0
             infos = select(infos, live.copy())
-        self._seen = observed
+        self._observations = observations
         for slot, history in enumerate(self._histories):
             if live[slot]:
-                history.add(ends[slot], frame.values[slot])
-        if broken:
-            terminated[[slot for slot in broken if live[slot]]] = True
+                history.add(ends[slot], sample.values[slot])
+        if violations:
+            terminated[[slot for slot in violations if live[slot]]] = True
         return rewards, terminated, truncated, infos
 
-    def _end(self, ended: Flags, infos: Infos) -> Infos:
-        """Those that have ended begin anew; the infos with how they ended."""
+    def _restart(self, done: Flags, infos: Infos) -> Infos:
+        """Start new episodes in slots that have ended; return infos that include their final ones."""
         last = np.full(self.num_envs, None, object)
-        slots = np.flatnonzero(ended).tolist()
+        slots = np.flatnonzero(done).tolist()
         for slot in slots:
-            last[slot] = self._seen[slot].copy()
-        final, infos = select(infos, ended), select(infos, ~ended)
-        infos = merge(infos, self._begin(slots))
-        return infos | {"final_obs": last, "_final_obs": ended, "final_info": final, "_final_info": ended.copy()}
-
-    # Infos
-
-    def _of_sample(self, frame: VectorSample) -> Infos:
-        """What a frame says of all slots."""
-        wire = frame.message
-        if (wire.source_index, wire.sources) != self._sources:
-            me = self.link.name
-            self._sources = (wire.source_index, wire.sources)
-            self._value_source = frame.value_source([AGENT if who == me else who for who in wire.sources])
-        told = {
-            "time": np.array(wire.time, object),
-            "step": np.array(wire.step),
-            "effective": frame.effective,
-            "value_source": self._value_source.copy(),
-            "late": wire.late,
-            "rejected": wire.rejected,
-            **frame.baseline,
-        }
-        if wire.fault_free_values:
-            told["fault_free_values"] = frame.fault_free_values
-        if self._memory.limits is not None:
-            told["terminated_by"] = np.full(self.num_envs, "", object)
-        if any(self._output_dir):
-            told["output_dir"] = np.full(self.num_envs, "", object)
-        return told
-
-    def _tell_ends(self, told: Infos, broken: Mapping[int, str], truncated: Flags) -> None:
-        for slot, words in broken.items():
-            told["terminated_by"][slot] = words
-        if any(self._output_dir):
-            for slot in {*broken, *np.flatnonzero(truncated).tolist()}:
-                told["output_dir"][slot] = self._output_dir[slot]
+            last[slot] = self._observations[slot].copy()
+        final, infos = select(infos, done), select(infos, ~done)
+        infos = merge(infos, self._start_episodes(slots))
+        return infos | {"final_obs": last, "_final_obs": done, "final_info": final, "_final_info": done.copy()}
 
     # Commands
 
     def _command(self, actions: ArrayLike, unread: Sequence[int]) -> tuple[NDArray[np.float64], bytes | None]:
         values, operations = self._actions.rows(actions, self.num_envs, unread), self._operations
-        contexts = self._memory.context
+        contexts = self._state.context
         if any(contexts):
             assert operations is not None
             codes = np.frombuffer(operations, np.uint8).reshape(values.shape).copy()
@@ -361,87 +323,68 @@ class BuildingVectorEnv(SpaceNames, VectorEnv[Observations, Any, NDArray[Any]]):
         return values, operations
 
     def set_context(self, values: Mapping[str, float | None]) -> None:
-        """`BuildingEnv.set_context` in all slots; `envs[i].set_context` does it in one."""
+        """Set actuators that belong to no action in all slots; see `BuildingEnv.set_context`.
+
+        `envs[i].set_context` does it in slot i.
+        """
         for slot in range(self.num_envs):
             self.set_slot_context(slot, values)
 
     def set_slot_context(self, slot: int, values: Mapping[str, float | None]) -> None:
-        """See `BuildingEnv.set_context`."""
-        self._memory.context[slot] |= self._actions.context(values)
+        """Set actuators that belong to no action in one slot; see `BuildingEnv.set_context`."""
+        self._state.context[slot] |= self._actions.context(values)
 
-    # What can be asked
+    # Access to slots
 
     @property
     def link(self) -> VectorLink:
-        """The hold on the node."""
-        return cast("VectorLink", self._hold.link)
-
-    @property
-    def local_node(self) -> LocalNode | None:
-        """The node that was started; None if it runs elsewhere."""
-        return self._hold.local_node
+        """The link to the node; the bus of a local node is connected on first use."""
+        return cast("VectorLink", self._connection.link)
 
     def slot_weather(self, slot: int, columns: Sequence[str]) -> WeatherSeries:
-        """See `BuildingEnv.weather`."""
+        """Return columns of the weather file of a slot's episode; see `BuildingEnv.weather`."""
         return self.link.weather(columns, slot) if slot else self.link.weather(columns)
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
-        """What a method (or an attribute) of each slot gives; see `Slot`."""
-        found = [getattr(slot, name) for slot in self.envs]
-        return tuple(one(*args, **kwargs) if callable(one) else one for one in found)
+        """Call a method of each slot and return the results, or return an attribute of each; see `Slot`."""
+        members = [getattr(slot, name) for slot in self.envs]
+        return tuple(member(*args, **kwargs) if callable(member) else member for member in members)
 
     def get_attr(self, name: str) -> tuple[Any, ...]:
-        """An attribute of each slot."""
+        """Return an attribute of each slot."""
         return tuple(getattr(slot, name) for slot in self.envs)
 
     def set_attr(self, name: str, values: Any) -> None:
-        """Sets an attribute of each slot: from a list or tuple each its own, else all the same."""
-        each = values if isinstance(values, list | tuple) else [values] * self.num_envs
-        if len(each) != self.num_envs:
-            raise InvalidConfig(f"{name}: {len(each)} values for {self.num_envs} slots")
-        for slot, value in zip(self.envs, each, strict=True):
+        """Set an attribute of each slot: a list or tuple has a value for each, any other value is for all."""
+        slot_values = values if isinstance(values, list | tuple) else [values] * self.num_envs
+        if len(slot_values) != self.num_envs:
+            raise InvalidConfig(f"{name}: {len(slot_values)} values for {self.num_envs} slots")
+        for slot, value in zip(self.envs, slot_values, strict=True):
             setattr(slot, name, value)
 
     def render(self) -> tuple[Any, ...]:
-        """For each slot what `BuildingEnv.render` gives."""
+        """Return the result of `BuildingEnv.render` for each slot."""
         return tuple(history.picture() for history in self._histories) or (None,) * self.num_envs
 
     def close_extras(self, **_: Any) -> None:
-        """Lets go of the node, and ends it if it is this environment's own."""
-        self._hold.close()
+        """Disconnect from the node, and end it if it is local."""
+        self._connection.close()
 
 
-def make(num_envs: int = 1, **given: Any) -> VectorEnv[Any, Any, Any]:
-    """The vector environment of a scenario, within the wrappers that it names; what `gym.make_vec` calls.
-
-    Raises:
-        UsageError, BusError, SimulatorError: see `BuildingVectorEnv`; nothing is left behind.
-    """
-    env = BuildingVectorEnv(num_envs, **given)
-    try:
-        wrapped: VectorEnv[Any, Any, Any] = apply_wrappers(env, env.manifest.task.wrappers)
-    except BaseException:
-        env.close()
-        raise
-    return wrapped
+def _check_names(node_arguments: Mapping[str, Any]) -> None:
+    names = [*arguments.NODE_ARGUMENTS, *(BuildingVectorEnv.__init__.__kwdefaults__ or {})]
+    arguments.check_arguments(node_arguments, names)
 
 
-def _known(given: Mapping[str, Any]) -> Mapping[str, Any]:
-    arguments.check_arguments(
-        given, [*arguments.NODE_ARGUMENTS, *list(BuildingVectorEnv.__init__.__kwdefaults__ or {})]
-    )
-    return given
-
-
-def _count(count: int) -> int:
-    if not isinstance(count, int) or not 1 <= count <= MOST:
-        raise InvalidConfig(f"num_envs = {count!r}; a number from 1 to {MOST} expected")
+def _check_count(count: int) -> int:
+    if not isinstance(count, int) or not 1 <= count <= MAX_SLOTS:
+        raise InvalidConfig(f"num_envs = {count!r}; a number from 1 to {MAX_SLOTS} expected")
     return count
 
 
-def _mode(given: AutoresetMode | str) -> AutoresetMode:
+def _check_mode(mode: AutoresetMode | str) -> AutoresetMode:
     try:
-        return AutoresetMode(given)
+        return AutoresetMode(mode)
     except ValueError:
         modes = ", ".join(mode.value for mode in AutoresetMode)
-        raise InvalidConfig(f"autoreset_mode {given!r}; there are: {modes}") from None
+        raise InvalidConfig(f"autoreset_mode {mode!r}; there are: {modes}") from None

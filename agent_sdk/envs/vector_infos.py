@@ -1,7 +1,7 @@
-"""Infos of a vector of environments in Gymnasium's form: arrays with a value a slot, and `_key`: which slots have one.
+"""Infos of a vector of environments in Gymnasium's form: arrays with a value for each slot, and `_key` marking slots.
 
-A dictionary within has the same form. It is what `gymnasium.vector.VectorEnv` makes of each slot's own info, without
-making those first.
+`infos["_key"]` says which slots have a value of `key`; nested dictionaries have the same form. The functions here give
+the result of `gymnasium.vector.VectorEnv` without building an info for each slot first.
 """
 
 from __future__ import annotations
@@ -14,55 +14,56 @@ from numpy.typing import NDArray
 
 Infos = dict[str, Any]
 Slots = NDArray[np.bool_]
-"""Which slots, shape (slots,)."""
+"""Mask of slots, shape (slots,)."""
 
 
-def masked(found: Mapping[str, Any], slots: Slots) -> Infos:
-    """Arrays with a value for each slot (or numbers that hold for all), as infos that all these slots have.
+def masked(entries: Mapping[str, Any], slots: Slots) -> Infos:
+    """Convert arrays with a value for each slot, or numbers for all slots, to infos of the slots in `slots`.
 
-    What is read-only is copied: infos belong to who gets them.
+    Read-only arrays are copied, because infos belong to their receiver.
     """
-    told: Infos = {}
-    for key, value in found.items():
-        told[key] = masked(value, slots) if isinstance(value, dict) else _array(value, len(slots))
-        told[f"_{key}"] = slots
-    return told
+    infos: Infos = {}
+    for key, value in entries.items():
+        infos[key] = masked(value, slots) if isinstance(value, dict) else _array(value, len(slots))
+        infos[f"_{key}"] = slots
+    return infos
 
 
 def select(infos: Infos, slots: Slots) -> Infos:
-    """The infos of these slots alone; what none of them has is left out."""
-    told: Infos = {}
-    for key, value, has in _pairs(infos):
-        kept = has & slots
+    """Return the infos of these slots alone, without keys that none of them has."""
+    selected: Infos = {}
+    for key, value, mask in _items(infos):
+        kept = mask & slots
         if kept.any():
-            told[key] = select(value, slots) if isinstance(value, dict) else _put(_blank(value), value, kept)
-            told[f"_{key}"] = kept
-    return told
+            selected[key] = select(value, slots) if isinstance(value, dict) else _put(_blank(value), value, kept)
+            selected[f"_{key}"] = kept
+    return selected
 
 
-def merge(one: Infos, other: Infos) -> Infos:
-    """Both together; where a slot has a key in both, `other` goes before."""
-    told = dict(one)
-    for key, value, has in _pairs(other):
-        if key in one:
-            before = one[key]
-            told[key] = merge(before, value) if isinstance(value, dict) else _put(before.copy(), value, has)
-            told[f"_{key}"] = one[f"_{key}"] | has
+def merge(first: Infos, second: Infos) -> Infos:
+    """Return both together; where a slot has a key in both, the value of `second`."""
+    merged = dict(first)
+    for key, value, mask in _items(second):
+        if key in first:
+            before = first[key]
+            merged[key] = merge(before, value) if isinstance(value, dict) else _put(before.copy(), value, mask)
+            merged[f"_{key}"] = first[f"_{key}"] | mask
         else:
-            told[key], told[f"_{key}"] = value, has
-    return told
+            merged[key], merged[f"_{key}"] = value, mask
+    return merged
 
 
 def unbatch(infos: Infos, slot: int) -> dict[str, Any]:
-    """One slot's own info, as a single environment gives it."""
-    told: dict[str, Any] = {}
-    for key, value, has in _pairs(infos):
-        if has[slot]:
-            told[key] = unbatch(value, slot) if isinstance(value, dict) else _plain(value[slot])
-    return told
+    """Return the info of one slot in the form of a single environment."""
+    info: dict[str, Any] = {}
+    for key, value, mask in _items(infos):
+        if mask[slot]:
+            info[key] = unbatch(value, slot) if isinstance(value, dict) else _plain(value[slot])
+    return info
 
 
-def _pairs(infos: Infos) -> list[tuple[str, Any, Slots]]:
+def _items(infos: Infos) -> list[tuple[str, Any, Slots]]:
+    """Triples of key, value and mask."""
     return [(key, value, infos[f"_{key}"]) for key, value in infos.items() if f"_{key}" in infos]
 
 

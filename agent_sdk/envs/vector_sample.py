@@ -1,4 +1,4 @@
-"""One sample of all slots, as arrays."""
+"""One sample of all slots as arrays, and the links that environments use."""
 
 from __future__ import annotations
 
@@ -19,30 +19,30 @@ _TRUNCATED = int(Flag.TRUNCATED)
 
 
 class Link(Protocol):
-    """What an environment steps: samples in, commands out."""
+    """The link of an environment: samples in, commands out."""
 
     manifest: Manifest
     accepted: Ack
     name: str
 
     def reset(self, *, seed: int | None = None) -> SampleView:
-        """Starts a new episode; its sample 0."""
+        """Start a new episode and return its sample 0."""
 
     def receive(self) -> SampleView:
-        """Waits for the next sample."""
+        """Wait for the next sample."""
 
     def send(self, values: NDArray[np.float64], operations: bytes | None = None) -> None:
-        """Answers the present sample: a value for each actuator, and what is done with it (None: all are set)."""
+        """Answer the current sample with a value and a `CommandOp` byte for each actuator (None: all are set)."""
 
     def weather(self, columns: Sequence[str]) -> WeatherSeries:
-        """Columns of the weather that the present episode reads."""
+        """Return columns of the weather of the current episode."""
 
     def close(self) -> None:
-        """Lets go; twice is fine."""
+        """Disconnect; idempotent."""
 
 
 class VectorLink(Protocol):
-    """What a vector environment steps: frames in, commands for all slots out."""
+    """The link of a vector environment: samples of all slots in, commands for all slots out."""
 
     manifest: Manifest
     accepted: Ack
@@ -51,83 +51,83 @@ class VectorLink(Protocol):
     def reset(
         self, *, seed: int | list[int | None] | None = None, slots: list[int] | None = None, snapshot: str = ""
     ) -> SampleView:
-        """Starts new episodes, in these slots or in all; a frame in which they are at sample 0."""
+        """Start new episodes in these slots, or in all; return the sample in which they are at sample 0."""
 
     def receive(self) -> SampleView:
-        """Waits for the next frame."""
+        """Wait for the next sample."""
 
     def send(self, values: Floats, operations: bytes | None = None, *, still: Sequence[int] = ()) -> None:
-        """Answers the present frame: shape (slots, actuators); those that are `still` do not go on."""
+        """Answer the current sample: shape (slots, actuators); slots in `still` do not advance."""
 
     def weather(self, columns: Sequence[str], slot: int = 0) -> WeatherSeries:
-        """Columns of the weather that a slot's present episode reads."""
+        """Return columns of the weather of a slot's current episode."""
 
     def close(self) -> None:
-        """Lets go; twice is fine."""
+        """Disconnect; idempotent."""
 
 
 class VectorSample:
     """All slots of one sample.
 
     Attributes:
-        sample: as the link gave it.
-        message: as it came.
-        values: sensors, then meters, shape (slots, points), in manifest order and units; read-only.
-        fault_free_values: what EnergyPlus said: `values`, but for the faults that the node injects into them.
-        truncated: of which slots the run period is over, shape (slots,).
+        sample: The sample as returned by the link.
+        message: The sample message.
+        values: Values of sensors, then meters, shape (slots, points), in manifest order and units; read-only.
+        fault_free_values: Values as EnergyPlus computed them: `values` without injected faults; same shape.
+        truncated: Whether each slot is at the end of its run period, shape (slots,).
     """
 
     __slots__ = ("_manifest", "fault_free_values", "message", "sample", "truncated", "values")
 
     def __init__(self, sample: SampleView) -> None:
-        self.sample, wire, manifest = sample, sample.message, sample.manifest
-        self.message, self._manifest = wire, manifest
+        message, manifest = sample.message, sample.manifest
+        self.sample, self.message, self._manifest = sample, message, manifest
         shape = manifest.slots, len(manifest.sensors) + len(manifest.meters)
-        self.values = self.fault_free_values = codec.floats(wire.values, shape, "values")
-        if wire.fault_free_values:
-            self.fault_free_values = codec.floats(wire.fault_free_values, shape, "fault_free_values")
-        self.truncated = np.array([flag & _TRUNCATED for flag in wire.flags], np.bool_)
+        self.values = self.fault_free_values = codec.floats(message.values, shape, "values")
+        if message.fault_free_values:
+            self.fault_free_values = codec.floats(message.fault_free_values, shape, "fault_free_values")
+        self.truncated = np.array([flag & _TRUNCATED for flag in message.flags], np.bool_)
 
     @property
     def effective(self) -> Floats:
-        """What each actuator really was, shape (slots, actuators); NaN where EnergyPlus does not tell."""
-        return self._of_actuators(self.message.effective, "effective")
+        """Effective value of each actuator, shape (slots, actuators); NaN where EnergyPlus does not report it."""
+        return self._actuator_values(self.message.effective, "effective")
 
     @property
     def baseline(self) -> dict[str, Floats]:
-        """Points (`baseline`) and actuators (`baseline_effective`) of the building left to its own control, if it runs.
+        """Values of points and effective values of actuators under baseline control; empty without a baseline.
 
-        Shapes (slots, points) and (slots, actuators).
+        `baseline` has shape (slots, points), `baseline_effective` (slots, actuators).
         """
-        wire = self.message
-        if not wire.baseline:
+        message = self.message
+        if not message.baseline:
             return {}
-        points = codec.floats(wire.baseline, self.values.shape, "baseline")
-        own = self._of_actuators(wire.baseline_effective, "baseline_effective")
-        return {"baseline": points, "baseline_effective": own}
+        points = codec.floats(message.baseline, self.values.shape, "baseline")
+        actuators = self._actuator_values(message.baseline_effective, "baseline_effective")
+        return {"baseline": points, "baseline_effective": actuators}
 
-    def _of_actuators(self, raw: bytes, what: str) -> Floats:
-        return codec.floats(raw, (self._manifest.slots, len(self._manifest.actuators)), what)
+    def _actuator_values(self, raw: bytes, field: str) -> Floats:
+        return codec.floats(raw, (self._manifest.slots, len(self._manifest.actuators)), field)
 
     @property
     def times(self) -> list[datetime]:
         """Local standard time at the end of each slot's timestep, naive."""
-        told = self.message.time
-        if told.count(told[0]) == len(told):
-            return [datetime.fromisoformat(told[0])] * len(told)
-        known = {text: datetime.fromisoformat(text) for text in set(told)}
-        return [known[text] for text in told]
+        texts = self.message.time
+        if texts.count(texts[0]) == len(texts):
+            return [datetime.fromisoformat(texts[0])] * len(texts)
+        parsed = {text: datetime.fromisoformat(text) for text in set(texts)}
+        return [parsed[text] for text in texts]
 
     def value_source(self, names: Sequence[str]) -> NDArray[np.object_]:
-        """Who set each actuator of each slot: a tuple for each slot, of these names in the order of `sources`."""
+        """Return the value sources of each slot as a tuple in actuator order; `names` replaces `sources`."""
         shape = (self._manifest.slots, len(self._manifest.actuators))
-        told = np.empty(shape[0], object)
+        sources = np.empty(shape[0], object)
         for slot, row in enumerate(codec.indices(self.message.source_index, shape, "source_index").tolist()):
-            told[slot] = tuple(names[i] for i in row)
-        return told
+            sources[slot] = tuple(names[i] for i in row)
+        return sources
 
     def observed(self, begins: Sequence[datetime], ends: Sequence[datetime]) -> NDArray[np.float32]:
-        """What an agent observes, shape (slots, time fields + points)."""
+        """Return the agent's observations, shape (slots, time fields + points)."""
         values, fields = self.values, self._manifest.task.time
         slots, points = values.shape
         observed = np.empty((slots, len(fields) + points), np.float32)
@@ -135,11 +135,11 @@ class VectorSample:
         if fields and begins.count(begins[0]) == slots == ends.count(ends[0]):
             observed[:, : len(fields)] = time_features(fields, begins[0], ends[0])
         elif fields:
-            known = {span: time_features(fields, *span) for span in set(zip(begins, ends, strict=True))}
-            observed[:, : len(fields)] = [known[span] for span in zip(begins, ends, strict=True)]
+            features = {span: time_features(fields, *span) for span in set(zip(begins, ends, strict=True))}
+            observed[:, : len(fields)] = [features[span] for span in zip(begins, ends, strict=True)]
         return observed
 
 
 def timestep(manifest: Manifest) -> timedelta:
-    """Length of a timestep."""
+    """Return the length of a timestep."""
     return timedelta(hours=1 / manifest.steps_per_hour)

@@ -1,4 +1,4 @@
-"""One slot of a vector environment: what can be asked of it alone, and how a reset names some."""
+"""One slot of a vector environment, and the slots and seeds of a reset."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ if TYPE_CHECKING:
     from agent_sdk.envs.vector_env import BuildingVectorEnv
 
 Seeds = int | Sequence[int | None] | None
-"""Of slot 0, the next slot having the next one; or each slot's own."""
+"""The seed of slot 0, where slot i has `seed + i`; or a seed for each slot."""
 
-_OF_ALL = (
+_SHARED = (
     "action_names", "link", "local_node", "manifest", "metadata", "observation_dict", "observation_names",
     "render_mode", "reward", "spec",
 )  # fmt: skip
 
 
 class Slot:
-    """Has the names of `BuildingEnv`, except for `reset`, `step` and `close`, which are the vector's.
+    """One slot with the interface of `BuildingEnv`, except for `reset`, `step` and `close`, which belong to the vector.
 
     Attributes:
-        number: of the slot, from 0.
-        observation_space, action_space: as of a single environment.
+        number: Number of the slot, from 0.
+        observation_space, action_space: Those of a single environment.
     """
 
     def __init__(self, env: BuildingVectorEnv, number: int) -> None:
@@ -37,32 +37,32 @@ class Slot:
 
     @property
     def unwrapped(self) -> Slot:
-        """Itself: wrappers are around the vector."""
+        """The slot itself, because wrappers are around the vector."""
         return self
 
     def __getattr__(self, name: str) -> Any:
-        if name in _OF_ALL:
+        if name in _SHARED:
             return getattr(self._env, name)
         raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
 
     def set_context(self, values: Mapping[str, float | None]) -> None:
-        """See `BuildingEnv.set_context`."""
+        """Set actuators that belong to no action; see `BuildingEnv.set_context`."""
         self._env.set_slot_context(self.number, values)
 
     def weather(self, columns: Sequence[str]) -> WeatherSeries:
-        """See `BuildingEnv.weather`."""
+        """Return columns of this slot's weather file; see `BuildingEnv.weather`."""
         return self._env.slot_weather(self.number, columns)
 
     def render(self) -> Any:
-        """See `BuildingEnv.render`."""
+        """Return a picture of the last day; see `BuildingEnv.render`."""
         return self._env.render()[self.number]
 
 
 def slots_of(options: Mapping[str, Any], count: int) -> list[int]:
-    """The slots that a reset is asked for: those of `reset_mask`, or all.
+    """Return the slots that a reset is for: those of `reset_mask`, or all.
 
     Raises:
-        InvalidConfig: no such mask.
+        InvalidConfig: The mask is not a bool array with an entry for each slot and at least one True.
     """
     if "reset_mask" not in options:
         return list(range(count))
@@ -76,18 +76,18 @@ def slots_of(options: Mapping[str, Any], count: int) -> list[int]:
 
 
 def seeds_of(seed: Seeds, slots: Sequence[int], count: int) -> list[int | None] | None:
-    """The seeds of some slots; None if none was given.
+    """Return the seeds of some slots; None without a seed.
 
     Raises:
-        InvalidConfig: no whole number from 0 to 2**64 - 1, or not one for each of all slots.
+        InvalidConfig: Not an integer from 0 to 2**64 - 1, or not one for each slot.
     """
     if seed is None:
         return None
     if isinstance(seed, Sequence | np.ndarray) and not isinstance(seed, str):
-        every = [one if one is None else check_seed(one) for one in seed]
+        seeds = [None if slot_seed is None else check_seed(slot_seed) for slot_seed in seed]
     else:
         first = check_seed(seed, count)
-        every = [first + slot for slot in range(count)]
-    if len(every) != count:
+        seeds = [first + slot for slot in range(count)]
+    if len(seeds) != count:
         raise InvalidConfig(f"seed = {seed!r}; a number, or one or None for each of {count} slots expected")
-    return [every[slot] for slot in slots]
+    return [seeds[slot] for slot in slots]

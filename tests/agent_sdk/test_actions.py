@@ -107,7 +107,7 @@ def test_without_actuators_there_is_nothing_to_say() -> None:
     none = actions(())
     assert none.operations is None
     assert none.values(np.zeros(0, np.float32)).shape == (0,)
-    with pytest.raises(InvalidAction, match="building's own control"):
+    with pytest.raises(InvalidAction, match="baseline control only"):
         none.values([1.0])
 
 
@@ -121,7 +121,7 @@ def test_what_no_action_sets_may_be_set_beside_them() -> None:
 @pytest.mark.parametrize(
     ("values", "words"),
     [
-        ({"cool_a": 25.0}, "'cool_a' is no actuator beside the actions"),
+        ({"cool_a": 25.0}, "'cool_a' is not an actuator outside the actions"),
         ({"heet_a": 20.0}, "'heet_a'.*'heat_a'"),
         ({"cool": 25.0}, "'cool'"),
         ({"heat_a": 14.9}, r"heat_a = 14\.9; its bounds are 15 to 22\.5 degC"),

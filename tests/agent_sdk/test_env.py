@@ -358,7 +358,7 @@ import os, sys, signal
 import gymnasium as gym
 import agent_sdk
 env = gym.make("zenostat/Building-v1", building="ref-small-office", weather="USA_CO_Denver", begin="07-03", end="07-03")
-held = env.unwrapped.local_node._held[0]
+held = env.unwrapped.local_node._processes[0]
 child = os.fork()
 if not child:
     signal.pause()  # it has inherited all that its parent has open

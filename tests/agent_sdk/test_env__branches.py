@@ -209,7 +209,7 @@ def test_a_killed_branch_harms_nobody(moment: str, scratch: Path) -> None:
     go(branch, mine[20:22])
     if moment == "computing":
         engine.suspend()
-        branch.link.send(branch._command(mine[22])[0])
+        branch.link.send(branch._actions.command(mine[22], {})[0])
         name, bus = branch.manifest.node, branch.link.bus
         until(lambda: bus.status(name).state is State.RUNNING, "it computes")
         got += go(env, mine[20:25])
@@ -481,7 +481,7 @@ def test_nothing_is_left_of_forks_that_were_closed(scratch: Path) -> None:
             go(other, mine[5:])
             env.reset(options={"snapshot": snapshot})
             branch, engine = new_engine(env, env.branch)
-            branch.link.send(branch._command(mine[5])[0])
+            branch.link.send(branch._actions.command(mine[5], {})[0])
             branch.close()
             branch, engine = new_engine(env, env.branch)
             kill(engine)

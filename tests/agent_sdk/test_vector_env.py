@@ -651,7 +651,7 @@ def test_snapshots_of_slots_that_cannot_be(small: BuildingVectorEnv) -> None:
         small.snapshot()
     small.reset(seed=1)
     kept = small.snapshot()
-    with pytest.raises(InvalidConfig, match="a snapshot is of all slots; leave out reset_mask"):
+    with pytest.raises(InvalidConfig, match="a snapshot contains all slots; leave out reset_mask"):
         small.reset(options={"snapshot": kept, "reset_mask": np.array([True, False, False])})
     for _ in range(small.manifest.steps):
         small.step(small.action_space.sample())

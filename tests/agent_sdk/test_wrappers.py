@@ -694,7 +694,7 @@ def test_context_that_cannot_be() -> None:
         w.ChangingContext(fake(), {"02-30 07:00": {}})
     env = w.ChangingContext(fake(), {"00:00": {"cool": 25.0}})
     env.reset()
-    with pytest.raises(InvalidAction, match="'cool' is no actuator beside the actions"):
+    with pytest.raises(InvalidAction, match="'cool' is not an actuator outside the actions"):
         env.step(MIDDLE)
 
 

@@ -16,9 +16,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+import zenoh
 from support.nodes import SMALL, NodeProgram, until
 
 import agent_sdk
+from agent_sdk.bus import actuator_write
 from cli.write import seconds
 from topics.errors import InvalidAction, InvalidConfig, NodeLost, RequestRejected, UnknownName
 from topics.messages import EventKind, Message
@@ -198,13 +200,13 @@ def test_a_write_that_cannot_be_is_not_sent(standing: agent_sdk.Bus, wrong: dict
 def test_a_node_that_dies_under_a_write_is_named(
     node: NodeProgram, bus: agent_sdk.Bus, scratch: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    put = bus._put
+    put = actuator_write.put
 
-    def dies_first(key: str, message: Message) -> None:
+    def dies_first(session: zenoh.Session, key: str, message: Message) -> None:
         node.kill()
-        put(key, message)
+        put(session, key, message)
 
-    monkeypatch.setattr(bus, "_put", dies_first)
+    monkeypatch.setattr(actuator_write, "put", dies_first)
     with pytest.raises(NodeLost, match="node 'office' is gone"):
         bus.write("office", POINT, 26.0)
 

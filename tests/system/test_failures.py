@@ -314,7 +314,7 @@ def test_a_reset_by_another_is_told(folder: Path) -> None:
     ):
         one.reset()
         two.reset()
-        with pytest.raises(EpisodeChanged, match=rf"node 'office' was reset by {two.name} .*; episode 2 runs now"):
+        with pytest.raises(EpisodeChanged, match=rf"node 'office' was reset by {two.name} .*; it is now in episode 2"):
             one.receive()
 
 

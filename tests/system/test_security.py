@@ -262,9 +262,9 @@ def test_a_controller_may_stop_a_node_and_a_monitor_not(scratch: Path, pki: Path
     listen = [f"tls/127.0.0.1:{free_port()}"]
     with NodeProgram(scratch / "own", **SMALL, listen=listen, keys=str(pki), name="own") as running:
         with agent_sdk.connect(listen[0], keys=pki, role=Role.MONITOR, affinity="off") as watching:
-            with pytest.raises(InvalidConfig, match="a monitor may not ask rpc/stop"):
+            with pytest.raises(InvalidConfig, match="a monitor may not query rpc/stop"):
                 watching.stop("own")
-            with pytest.raises(InvalidConfig, match="a monitor may not ask rpc/claim"):
+            with pytest.raises(InvalidConfig, match="a monitor may not query rpc/claim"):
                 watching.controller("own")
             assert watching.status("own").state is State.WAITING
         with agent_sdk.connect(listen[0], keys=pki, affinity="off") as controlling:

@@ -212,7 +212,7 @@ def test_close_while_another_thread_waits_for_a_sample(bus: agent_sdk.Bus) -> No
     with in_thread(link.receive) as waiting:
         until(lambda: link._busy, "it waits")
         link.close()
-        with pytest.raises(EpisodeChanged, match="has let go of its node"):
+        with pytest.raises(EpisodeChanged, match="is disconnected from its node"):
             waiting.result()
     with bus.controller("office") as other:
         other.reset().send()
