@@ -95,7 +95,7 @@ def test_a_zone_that_is_called_as_another_agent_gets_a_number() -> None:
 
 
 def test_no_zone_decides() -> None:
-    with pytest.raises(InvalidConfig, match=r"no action of node 'fake' belongs to one zone alone; control='zone'"):
+    with pytest.raises(InvalidConfig, match=r"no action of node 'fake' belongs to a single zone; control='zone'"):
         fake(2, control="building")
 
 
@@ -148,7 +148,7 @@ def test_it_is_the_buildings_environment_cut_in_parts() -> None:
         assert infos["zone_1"]["reward_terms"] == info["reward_terms"]
         ends.append((set(terminated.values()), set(truncated.values()), bool(env.agents)))
     assert ends == [({False}, {False}, True)] * 95 + [({False}, {True}, False)]
-    with pytest.raises(EpisodeChanged, match=r"no agent is there; call reset\(\) first"):
+    with pytest.raises(EpisodeChanged, match=r"the episode is over or has not started; call reset\(\) first"):
         env.step({})
     env.reset()
     assert env.agents == ["zone_1", "zone_2"]
@@ -175,7 +175,7 @@ def test_faulty_actions_simulate_nothing() -> None:
         ({"zone_1": good["zone_1"]}, "no action of 'zone_2'"),
         ({**good, "zone_3": good["zone_1"]}, "no agent 'zone_3'; near names: 'zone_"),
         ({**good, "zone_2": good["zone_2"][:1]}, r"agent 'zone_2': action .*; Box.* expected: zone_2_heating_setpoint"),
-        ({**good, "zone_2": "warm"}, "agent 'zone_2': action 'warm' is no array of numbers"),
+        ({**good, "zone_2": "warm"}, "agent 'zone_2': action 'warm' is not an array of numbers"),
         ({**good, "zone_2": [31.0, 25.0]}, "zone_2_heating_setpoint = 31; its bounds are 15 to 22.5"),
         ({**good, "zone_2": [np.nan, 25.0]}, "zone_2_heating_setpoint = nan"),
     ):
@@ -257,9 +257,9 @@ def test_a_function_of_ones_own() -> None:
     ("given", "says"),
     [
         ({"reward": "mine"}, "reward = 'mine'; 'shared', 'own' or a function"),
-        ({"reward": "own", "building_reward": None}, "there is no reward; give building_reward='linear'"),
-        ({"reward": "own", "building_reward": "peak"}, "PeakReward is not"),
-        ({"shared": ["power"]}, "nothing that is observed is called 'power'; near names: 'hvac_electricity_power'"),
+        ({"reward": "own", "building_reward": None}, "there is no reward; use building_reward='linear'"),
+        ({"reward": "own", "building_reward": "peak"}, "PeakReward is not one; use"),
+        ({"shared": ["power"]}, "no observation is named 'power'; near names: 'hvac_electricity_power'"),
     ],
 )
 def test_what_cannot_be(given: dict[str, Any], says: str) -> None:
