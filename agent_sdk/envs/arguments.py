@@ -1,4 +1,4 @@
-"""What a user gives an environment, as the settings of a node."""
+"""Convert the arguments of an environment to the settings of a node."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from topics import yaml12
 from topics.errors import InvalidConfig, UnknownArgument, UsageError, did_you_mean
 
 FROM_SCENARIO = "scenario"
-"""The reward that the node's scenario names."""
+"""Marks the reward of the node's scenario."""
 
 NODE_ARGUMENTS = (
     "building", "weather", "scenario", "file", "config", "variant", "sensors", "meters", "actuators", "begin", "end",
@@ -23,22 +23,22 @@ NODE_ARGUMENTS = (
     "discrete", "terminate", "output_dir", "keep_last", "baseline", "branches", "faults",
     "unresponsive_s",
 )  # fmt: skip
-"""The arguments that a node decides by."""
+"""The arguments that become settings of a node."""
 
 
-def check_arguments(given: Mapping[str, Any], known: Sequence[str]) -> None:
-    """Refuses keyword arguments that are not known, in Python's own words.
+def check_arguments(arguments: Mapping[str, Any], known: Sequence[str]) -> None:
+    """Check the names of keyword arguments.
 
     Raises:
-        UnknownArgument: names all of them, with near ones.
+        UnknownArgument: Unknown names; the text lists all of them with similar names.
     """
-    if unknown := [name for name in given if name not in known]:
-        faults = [f"got an unexpected keyword argument {name!r}; {did_you_mean(name, known)}" for name in unknown]
-        raise UnknownArgument("\n".join(faults))
+    if unknown := [name for name in arguments if name not in known]:
+        errors = [f"got an unexpected keyword argument {name!r}; {did_you_mean(name, known)}" for name in unknown]
+        raise UnknownArgument("\n".join(errors))
 
 
 def of_scenario(scenario: str | Path | Mapping[str, Any]) -> dict[str, Any]:
-    """The arguments of an environment: a scenario's id or file, or those themselves."""
+    """Return the arguments of an environment for a scenario's id, a scenario file, or arguments themselves."""
     if isinstance(scenario, Mapping):
         return dict(scenario)
     if Path(scenario).suffix in (".yaml", ".yml"):
@@ -46,41 +46,41 @@ def of_scenario(scenario: str | Path | Mapping[str, Any]) -> dict[str, Any]:
     return {"scenario": str(scenario).removeprefix("zenostat/")}
 
 
-def for_node(given: Mapping[str, Any], name: str, slots: int = 1) -> dict[str, Any]:
-    """What the user gave (None left out), as the settings of a node of that many slots.
+def for_node(arguments: Mapping[str, Any], name: str, slots: int = 1) -> dict[str, Any]:
+    """Return the settings of a node for a user's arguments, of which none is None.
 
     Raises:
-        InvalidConfig: nothing to simulate, or several things; a point that is no list of names.
+        InvalidConfig: No simulation or several are named; or a point is not a tuple of names.
     """
-    settings = {key: _plain(value) for key, value in given.items()}
+    settings = {key: _to_json(value) for key, value in arguments.items()}
     sources = [key for key in ("scenario", "file", "config") if key in settings]
     if len(sources) > 1:
-        raise InvalidConfig(f"{' and '.join(sources)} both say what to simulate; name one of them")
+        raise InvalidConfig(f"{' and '.join(sources)} both define the simulation; use only one of them")
     if not sources and not {"building", "weather"} <= set(settings):
         raise InvalidConfig(
             "name a building and a weather, a scenario, a file (file=), or the bus (connect=) and node of a running one"
         )
     for key in ("sensors", "actuators"):
         if not isinstance(settings.get(key, {}), dict):
-            raise InvalidConfig(f"{key}: points by the names that they get expected, got {given[key]!r}")
+            raise InvalidConfig(f"{key}: a mapping from names to points expected, got {arguments[key]!r}")
         for point, spec in settings.get(key, {}).items():
             if isinstance(spec, str) or not isinstance(spec, list | dict):
                 raise InvalidConfig(f"{key} {point!r}: a tuple of EnergyPlus's names expected, got {spec!r}")
     if "file" in settings:
         settings["scenario"] = settings.pop("file")
-    # A relative path is the caller's, who may be elsewhere than the node.
+    # Relative paths refer to the caller's working directory, which may differ from the node's.
     for key in ("building", "config", "faults", "output_dir", "scenario", "weather"):
         if key in settings:
             settings[key] = _absolute(settings[key], always=key in ("config", "faults", "output_dir"))
     return settings | {"name": name} | ({"slots": slots} if slots > 1 else {})
 
 
-def _plain(value: Any) -> Any:
-    """As JSON has it."""
+def _to_json(value: Any) -> Any:
+    """Convert to JSON built-ins."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(part) for key, part in value.items()}
+        return {str(key): _to_json(part) for key, part in value.items()}
     if isinstance(value, Sequence) and not isinstance(value, str):
-        return [_plain(part) for part in value]
+        return [_to_json(part) for part in value]
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     return str(value) if isinstance(value, Path) else value
@@ -94,37 +94,37 @@ def _absolute(value: Any, *, always: bool) -> Any:
         return value
     try:
         path = path.expanduser()
-    except RuntimeError:  # ~name of nobody: the node says so
+    except RuntimeError:  # ~name of an unknown user: the node reports it
         return value
     return str(path.absolute()) if always or path.exists() else value
 
 
 def check_reward(reward: AnyReward | None, settings: Mapping[str, Any], placement: Affinity) -> None:
-    """Checks the reward before anything starts; with a fault in it, all else as well, so that all are said at once.
+    """Check the reward before anything starts; if it is invalid, check all settings, so that all errors are reported.
 
     Raises:
-        InvalidConfig: a kind or parameters that cannot be.
+        InvalidConfig: Unknown kind or invalid parameters, together with all other errors.
     """
-    said = _of_file(settings.get("scenario", "")) if reward == FROM_SCENARIO else reward
-    if said is None:
+    spec = _reward_in_file(settings.get("scenario", "")) if reward == FROM_SCENARIO else reward
+    if spec is None:
         return
     try:
-        read_reward(said)
-    except InvalidConfig as fault:
-        faults = [str(fault)]
+        read_reward(spec)
+    except InvalidConfig as error:
+        errors = [str(error)]
         try:
             LocalNode({**settings, "check": True}, placement).close()
-        except UsageError as others:
-            faults.append(str(others))
-        raise InvalidConfig("\n".join(faults)) from None
+        except UsageError as node_error:
+            errors.append(str(node_error))
+        raise InvalidConfig("\n".join(errors)) from None
 
 
-def _of_file(scenario: str) -> Any:
-    """The reward in a scenario's file; None where there is none to be read (the node says why)."""
+def _reward_in_file(scenario: str) -> Any:
+    """Return the reward in a scenario file; None if there is none, or if it cannot be read (the node reports why)."""
     if Path(scenario).suffix not in (".yaml", ".yml"):
         return None
     try:
-        found = yaml12.parse(yaml12.read_text(Path(scenario)), scenario)
+        fields = yaml12.parse(yaml12.read_text(Path(scenario)), scenario)
     except (OSError, ValueError, InvalidConfig):
         return None
-    return found.get("reward")
+    return fields.get("reward")

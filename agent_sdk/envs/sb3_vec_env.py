@@ -1,4 +1,4 @@
-"""A vector environment as stable-baselines3's algorithms take it."""
+"""A vector environment as a `VecEnv` of stable-baselines3."""
 
 from __future__ import annotations
 
@@ -25,46 +25,46 @@ _STATISTICS = "episode"
 
 
 def as_sb3(env: VectorEnv[Any, Any, Any]) -> SlotsVecEnv:
-    """The same environment for stable-baselines3: what `PPO("MlpPolicy", …)` takes.
+    """Convert a vector environment for the algorithms of stable-baselines3, such as `PPO("MlpPolicy", …)`.
 
     Args:
-        env: made with `autoreset_mode="SameStep"`, with any wrappers for vectors around it.
+        env: Made with `autoreset_mode="SameStep"`, within any vector wrappers.
 
     Raises:
-        InvalidConfig: another autoreset mode.
+        InvalidConfig: Another autoreset mode.
     """
     return SlotsVecEnv(env)
 
 
 class SlotsVecEnv(VecEnv):  # type: ignore[misc,unused-ignore]  # without types where it is not installed
-    """A vector environment of Gymnasium's as one of stable-baselines3's, equal to its `DummyVecEnv`.
+    """Adapter from Gymnasium's vector environments to stable-baselines3's; it behaves like `DummyVecEnv`.
 
-    What it gives for an ended episode stands in the slot's info: `terminal_observation` and `TimeLimit.truncated`;
-    the info of the reset that followed is in `reset_infos`.
+    The info of a slot whose episode has ended has `terminal_observation` and `TimeLimit.truncated`; the info of the
+    reset that followed is in `reset_infos`.
 
     Args:
-        env: see `as_sb3`.
+        env: See `as_sb3`.
 
     Attributes:
-        env: the vector environment.
+        env: The vector environment.
     """
 
     def __init__(self, env: VectorEnv[Any, Any, Any]) -> None:
         mode = env.metadata.get("autoreset_mode")
         if mode is not AutoresetMode.SAME_STEP:
             raise InvalidConfig(
-                f"stable-baselines3 begins episodes anew at once, and this environment's autoreset_mode is {mode}: "
-                "make it with autoreset_mode='SameStep'"
+                f"stable-baselines3 starts a new episode in the same step, but this environment's autoreset_mode is "
+                f"{mode}: make it with autoreset_mode='SameStep'"
             )
         self.env = env
         self._actions: Any = None
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
 
     def reset(self) -> Any:
-        """Starts an episode in each slot, with the seeds of `seed()` and the options of `set_options()`, once."""
+        """Start an episode in each slot with the seeds of `seed()` and the options of `set_options()`, once."""
         options = self._options[0]
-        if any(one != options for one in self._options):
-            raise InvalidConfig("options differ between slots; give one for all")
+        if any(slot_options != options for slot_options in self._options):
+            raise InvalidConfig("options differ between slots; set the same for all")
         seeds = None if all(seed is None for seed in self._seeds) else list(self._seeds)
         self._actions = None
         observations, infos = self.env.reset(seed=seeds, options=options or None)  # type: ignore[arg-type]
@@ -74,46 +74,47 @@ class SlotsVecEnv(VecEnv):  # type: ignore[misc,unused-ignore]  # without types 
         return observations
 
     def step_async(self, actions: Any) -> None:
-        """Takes the actions, shape (slots, …); `step_wait` simulates.
+        """Store the actions, shape (slots, …); `step_wait` simulates the timestep.
 
         Raises:
-            UsageError: another thread's actions wait for `step_wait`.
+            UsageError: Earlier actions, perhaps of another thread, still wait for `step_wait`.
         """
         if self._actions is not None:
-            raise UsageError(f"step_async() was called already, and step_wait() comes next; or {BUSY}")
+            raise UsageError(f"step_async() was called already, call step_wait() next; or {BUSY}")
         self._actions = actions
 
     def step_wait(self) -> VecEnvStepReturn:
-        """Observations, rewards (float32), whether each slot's episode has ended, and an info a slot."""
+        """Simulate a timestep; return observations, rewards (float32), dones, and an info for each slot."""
         if self._actions is None:
             raise EpisodeChanged("call step_async() before step_wait()")
         actions, self._actions = self._actions, None
         observations, rewards, terminated, truncated, infos = self.env.step(actions)
-        told, ended = self._each(infos), terminated | truncated
-        for slot in np.flatnonzero(ended).tolist():
-            self.reset_infos[slot] = {key: value for key, value in told[slot].items() if not key.startswith("final_")}
-            told[slot] = unbatch(infos["final_info"], slot)
-            if self.reset_infos[slot].pop(_STATISTICS, None) is not None:
-                # Gymnasium's wrapper for vectors puts them beside the final info, in a form of their own.
-                told[slot][_STATISTICS] = {name: values[slot].item() for name, values in infos[_STATISTICS].items()}
-            told[slot]["terminal_observation"] = infos["final_obs"][slot]
-        for slot, cut in enumerate((truncated & ~terminated).tolist()):
-            told[slot]["TimeLimit.truncated"] = cut
-        return observations, np.asarray(rewards, np.float32), ended, told
+        slot_infos, dones = self._each(infos), terminated | truncated
+        for slot in np.flatnonzero(dones).tolist():
+            reset_info = {key: value for key, value in slot_infos[slot].items() if not key.startswith("final_")}
+            final_info = unbatch(infos["final_info"], slot)
+            if reset_info.pop(_STATISTICS, None) is not None:
+                # Gymnasium's vector wrapper puts them beside the final info, in a form of their own.
+                final_info[_STATISTICS] = {name: values[slot].item() for name, values in infos[_STATISTICS].items()}
+            final_info["terminal_observation"] = infos["final_obs"][slot]
+            self.reset_infos[slot], slot_infos[slot] = reset_info, final_info
+        for slot, is_truncated in enumerate((truncated & ~terminated).tolist()):
+            slot_infos[slot]["TimeLimit.truncated"] = is_truncated
+        return observations, np.asarray(rewards, np.float32), dones, slot_infos
 
     def _each(self, infos: dict[str, Any]) -> list[dict[str, Any]]:
         return [unbatch(infos, slot) for slot in range(self.num_envs)]
 
     def close(self) -> None:
-        """Closes the vector environment; twice is fine."""
+        """Close the vector environment; idempotent."""
         self.env.close()
 
     def get_images(self) -> Sequence[Any]:
-        """A picture of each slot; None without `render_mode="rgb_array"`."""
+        """Return a picture of each slot; None without `render_mode="rgb_array"`."""
         return self.env.render() or [None] * self.num_envs
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        """An attribute of slots; that of the outermost wrapper that has it, if one has."""
+        """Return an attribute of the outermost wrapper that has it, else of each slot."""
         if attr_name in ("observation_space", "action_space"):
             return [getattr(self, attr_name) for _ in self._get_indices(indices)]
         for layer in layers(self.env):
@@ -122,7 +123,7 @@ class SlotsVecEnv(VecEnv):  # type: ignore[misc,unused-ignore]  # without types 
         return [getattr(slot, attr_name) for slot in self._slots(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        """Sets an attribute of slots."""
+        """Set an attribute of slots."""
         for slot in self._slots(indices):
             setattr(slot, attr_name, value)
 
@@ -131,10 +132,10 @@ class SlotsVecEnv(VecEnv):  # type: ignore[misc,unused-ignore]  # without types 
         return [slots[slot] for slot in self._get_indices(indices)]
 
     def env_method(self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any) -> list[Any]:
-        """Calls a method of slots."""
-        return [one(*args, **kwargs) for one in self.get_attr(method_name, indices)]
+        """Call a method of slots and return the results."""
+        return [method(*args, **kwargs) for method in self.get_attr(method_name, indices)]
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: VecEnvIndices = None) -> list[bool]:
-        """Whether slots are within such a wrapper; wrappers are around the vector, so all are or none."""
+        """Return whether slots are within such a wrapper; all or none are, because wrappers are around the vector."""
         wrapped = any(isinstance(layer, wrapper_class) for layer in layers(self.env))
         return [wrapped for _ in self._get_indices(indices)]

@@ -1,4 +1,4 @@
-"""The names of what an environment observes and sets."""
+"""Names of the dimensions of observations and actions."""
 
 from __future__ import annotations
 
@@ -13,25 +13,28 @@ from agent_sdk.envs.actions import Actions
 from topics.errors import InvalidConfig
 from topics.messages import Manifest
 
-_ANY_LAYER = "agent_sdk.wrappers.observation_dict(env, observation) names the values of any layer"
+_HINT = "agent_sdk.wrappers.observation_dict(env, observation) names the values of any layer"
 
 
-def by_name(names: Sequence[str], observation: ArrayLike, whose: str) -> dict[str, float]:
-    """The values of one observation by name.
+def by_name(names: Sequence[str], observation: ArrayLike, caller: str) -> dict[str, float]:
+    """Return the values of one observation by name.
+
+    Args:
+        names: Names of the values.
+        observation: Shape (names,).
+        caller: Name of the calling function, for the error.
 
     Raises:
-        InvalidConfig: another shape than (names,), as of an observation of another layer of wrappers.
+        InvalidConfig: Another shape, as of an observation of another layer of wrappers.
     """
     values = np.asarray(observation)
     if values.shape != (len(names),):
-        raise InvalidConfig(
-            f"{whose}: an observation of shape ({len(names)},) expected, got {values.shape}; {_ANY_LAYER}"
-        )
+        raise InvalidConfig(f"{caller}: an observation of shape ({len(names)},) expected, got {values.shape}; {_HINT}")
     return dict(zip(names, values.tolist(), strict=True))
 
 
 class SpaceNames:
-    """An environment, or a vector of them, on the points of one node."""
+    """Names of the observations and actions of an environment, or of a vector of them, on one node."""
 
     manifest: Manifest
     _actions: Actions
@@ -43,7 +46,7 @@ class SpaceNames:
 
     @property
     def action_names(self) -> tuple[str, ...]:
-        """Names of the dimensions of an action; of what the choices set where it is discrete."""
+        """Names of the dimensions of an action; of a discrete one, those of the actions that its choices set."""
         return tuple(self._actions.names)
 
     def add_layer(self, wrapper: Any) -> None:
@@ -51,19 +54,19 @@ class SpaceNames:
         self.__dict__.setdefault("_layers", WeakSet()).add(wrapper)
 
     def observation_dict(self, observation: ArrayLike) -> dict[str, float]:
-        """The values of one building's observation by name, in the unit that the manifest says.
+        """Return the values of one building's observation by name, in the units of the manifest.
 
-        An observation of a wrapper of `agent_sdk.wrappers` around this environment has that wrapper's names.
+        For an observation of a wrapper of `agent_sdk.wrappers` around this environment, that wrapper's names are used.
 
         Raises:
-            InvalidConfig: no layer has observations of that shape, or several that name their values differently.
+            InvalidConfig: No layer has observations of that shape, or several layers name their values differently.
         """
         layers = self.__dict__.get("_layers", ())
-        known = {self.observation_names, *(tuple(layer.observation_names) for layer in layers)}
-        fitting = [names for names in known if np.shape(observation) == (len(names),)]
-        if len(fitting) > 1:
+        candidates = {self.observation_names, *(tuple(layer.observation_names) for layer in layers)}
+        matching = [names for names in candidates if np.shape(observation) == (len(names),)]
+        if len(matching) > 1:
             raise InvalidConfig(
-                f"observation_dict: {len(fitting)} layers of wrappers have {len(fitting[0])} values in different "
-                f"order, and an array does not say whose it is; {_ANY_LAYER}"
+                f"observation_dict: {len(matching)} layers of wrappers have {len(matching[0])} values in different "
+                f"order, and an array does not show which layer it is from; {_HINT}"
             )
-        return by_name(fitting[0] if fitting else self.observation_names, observation, "observation_dict")
+        return by_name(matching[0] if matching else self.observation_names, observation, "observation_dict")

@@ -15,14 +15,14 @@ Floats = Box
 
 
 def observation_space(manifest: Manifest) -> Box[np.float32]:
-    """Float32, shape (time fields + sensors + meters,); bounds from units and limits, infinite where there are none."""
+    """Return a float32 box, shape (time fields + sensors + meters,), with infinite bounds where a point has none."""
     points: list[Sensor | Meter] = [*manifest.sensors, *manifest.meters]
     return _box([*(BOUNDS[field] for field in manifest.task.time), *map(_bounds, points)])
 
 
 def action_space(manifest: Manifest) -> Space[Any]:
-    """A number for each choice, `DiscreteSpec` or `MultiDiscrete`; without choices float32, shape (actions,)."""
-    counts = [len(choice.values) for choice in manifest.task.discrete_actions]
+    """Return `Discrete` or `MultiDiscrete` for discrete actions; otherwise a float32 box, shape (actions,)."""
+    counts = [len(discrete.values) for discrete in manifest.task.discrete_actions]
     if len(counts) == 1:
         return Discrete(counts[0])
     return MultiDiscrete(counts) if counts else _box(map(_bounds, manifest.task.actions))

@@ -1,4 +1,4 @@
-"""Limits that end an episode before its time."""
+"""Limits that terminate an episode before the end of its run period."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ Floats = NDArray[np.float64]
 
 
 class TerminationLimits:
-    """Watches an episode's samples, or those of several slots.
+    """Checks the samples of an episode, or of several slots, against the task's limits.
 
     Args:
-        manifest: with the task's limits, of points that it has.
-        slots: how many there are; None is one building, whose values are no rows.
+        manifest: The node's manifest; it has all points of the limits.
+        slots: Number of slots; None is a single building, whose values have no dimension for slots.
     """
 
     def __init__(self, manifest: Manifest, slots: int | None = None) -> None:
@@ -27,54 +27,57 @@ class TerminationLimits:
         self._points = [np.array([manifest.names.index(name) for name in limit.points]) for limit in self._limits]
         self._low = [-np.inf if limit.low is None else limit.low for limit in self._limits]
         self._high = [np.inf if limit.high is None else limit.high for limit in self._limits]
-        self._lead = () if slots is None else (slots,)
+        self._batch_shape = () if slots is None else (slots,)
         self.reset()
 
     def reset(self, slots: Sequence[int] | None = None) -> None:
-        """An episode begins (in these slots; None: in all)."""
+        """Reset the counts for a new episode in these slots; None: in all."""
         if slots is None:
-            self._outside_s = [np.zeros((*self._lead, len(points))) for points in self._points]
+            self._outside_s = [np.zeros((*self._batch_shape, len(points))) for points in self._points]
             return
         for outside_s in self._outside_s:
             outside_s[list(slots)] = 0.0
 
     def violated(self, values: Floats) -> str:
-        """Which limit ends the episode with this sample's values, shape (points,); empty if none does.
+        """Describe the limit that a sample violates; empty if it violates none.
 
-        A point counts the timesteps that it has ended outside the range, until it is back.
+        A point accumulates the timesteps that it has ended outside its range until it is back inside.
+
+        Args:
+            values: The sample's values, shape (points,).
         """
         for number in range(len(self._limits)):
-            found = self._count(number, values)
-            if found.over.any():
-                return self._words(number, *found)
+            check = self._check(number, values)
+            if check.violated.any():
+                return self._describe(number, *check)
         return ""
 
     def violated_slots(self, values: Floats) -> dict[int, str]:
-        """The same of several slots, values of shape (slots, points): those that end, and by which limit."""
-        ended: dict[int, str] = {}
+        """Describe the violated limit of each slot that violates one; values have shape (slots, points)."""
+        violations: dict[int, str] = {}
         for number in range(len(self._limits)):
-            found = self._count(number, values)
-            if found.over.any():
-                for slot in np.flatnonzero(found.over.any(axis=-1)).tolist():
-                    ended.setdefault(slot, self._words(number, *(part[slot] for part in found)))
-        return ended
+            check = self._check(number, values)
+            if check.violated.any():
+                for slot in np.flatnonzero(check.violated.any(axis=-1)).tolist():
+                    violations.setdefault(slot, self._describe(number, *(part[slot] for part in check)))
+        return violations
 
-    def _count(self, number: int, values: Floats) -> _Found:
-        own = values.take(self._points[number], axis=-1)
-        outside = (own < self._low[number]) | (own > self._high[number])
-        since = self._outside_s[number] = np.where(outside, self._outside_s[number] + self._step_s, 0.0)
-        return _Found(own, since, outside & (since >= self._limits[number].duration_s))
+    def _check(self, number: int, values: Floats) -> _LimitCheck:
+        points = values.take(self._points[number], axis=-1)
+        outside = (points < self._low[number]) | (points > self._high[number])
+        outside_s = self._outside_s[number] = np.where(outside, self._outside_s[number] + self._step_s, 0.0)
+        return _LimitCheck(points, outside_s, outside & (outside_s >= self._limits[number].duration_s))
 
-    def _words(self, number: int, own: Floats, since: Floats, over: NDArray[np.bool_]) -> str:
-        worst = int(np.argmax(np.where(over, since, -1.0)))
+    def _describe(self, number: int, values: Floats, outside_s: Floats, violated: NDArray[np.bool_]) -> str:
+        worst = int(np.argmax(np.where(violated, outside_s, -1.0)))
         low, high = self._low[number], self._high[number]
-        name, hours = self._limits[number].points[worst], since[worst] / 3600.0
-        return f"{name} = {own[worst]:g} has been outside {low:g} to {high:g} for {hours:g} h"
+        name, hours = self._limits[number].points[worst], outside_s[worst] / 3600.0
+        return f"{name} = {values[worst]:g} has been outside {low:g} to {high:g} for {hours:g} h"
 
 
-class _Found(NamedTuple):
-    """Of one limit's points: values, seconds outside so far, and whether that is enough."""
+class _LimitCheck(NamedTuple):
+    """Of one limit's points: values, seconds outside so far, and whether that violates the limit."""
 
-    own: Floats
-    since: Floats
-    over: NDArray[np.bool_]
+    values: Floats
+    outside_s: Floats
+    violated: NDArray[np.bool_]

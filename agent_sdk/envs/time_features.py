@@ -1,4 +1,4 @@
-"""Fields of the clock that an agent observes, as EnergyPlus's data exchange API gives them."""
+"""Time features of an observation, as EnergyPlus's data exchange API defines them."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ BOUNDS: dict[TimeField, tuple[float, float]] = {
     TimeField.MINUTES: (0, 60),
     TimeField.CURRENT_TIME: (0, _HOURS),
 }
-"""Least and largest value of each field."""
+"""Minimum and maximum of each field."""
 
 
 def time_features(fields: Sequence[TimeField], begin: datetime, end: datetime) -> NDArray[np.float64]:
-    """The fields of the timestep from `begin` to `end` (the same for sample 0), shape (fields,).
+    """Return the fields of the timestep from `begin` to `end` (equal for sample 0), shape (fields,).
 
-    `hour` and the date are those of its begin, `minutes` and `current_time` (h) of its end.
+    `hour` and the date are those of its beginning, `minutes` and `current_time` (h) those of its end.
     """
     return np.array([_field(field, begin, end) for field in fields], np.float64)
 

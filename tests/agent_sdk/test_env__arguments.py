@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agent_sdk.envs.arguments import FROM_SCENARIO, NODE_ARGUMENTS, _of_file, check_reward, for_node
+from agent_sdk.envs.arguments import FROM_SCENARIO, NODE_ARGUMENTS, _reward_in_file, check_reward, for_node
 from bridge.runtime.affinity import Affinity
 from eplus_node.config import read_config
 from topics.errors import InvalidConfig, UsageError
@@ -193,7 +193,7 @@ def test_a_node_knows_every_setting_that_is_handed_on() -> None:
 def test_the_reward_of_a_file_is_read(tmp_path: Path) -> None:
     file = tmp_path / "mine.yml"
     file.write_text("building: b\nreward: {kind: linear, weight: 0.25}\n")
-    assert _of_file(str(file)) == {"kind": "linear", "weight": 0.25}
+    assert _reward_in_file(str(file)) == {"kind": "linear", "weight": 0.25}
 
 
 @pytest.mark.parametrize(
@@ -202,23 +202,23 @@ def test_the_reward_of_a_file_is_read(tmp_path: Path) -> None:
 def test_a_file_without_a_reward_has_none(tmp_path: Path, text: str) -> None:
     file = tmp_path / "mine.yaml"
     file.write_text(text)
-    assert _of_file(str(file)) is None
+    assert _reward_in_file(str(file)) is None
 
 
 def test_a_file_that_is_no_text_has_none(tmp_path: Path) -> None:
     file = tmp_path / "mine.yaml"
     file.write_bytes(b"reward: \xff\xfe\x00")
-    assert _of_file(str(file)) is None
+    assert _reward_in_file(str(file)) is None
 
 
 @pytest.mark.parametrize("scenario", ["", "office-small-USA_CO_Denver-continuous-v1", "gone.yaml"])
 def test_what_is_no_file_has_no_reward_to_read(here: Path, scenario: str) -> None:
-    assert _of_file(scenario) is None
+    assert _reward_in_file(scenario) is None
 
 
 def test_a_folder_is_no_file(tmp_path: Path) -> None:
     (tmp_path / "folder.yaml").mkdir()
-    assert _of_file(str(tmp_path / "folder.yaml")) is None
+    assert _reward_in_file(str(tmp_path / "folder.yaml")) is None
 
 
 def test_a_good_reward_starts_nothing(tmp_path: Path) -> None:

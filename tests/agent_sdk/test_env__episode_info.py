@@ -195,7 +195,7 @@ if __name__ == "__main__":
 
 
 def test_an_environment_goes_to_one_file_and_comes_back_equal(scratch: Path) -> None:
-    from agent_sdk.make import load_env, save_env
+    from agent_sdk import load_env, save_env
     from agent_sdk.rewards import LinearReward
     from agent_sdk.wrappers import apply_wrappers, wrappers_of
 
@@ -228,7 +228,7 @@ def test_a_wrapper_that_cannot_be_leaves_nothing_behind(scratch: Path) -> None:
 
 
 def test_an_own_reward_cannot_be_written(scratch: Path) -> None:
-    from agent_sdk.make import save_env
+    from agent_sdk import save_env
 
     def mine(values: Any, begin: Any) -> dict[str, float]:
         return {"heat": -float(values["core_zn_air_temperature"])}
