@@ -1,4 +1,4 @@
-"""An environment as one file: scenario, reward and wrappers."""
+"""Make environments from scenarios, and save them as scenario files."""
 
 from __future__ import annotations
 
@@ -7,10 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
+from gymnasium.vector import VectorEnv
 
 from agent_sdk.bus.controller_link import ControllerLink
 from agent_sdk.envs.arguments import check_arguments
 from agent_sdk.envs.building_env import BuildingEnv
+from agent_sdk.envs.vector_env import BuildingVectorEnv
 from agent_sdk.rewards import Reward
 from agent_sdk.rewards.config import RewardConfig
 from agent_sdk.wrappers import apply_wrappers, wrappers_of
@@ -18,14 +20,17 @@ from topics import yaml12
 from topics.errors import InvalidConfig
 
 
-def make(**given: Any) -> gym.Env[Any, Any]:
-    """The environment of a scenario, within the wrappers that it names; what `gym.make` calls.
+def make(**arguments: Any) -> gym.Env[Any, Any]:
+    """Make the environment of a scenario within its wrappers, as `gym.make` does.
+
+    Args:
+        arguments: As for `BuildingEnv`: `make(scenario="5zone-hot-continuous-v1", end="01-07")`.
 
     Raises:
-        UsageError, BusError, SimulatorError: see `BuildingEnv`; nothing is left behind.
+        UsageError, BusError, SimulatorError: See `BuildingEnv`; everything that was started is closed again.
     """
-    check_arguments(given, list(inspect.signature(BuildingEnv).parameters))
-    env = BuildingEnv(**given)
+    check_arguments(arguments, list(inspect.signature(BuildingEnv).parameters))
+    env = BuildingEnv(**arguments)
     try:
         wrapped: gym.Env[Any, Any] = apply_wrappers(env, env.manifest.task.wrappers)
     except BaseException:
@@ -34,41 +39,62 @@ def make(**given: Any) -> gym.Env[Any, Any]:
     return wrapped
 
 
-def save_env(env: gym.Env[Any, Any], path: str | Path) -> None:
-    """Writes an environment, its reward and its wrappers as a scenario file; `load_env` makes an equal one.
+def make_vec(num_envs: int = 1, **arguments: Any) -> VectorEnv[Any, Any, Any]:
+    """Make the vector environment of a scenario within its wrappers, as `gym.make_vec` does.
 
     Args:
-        env: with any wrappers of `agent_sdk.wrappers` and those of Gymnasium's that can be written as data.
-        path: of the file (YAML).
+        num_envs: Number of slots, 1 to 256.
+        arguments: As for `BuildingVectorEnv`.
 
     Raises:
-        InvalidConfig: an environment without a node, a reward that is a function or a class of the user's, or a
-            wrapper that cannot be written as data.
+        UsageError, BusError, SimulatorError: See `BuildingVectorEnv`; everything that was started is closed again.
+    """
+    env = BuildingVectorEnv(num_envs, **arguments)
+    try:
+        wrapped: VectorEnv[Any, Any, Any] = apply_wrappers(env, env.manifest.task.wrappers)
+    except BaseException:
+        env.close()
+        raise
+    return wrapped
+
+
+def save_env(env: gym.Env[Any, Any], path: str | Path) -> None:
+    """Write an environment with its reward and wrappers to a scenario file; `load_env` makes an equal one from it.
+
+    Args:
+        env: An environment within any wrappers of `agent_sdk.wrappers`, and those of Gymnasium that can be serialized.
+        path: The file (YAML).
+
+    Raises:
+        InvalidConfig: An environment without a node, a reward that is a function or class of the user's, or a wrapper
+            that cannot be serialized.
     """
     building = env.unwrapped
     if not isinstance(building, BuildingEnv) or not isinstance(building.link, ControllerLink):
-        raise InvalidConfig(f"{type(building).__name__} has no scenario to be written; save a zenostat/ environment")
+        raise InvalidConfig(
+            f"{type(building).__name__} has no scenario that can be saved; save a zenostat/ environment"
+        )
     fields = yaml12.parse(building.link.scenario(), "the node's scenario")
-    fields["reward"] = _written(building.reward)
+    fields["reward"] = _serialize(building.reward)
     fields["wrappers"] = wrappers_of(env)
     Path(path).write_text(yaml12.dump(fields), encoding="utf-8")
 
 
-def _written(reward: Reward | None) -> dict[str, Any] | None:
+def _serialize(reward: Reward | None) -> dict[str, Any] | None:
     if reward is None:
         return None
     if not isinstance(reward, RewardConfig):
         raise InvalidConfig(
-            f"the reward {reward!r} is code of your own and cannot stand in a file; pass it again by "
-            "load_env(path, reward=...) after saving the environment with reward=None"
+            f"the reward {reward!r} is code of your own and cannot be saved in a file; save the environment with "
+            "reward=None, and pass the reward to load_env(path, reward=...)"
         )
     return reward.model_dump(mode="json", exclude_defaults=True)
 
 
-def load_env(path: str | Path, **given: Any) -> gym.Env[Any, Any]:
-    """The environment of a file; arguments go before what it says.
+def load_env(path: str | Path, **arguments: Any) -> gym.Env[Any, Any]:
+    """Make the environment of a scenario file; arguments override its settings.
 
     Raises:
-        UsageError, BusError, SimulatorError: see `BuildingEnv`.
+        UsageError, BusError, SimulatorError: See `BuildingEnv`.
     """
-    return gym.make("zenostat/Scenario-v1", file=path, **given)
+    return gym.make("zenostat/Scenario-v1", file=path, **arguments)
