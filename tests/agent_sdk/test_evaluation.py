@@ -292,7 +292,7 @@ def test_parameters_go_to_those_that_take_them() -> None:
         (["rbc", "setback"], {"parameters": {"margin": -1}}, InvalidConfig, "margin = -1"),
         (["rbc"], {"episodes": 0}, InvalidConfig, "at least one episode"),
         (["rbc"], {"seed": -1}, InvalidConfig, "a seed of at least 0"),
-        (["nothing.zip"], {}, InvalidConfig, "say which algorithm trained nothing.zip"),
+        (["nothing.zip"], {}, InvalidConfig, "the algorithm of nothing.zip is missing"),
     ],
 )
 def test_mistakes_are_said_before_anything_runs(

@@ -254,7 +254,7 @@ def test_mistakes_in_a_callback(tmp_path: Path) -> None:
         with pytest.raises(InvalidConfig, match=r"a file \.zip in a folder that exists expected"):
             EvaluationCallback(fake, every=1, best_model_path=path)
     env = fake()
-    with pytest.raises(InvalidConfig, match="gave an environment of the training"):
+    with pytest.raises(InvalidConfig, match="returned an environment of the training"):
         ppo(env).learn(48, callback=EvaluationCallback(lambda: env, every=48))
     with pytest.raises(InvalidConfig, match="has no reward"):
         ppo(fake()).learn(48, callback=EvaluationCallback(lambda: fake(reward=None), every=48))
@@ -290,11 +290,11 @@ def test_files_that_are_no_models(tmp_path: Path) -> None:
     (tmp_path / "text.zip").write_text("nothing")
     ppo(fake()).save(tmp_path / "model.zip")
     for text, error, says in (
-        (f"ppo:{tmp_path}/none.zip", UnknownName, "there is no file"),
+        (f"ppo:{tmp_path}/none.zip", UnknownName, "there is no model file"),
         (f"pop:{tmp_path}/model.zip", UnknownName, "no algorithm 'pop'; near names: 'ppo'"),
-        (f"{tmp_path}/model.zip", InvalidConfig, "say which algorithm trained"),
-        (f"ppo:{tmp_path}/text.zip", InvalidConfig, "is no model of PPO, or of another version"),
-        (f"sac:{tmp_path}/model.zip", InvalidConfig, "is no model of SAC"),
+        (f"{tmp_path}/model.zip", InvalidConfig, "the algorithm of .* is missing"),
+        (f"ppo:{tmp_path}/text.zip", InvalidConfig, "is not a model of PPO, or of another version"),
+        (f"sac:{tmp_path}/model.zip", InvalidConfig, "is not a model of SAC"),
     ):
         with pytest.raises(error, match=says):
             load_policy(text)

@@ -86,7 +86,7 @@ def test_the_callback_marks_its_models_and_drops_a_former_normalization(tmp_path
         model = PPO.load(best, device="cpu")
         assert model.observations_normalized is normalized
     beside.write_bytes(b"no pickle")
-    with pytest.raises(InvalidConfig, match="is no saved VecNormalize"):
+    with pytest.raises(InvalidConfig, match="is not a saved VecNormalize"):
         load_policy(f"ppo:{best}")
 
 

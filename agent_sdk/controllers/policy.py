@@ -1,0 +1,186 @@
+"""A trained model of stable-baselines3 as a controller."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from datetime import timedelta
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from agent_sdk.bus.sample import SampleView
+from agent_sdk.controllers.base import Controller, Values
+from agent_sdk.envs import spaces
+from agent_sdk.envs.actions import Actions
+from agent_sdk.envs.time_features import time_features
+from agent_sdk.vec_normalization import load_normalization, normalization_of
+from topics.errors import InvalidConfig, UnknownName, did_you_mean
+from topics.extras import install_command
+from topics.messages import CommandOp, Manifest
+
+try:
+    import stable_baselines3 as sb3
+    import torch
+    from stable_baselines3.common.base_class import BaseAlgorithm
+    from stable_baselines3.common.vec_env import VecNormalize
+except ImportError as error:
+    raise InvalidConfig(f"training needs stable-baselines3 ({error}): {install_command('train')}") from None
+
+ALGORITHMS: dict[str, type[BaseAlgorithm]] = {
+    "a2c": sb3.A2C,
+    "ddpg": sb3.DDPG,
+    "dqn": sb3.DQN,
+    "ppo": sb3.PPO,
+    "sac": sb3.SAC,
+    "td3": sb3.TD3,
+}
+"""Algorithms by the prefix of a model's file: `ppo:model.zip`."""
+
+
+class Predictor:
+    """A model's actions during an episode; it keeps the state of a recurrent model."""
+
+    def __init__(self, model: BaseAlgorithm) -> None:
+        self._model = model
+        self._state: Any = None
+        self._first = np.array([True])
+
+    def action(self, observation: Any) -> Any:
+        """Return the model's action without exploration."""
+        action, self._state = self._model.predict(
+            observation, state=self._state, episode_start=self._first, deterministic=True
+        )
+        self._first = np.array([False])
+        return action
+
+
+@contextmanager
+def preserve_random_state() -> Iterator[None]:
+    """Restore the global random generators of Python, NumPy and torch on exit."""
+    python, numpy = random.getstate(), np.random.get_state()
+    with torch.random.fork_rng(devices=[]):  # without exploration, other devices draw no random numbers
+        try:
+            yield
+        finally:
+            random.setstate(python)
+            np.random.set_state(numpy)
+
+
+class PolicyController(Controller):
+    """A trained model as a controller.
+
+    Args:
+        manifest: The node's manifest.
+        model: A model of stable-baselines3, or any object with its `predict`, `observation_space` and `action_space`.
+        normalization: Normalization of its observations; left out, that of the model's environment, if it has one.
+
+    Raises:
+        InvalidConfig: It was trained on other observations or actions than the node's, or behind a `VecNormalize` that
+            is missing.
+    """
+
+    def __init__(self, manifest: Manifest, model: BaseAlgorithm, normalization: VecNormalize | None = None) -> None:
+        super().__init__(manifest)
+        self._actions = Actions(manifest)
+        for kind, trained, current in (
+            ("observations", model.observation_space, spaces.observation_space(manifest)),
+            ("actions", model.action_space, self._actions.space),
+        ):
+            if trained != current:
+                names = _dimension_names(manifest, kind)
+                raise InvalidConfig(
+                    f"the model was trained on other {kind} than those of {manifest.node!r}: "
+                    f"{_difference(trained, current, names)}; use the scenario of its training; a model trained behind "
+                    "wrappers is evaluated by agent_sdk.training.evaluate_model"
+                )
+        self._normalization = normalization if normalization is not None else normalization_of(model)
+        self._model, self._predictor = model, Predictor(model)
+        self._timestep = timedelta(hours=1 / manifest.steps_per_hour)
+
+    def begin(self, sample: SampleView) -> None:  # noqa: ARG002
+        """Reset the state of a recurrent model."""
+        self._predictor = Predictor(self._model)
+
+    def act(self, sample: SampleView) -> Values:
+        """Return the model's action without exploration."""
+        values, fields = sample.values, self.manifest.task.time
+        if fields:
+            begin = sample.time - self._timestep if sample.step else sample.time
+            values = np.concatenate([time_features(fields, begin, sample.time), values])
+        observation: Any = values.astype(np.float32)
+        if self._normalization is not None:
+            observation = self._normalization.normalize_obs(observation)
+        values = self._actions.values(self._predictor.action(observation))
+        operations = self._actions.operations or bytes([CommandOp.SET] * len(values))
+        commands = zip(self.manifest.actuators, values.tolist(), operations, strict=True)
+        return {actuator.name: value for actuator, value, operation in commands if operation == CommandOp.SET}
+
+
+def _dimension_names(manifest: Manifest, kind: str) -> list[str]:
+    """Return the names of the dimensions of a node's observations or actions."""
+    task = manifest.task
+    return [*task.time, *manifest.names] if kind == "observations" else [action.name for action in task.actions]
+
+
+def _difference(trained: gym.Space[Any], current: gym.Space[Any], names: Sequence[str]) -> str:
+    """Describe how two spaces differ; with the same number of dimensions, by the names whose bounds differ."""
+    if not (isinstance(trained, gym.spaces.Box) and isinstance(current, gym.spaces.Box)):
+        return f"{trained}, now {current}"
+    if trained.shape != current.shape or len(names) != current.low.size:
+        return f"{trained.low.size} of them, now {current.low.size}: {', '.join(names)}"
+    before, now = (np.stack([box.low.ravel(), box.high.ravel()], 1) for box in (trained, current))
+    rows = zip(names, before.tolist(), now.tolist(), strict=True)
+    return "; ".join(f"{name} was {a[0]:g} to {a[1]:g}, now {b[0]:g} to {b[1]:g}" for name, a, b in rows if a != b)
+
+
+def load_policy(
+    path: str | Path, algorithm: str | type[BaseAlgorithm] | None = None
+) -> Callable[[Manifest], PolicyController]:
+    """Load a trained model as a controller factory, which is called with a node's manifest like a controller class.
+
+    The normalization of a model that was trained behind `VecNormalize` is loaded with it: `model.vecnormalize.pkl`
+    beside `model.zip`, where `EvaluationCallback` saves it and `VecNormalize.save` can.
+
+    Both files contain pickled Python objects, which may execute arbitrary code when they are loaded: load only files
+    that you trust.
+
+    Args:
+        path: File written by `model.save`; or, with the algorithm as a prefix, `ppo:model.zip`.
+        algorithm: One of `ALGORITHMS`, or a class such as `sb3_contrib.RecurrentPPO`.
+
+    Raises:
+        UnknownName: No such file or algorithm.
+        InvalidConfig: The file is not a model of that algorithm; its normalization is missing or does not fit.
+    """
+    name, colon, rest = str(path).partition(":")
+    if algorithm is None:
+        if not colon:
+            raise InvalidConfig(
+                f"the algorithm of {path} is missing: one of {', '.join(ALGORITHMS)} expected, as ppo:{path}"
+            )
+        algorithm, path = name, rest
+    path = Path(path).expanduser()
+    if isinstance(algorithm, str):
+        if algorithm.casefold() not in ALGORITHMS:
+            raise UnknownName(f"no algorithm {algorithm!r}; {did_you_mean(algorithm, ALGORITHMS)}")
+        algorithm = ALGORITHMS[algorithm.casefold()]
+    if not path.is_file():
+        raise UnknownName(f"there is no model file {path.absolute()}")
+    try:
+        with preserve_random_state():  # loading a model that was created with a seed seeds the global generators
+            model = algorithm.load(path, device="cpu")
+    except Exception as error:
+        raise InvalidConfig(
+            f"{path} is not a model of {algorithm.__name__}, or of another version: {type(error).__name__}: {error}"
+        ) from error
+
+    normalization = load_normalization(model, path)
+
+    def policy(manifest: Manifest) -> PolicyController:
+        return PolicyController(manifest, model, normalization)
+
+    return policy
