@@ -1,10 +1,10 @@
-"""Prices, carbon intensities and other signals that go by the clock: from a file, a list, a table, or constant.
+"""Prices, carbon intensities and other hourly time series: from a file, a list, a table, or constant.
 
-A year of hours holds for any simulated year. Its first row is 1 January, 0:00 to 1:00 local standard time, as simulated
-time is: it has no summer time, and row k is simply hour k of the year. It is looked up by month, day and hour. A
-series of 8760 hours has no 29 February; where the simulated year has one, it is that of the 28th. One of 8784 hours
-has one; where the simulated year has none, its rows are passed over. Weekdays are therefore those of the simulated
-year in an `TimeOfUse`, and those of the series' own year in the others.
+A year of hours is valid for any simulated year. Its first row is 1 January, 0:00 to 1:00 local standard time; like
+simulated time it has no daylight saving time, and row k is hour k of the year. Values are looked up by month, day and
+hour. A series of 8760 hours has no 29 February; if the simulated year has one, the values of the 28th are used. One of
+8784 hours has a 29 February; if the simulated year has none, its rows are skipped. Weekdays are therefore those of the
+simulated year in a `TimeOfUse`, and those of the series' own year in the other forms.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from topics.errors import InvalidConfig, did_you_mean
 HOURS, LEAP_HOURS = 8760, 8784
 _FEBRUARY_28, _FEBRUARY_29 = 24 * (31 + 27), 24 * (31 + 28)
 _DAYS_BEFORE = (0, 31, 60, 91, 121, 152, 182, 213, 244, 274, 305, 335)
-_SHOWN = 5
+_MAX_LISTED = 5
 
 Number = Annotated[float, Field(strict=True)]
 Unit = Annotated[str, Field(min_length=1)]
@@ -43,33 +43,33 @@ Weekday = Literal["mon", "tue", "wed", "thu", "fri", "sat", "sun"]
 _WEEKDAYS = ("mon", "tue", "wed", "thu", "fri", "sat", "sun")
 
 
-def _is_a_span(hours: tuple[int, int]) -> tuple[int, int]:
+def _check_hours(hours: tuple[int, int]) -> tuple[int, int]:
     first, end = hours
     if not (0 <= first <= 23 and 0 <= end <= 24 and first != end):
         raise ValueError("a first hour from 0 to 23 and an end from 0 to 24 expected, as [9, 20] or [22, 6]")
     return hours
 
 
-Hours = Annotated[tuple[int, int], AfterValidator(_is_a_span)]
-"""The first hour of the day, and the one that is not in it any more; (22, 6) spans midnight."""
+Hours = Annotated[tuple[int, int], AfterValidator(_check_hours)]
+"""The first hour of a span within the day, and the hour after its last one; (22, 6) spans midnight."""
 
 
 def within(hours: tuple[int, int], hour: int) -> bool:
-    """Whether an hour of the day (0 to 23) is in a span of hours."""
+    """Return whether an hour of the day (0 to 23) is in a span of hours."""
     first, end = hours
     return first <= hour < end if first < end else hour >= first or hour < end
 
 
 def hour_of_leap_year(moment: datetime) -> int:
-    """0 to 8783; 1 March at 0:00 is the same hour in each year."""
+    """Return the hour of a leap year, 0 to 8783; 1 March at 0:00 is the same hour in each year."""
     return (_DAYS_BEFORE[moment.month - 1] + moment.day - 1) * 24 + moment.hour
 
 
 class TimeSeries(BaseModel, ABC):
-    """A number for each hour.
+    """A time series with a number for each hour.
 
     Attributes:
-        unit: of the number, as `EUR/MWh`.
+        unit: Unit of the numbers, as `EUR/MWh`.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -77,21 +77,21 @@ class TimeSeries(BaseModel, ABC):
     unit: Unit
 
     def at(self, begin: datetime | Sequence[datetime]) -> Any:
-        """The number of the hour in which a moment lies, or an array of those of several moments."""
+        """Return the number of the hour that contains a moment, or an array of those of several moments."""
         if isinstance(begin, datetime):
             return self._at(begin)
         return np.array([self._at(moment) for moment in begin], np.float64)
 
-    def load(self) -> None:  # most have nothing to read
-        """Reads what there is to read, so that its mistakes are known before anything starts.
+    def load(self) -> None:  # most forms have nothing to read
+        """Read the file, if there is one, so that its errors are reported before anything starts.
 
         Raises:
-            InvalidConfig: there is no such file or column, or it is no year of numbers.
+            InvalidConfig: No such file or column, or not a year of numbers.
         """
 
     @abstractmethod
     def _at(self, moment: datetime) -> float:
-        """The number of the hour in which a moment lies."""
+        """Return the number of the hour that contains a moment."""
 
 
 class Constant(TimeSeries):
@@ -104,11 +104,12 @@ class Constant(TimeSeries):
 
 
 class Period(BaseModel):
-    """A number for some hours of some days; what is left out is all of them.
+    """A number for some hours of some days; a field that is left out selects all.
 
     Attributes:
-        hours: the first one, and the one that is not in it any more; [22, 6] spans midnight.
-        weekdays: of the day on which the hour lies: `[mon, tue, wed, thu, fri]`.
+        value: The number.
+        hours: The first hour, and the hour after the last one; [22, 6] spans midnight.
+        weekdays: Weekdays of the day that contains the hour: `[mon, tue, wed, thu, fri]`.
         months: 1 to 12.
     """
 
@@ -120,7 +121,7 @@ class Period(BaseModel):
     months: Annotated[tuple[Annotated[int, Field(ge=1, le=12)], ...], Field(min_length=1)] | None = None
 
     def holds(self, month: int, weekday: int, hour: int) -> bool:
-        """Whether it is for that hour (0 to 23) of that day (0 is Monday) of that month (1 to 12)."""
+        """Return whether the period contains this month (1 to 12), weekday (0 is Monday) and hour (0 to 23)."""
         return (
             (self.hours is None or within(self.hours, hour))
             and (self.weekdays is None or _WEEKDAYS[weekday] in self.weekdays)
@@ -129,7 +130,7 @@ class Period(BaseModel):
 
 
 class TimeOfUse(TimeSeries):
-    """A time of use: the first period that holds, else `otherwise`.
+    """A time-of-use table: the value of the first period that contains the hour, else `otherwise`.
 
     `{table: [{value: 0.30, hours: [8, 20], weekdays: [mon, tue, wed, thu, fri]}], otherwise: 0.12, unit: EUR/kWh}`
     """
@@ -142,7 +143,7 @@ class TimeOfUse(TimeSeries):
 
     @cached_property
     def _numbers(self) -> list[list[list[float]]]:
-        """By month, weekday and hour."""
+        """Numbers by month, weekday and hour."""
         return [[[self._first(month, day, hour) for hour in range(24)] for day in range(7)] for month in range(1, 13)]
 
     def _first(self, month: int, weekday: int, hour: int) -> float:
@@ -150,7 +151,7 @@ class TimeOfUse(TimeSeries):
 
 
 class HourlySeries(TimeSeries):
-    """A year of hours: `{hourly: [..8760 or 8784 numbers..], unit: g/kWh}`."""
+    """A list with a number for each hour of a year: `{hourly: [..8760 or 8784 numbers..], unit: g/kWh}`."""
 
     hourly: tuple[Number, ...]
 
@@ -175,11 +176,11 @@ class HourlyFile(TimeSeries):
     `{csv: prices.csv, column: value, unit: EUR/MWh, delimiter: ;}`
 
     Attributes:
-        csv: the file, UTF-8; a relative path is beside the program that uses it.
-        column: its name in the header, or its number, from 1.
-        delimiter: between columns.
-        decimal: `.` or `,`.
-        header_row: the line with the columns' names, from 1; the numbers begin below it. 0 is none.
+        csv: The file, UTF-8; a relative path refers to the working directory of the program that reads it.
+        column: Name of the column in the header, or its number, from 1.
+        delimiter: Character between columns.
+        decimal: Decimal separator, `.` or `,`.
+        header_row: Line with the columns' names, from 1; the numbers begin below it. 0: no header.
     """
 
     csv: Path
@@ -189,15 +190,15 @@ class HourlyFile(TimeSeries):
     header_row: Annotated[int, Field(ge=0)] = 1
 
     @model_validator(mode="after")
-    def _can_be_read(self) -> HourlyFile:
+    def _check_format(self) -> HourlyFile:
         if self.decimal == self.delimiter:
-            raise ValueError(f"{self.decimal!r} cannot stand between columns and within numbers")
+            raise ValueError(f"{self.decimal!r} cannot be both the delimiter and the decimal separator")
         if self.header_row == 0 and isinstance(self.column, str):
             raise ValueError("without a header_row the column is a number, from 1")
         return self
 
     def load(self) -> None:
-        """See `TimeSeries`."""
+        """Read the file; see `TimeSeries.load`."""
         assert self._numbers
 
     def _at(self, moment: datetime) -> float:
@@ -206,13 +207,14 @@ class HourlyFile(TimeSeries):
     @cached_property
     def _numbers(self) -> list[float]:
         rows = self._rows()
-        place = self._place(dict(rows).get(self.header_row, []))
+        index = self._column_index(dict(rows).get(self.header_row, []))
         below = [(line, row) for line, row in rows if line > self.header_row and row]
-        numbers = [_number(row[place] if place < len(row) else "", self.decimal) for _, row in below]
-        wrong = [line for (line, _), number in zip(below, numbers, strict=True) if number is None]
-        if wrong:
-            shown = ", ".join(map(str, wrong[:_SHOWN])) + (f" and {len(wrong) - _SHOWN} more" if wrong[_SHOWN:] else "")
-            raise InvalidConfig(f"{self.csv}: column {self.column!r} has no number in line {shown}")
+        numbers = [_number(row[index] if index < len(row) else "", self.decimal) for _, row in below]
+        invalid = [line for (line, _), number in zip(below, numbers, strict=True) if number is None]
+        if invalid:
+            more = f" and {len(invalid) - _MAX_LISTED} more" if invalid[_MAX_LISTED:] else ""
+            lines = ", ".join(map(str, invalid[:_MAX_LISTED])) + more
+            raise InvalidConfig(f"{self.csv}: column {self.column!r} has no number in line {lines}")
         if len(numbers) not in (HOURS, LEAP_HOURS):
             raise InvalidConfig(
                 f"{self.csv}: a year has {HOURS} hours, or {LEAP_HOURS} with 29 February; the file has {len(numbers)}"
@@ -220,23 +222,23 @@ class HourlyFile(TimeSeries):
         return _leap_year([number for number in numbers if number is not None])
 
     def _rows(self) -> list[tuple[int, list[str]]]:
-        """Lines by their numbers, as an editor counts them."""
+        """Return rows with their line numbers, from 1."""
         try:
             with self.csv.expanduser().open(encoding="utf-8-sig", newline="") as file:
                 reader = csv.reader(file, delimiter=self.delimiter)
                 return [(reader.line_num, row) for row in reader]
         except (OSError, RuntimeError, UnicodeDecodeError, csv.Error) as error:
-            raise InvalidConfig(f"cannot read the signal {self.csv}: {error}") from None
+            raise InvalidConfig(f"cannot read the time series {self.csv}: {error}") from None
 
-    def _place(self, header: list[str]) -> int:
-        """The column's place in a row."""
+    def _column_index(self, header: list[str]) -> int:
+        """Return the column's position in a row."""
         if isinstance(self.column, int):
             return self.column - 1
         names = [name.strip() for name in header]
         if names.count(self.column) != 1:
-            fault = "stands twice" if self.column in names else "is not there"
+            problem = "is not unique" if self.column in names else "is missing"
             raise InvalidConfig(
-                f"{self.csv}: column {self.column!r} {fault} in line {self.header_row}, with {self.delimiter!r} "
+                f"{self.csv}: column {self.column!r} {problem} in line {self.header_row}, with {self.delimiter!r} "
                 f"between columns; {did_you_mean(self.column, names)}"
             )
         return names.index(self.column)
@@ -251,7 +253,7 @@ def _number(text: str, decimal: str) -> float | None:
 
 
 def _leap_year(numbers: list[float]) -> list[float]:
-    """8784 hours; a year that has no 29 February gets the 28th's."""
+    """Return 8784 hours; a year without 29 February gets the values of the 28th."""
     if len(numbers) == LEAP_HOURS:
         return numbers
     return [*numbers[:_FEBRUARY_29], *numbers[_FEBRUARY_28:_FEBRUARY_29], *numbers[_FEBRUARY_29:]]
@@ -261,15 +263,15 @@ _FORMS: dict[str, type[TimeSeries]] = {
     "value": Constant, "table": TimeOfUse, "hourly": HourlySeries, "csv": HourlyFile,
 }  # fmt: skip
 _EXPECTED = (
-    "a signal expected: {value: 0.25, unit: EUR/kWh}, or one with `csv` and `column`, `hourly`, or `table` and "
-    "`otherwise` in place of `value`"
+    "a time series expected: {value: 0.25, unit: EUR/kWh}, or one with `csv` and `column`, `hourly`, or `table` and "
+    "`otherwise` instead of `value`"
 )
 
 
-def _form(given: Any) -> str | None:
-    """Which form of signal is meant; by the field that only that one has."""
+def _form(spec: Any) -> str | None:
+    """Return the tag of the form that a specification has, by the field that only this form has."""
     for name, form in _FORMS.items():
-        if isinstance(given, form) or (isinstance(given, Mapping) and name in given):
+        if isinstance(spec, form) or (isinstance(spec, Mapping) and name in spec):
             return f"@{name}"
     return None
 
@@ -281,7 +283,7 @@ Signal = Annotated[
     | Annotated[HourlyFile, Tag("@csv")],
     Discriminator(_form, custom_error_type="signal", custom_error_message=_EXPECTED),
 ]
-"""Any form of signal, told apart by its fields."""
+"""Any form of time series, distinguished by its fields."""
 
 
 # Units
@@ -290,43 +292,51 @@ KWH = {"Wh": 1e-3, "kWh": 1.0, "MWh": 1e3, "GWh": 1e6, "MJ": 1 / 3.6, "GJ": 1e3 
 GRAMS = {"g": 1.0, "kg": 1e3, "t": 1e6}
 
 
-def _parts(unit: str) -> tuple[str, float]:
-    """What stands above the line of a unit, and the kWh below it."""
-    above, _, below = unit.partition("/")
-    if not above.strip() or below.strip() not in KWH:
+def _split_unit(unit: str) -> tuple[str, float]:
+    """Return the numerator of a unit, and its denominator in kWh."""
+    numerator, _, denominator = unit.partition("/")
+    if not numerator.strip() or denominator.strip() not in KWH:
         raise ValueError(
-            f"a unit of something by energy expected, as EUR/kWh or g/kWh, got {unit!r}; energies are {', '.join(KWH)}"
+            f"a unit per energy expected, as EUR/kWh or g/kWh, got {unit!r}; units of energy are {', '.join(KWH)}"
         )
-    return above.strip(), KWH[below.strip()]
+    return numerator.strip(), KWH[denominator.strip()]
 
 
 def per_kwh(unit: str) -> float:
-    """What one of a price's unit is in a kWh: 0.001 for EUR/MWh; `ValueError` for what is no price."""
-    return 1.0 / _parts(unit)[1]
+    """Return the factor from a price's unit to money per kWh: 0.001 for EUR/MWh.
+
+    Raises:
+        ValueError: The unit is not a price per energy.
+    """
+    return 1.0 / _split_unit(unit)[1]
 
 
 def grams_per_kwh(unit: str) -> float:
-    """What one of an intensity's unit is in g/kWh: 1 for kg/MWh; `ValueError` for what is no intensity."""
-    above, kwh = _parts(unit)
-    for end in ("CO2eq", "CO2e", "CO2"):
-        above = above.removesuffix(end).strip()
-    if above not in GRAMS:
-        raise ValueError(f"a mass by energy expected, as g/kWh or kg/MWh, got {unit!r}")
-    return GRAMS[above] / kwh
+    """Return the factor from an intensity's unit to g/kWh: 1 for kg/MWh.
+
+    Raises:
+        ValueError: The unit is not a mass per energy.
+    """
+    numerator, kwh = _split_unit(unit)
+    for suffix in ("CO2eq", "CO2e", "CO2"):
+        numerator = numerator.removesuffix(suffix).strip()
+    if numerator not in GRAMS:
+        raise ValueError(f"a mass per energy expected, as g/kWh or kg/MWh, got {unit!r}")
+    return GRAMS[numerator] / kwh
 
 
-def _is_a_price(signal: TimeSeries) -> TimeSeries:
-    per_kwh(signal.unit)
-    return signal
+def _check_price(series: TimeSeries) -> TimeSeries:
+    per_kwh(series.unit)
+    return series
 
 
-def _is_an_intensity(signal: TimeSeries) -> TimeSeries:
-    grams_per_kwh(signal.unit)
-    return signal
+def _check_intensity(series: TimeSeries) -> TimeSeries:
+    grams_per_kwh(series.unit)
+    return series
 
 
-Price = Annotated[Signal, AfterValidator(_is_a_price)]
-"""A signal in money by energy."""
+Price = Annotated[Signal, AfterValidator(_check_price)]
+"""A time series of money per energy."""
 
-Intensity = Annotated[Signal, AfterValidator(_is_an_intensity)]
-"""A signal in mass of CO2 by energy."""
+Intensity = Annotated[Signal, AfterValidator(_check_intensity)]
+"""A time series of mass of CO2 per energy."""

@@ -683,10 +683,10 @@ def test_a_point_that_is_missing_is_named_when_the_reward_is_bound(
 
 def test_a_file_of_prices_is_read_when_the_reward_is_bound(tmp_path: Path) -> None:
     reward = made("energy_cost", price={"csv": str(tmp_path / "none.csv"), "column": "value", "unit": "EUR/MWh"})
-    with pytest.raises(InvalidConfig, match=r"cannot read the signal .*none.csv"):
+    with pytest.raises(InvalidConfig, match=r"cannot read the time series .*none.csv"):
         reward.bind(NODE)
     carbon = made("carbon", intensity={"csv": str(tmp_path / "none.csv"), "column": "value", "unit": "g/kWh"})
-    with pytest.raises(InvalidConfig, match=r"cannot read the signal .*none.csv"):
+    with pytest.raises(InvalidConfig, match=r"cannot read the time series .*none.csv"):
         carbon.bind(NODE)
 
 

@@ -217,13 +217,13 @@ def broken(rows: list[str], **lines: str) -> list[str]:
 
 
 FILES: dict[str, tuple[list[str], dict[str, Any], str]] = {
-    "no such column": (a_year(), {"column": "valu"}, "column 'valu' is not there in line 1.*near names: 'value'"),
-    "other delimiter": (a_year(), {"delimiter": ","}, "is not there in line 1, with ',' between"),
-    "column twice": (a_year("value;value"), {}, "stands twice"),
-    "no header there": (a_year(), {"header_row": 9000}, "is not there in line 9000"),
+    "no such column": (a_year(), {"column": "valu"}, "column 'valu' is missing in line 1.*near names: 'value'"),
+    "other delimiter": (a_year(), {"delimiter": ","}, "is missing in line 1, with ',' between"),
+    "column twice": (a_year("value;value"), {}, "is not unique"),
+    "no header there": (a_year(), {"header_row": 9000}, "is missing in line 9000"),
     "too short": (a_year(hours=8759), {}, "a year has 8760 hours, or 8784 with 29 February; the file has 8759"),
     "only a header": (a_year(hours=0), {}, "the file has 0"),
-    "empty": ([""], {}, "'value' is not there"),
+    "empty": ([""], {}, "'value' is missing"),
     "no number": (broken(a_year(), line5="3;n/a"), {}, "column 'value' has no number in line 5$"),
     "nan and infinity": (broken(a_year(), line7="5;nan", line9="7;inf"), {}, "no number in line 7, 9$"),
     "a short row": (broken(a_year(), line3="1"), {}, "no number in line 3$"),
@@ -245,7 +245,7 @@ def test_a_file_that_cannot_be_read(tmp_path: Path) -> None:
     latin = tmp_path / "latin.csv"
     latin.write_bytes("hour;value\n0;Término\n".encode("latin-1"))
     for path in (tmp_path / "none.csv", tmp_path, latin, Path("~nobody_of_that_name/x.csv")):
-        with pytest.raises(InvalidConfig, match="cannot read the signal"):
+        with pytest.raises(InvalidConfig, match="cannot read the time series"):
             HourlyFile(csv=path, column="value", unit="EUR/MWh").load()
 
 
@@ -261,7 +261,7 @@ def test_a_file_that_cannot_be(wrong: dict[str, Any]) -> None:
 
 
 def test_what_does_not_fit_together() -> None:
-    with pytest.raises(ValidationError, match="cannot stand between"):
+    with pytest.raises(ValidationError, match="cannot be both the delimiter"):
         HourlyFile(csv=Path("x"), column="a", unit="EUR/MWh", decimal=",")
     with pytest.raises(ValidationError, match="the column is a number"):
         HourlyFile(csv=Path("x"), column="a", unit="EUR/MWh", header_row=0)
@@ -272,7 +272,7 @@ def test_what_does_not_fit_together() -> None:
 
 @pytest.mark.parametrize("wrong", [0.25, "0.25", None, [], {}, {"unit": "EUR/kWh"}, {"values": 1}], ids=str)
 def test_what_is_no_signal(wrong: Any) -> None:
-    with pytest.raises(ValidationError, match=r"a signal expected: \{value: 0\.25, unit: EUR/kWh\}"):
+    with pytest.raises(ValidationError, match=r"a time series expected: \{value: 0\.25, unit: EUR/kWh\}"):
         SIGNAL.validate_python(wrong)
 
 
@@ -333,11 +333,11 @@ def test_intensities_by_energy(unit: str, factor: float) -> None:
 
 @pytest.mark.parametrize("unit", ["EUR", "EUR/h", "/kWh", "EUR/", "kWh"])
 def test_a_price_is_by_energy(unit: str) -> None:
-    with pytest.raises(ValidationError, match="a unit of something by energy expected"):
+    with pytest.raises(ValidationError, match="a unit per energy expected"):
         TypeAdapter(Price).validate_python({"value": 1.0, "unit": unit})
 
 
 @pytest.mark.parametrize("unit", ["EUR/kWh", "lb/MWh", "CO2/kWh"])
 def test_an_intensity_is_a_mass_by_energy(unit: str) -> None:
-    with pytest.raises(ValidationError, match="a mass by energy expected"):
+    with pytest.raises(ValidationError, match="a mass per energy expected"):
         TypeAdapter(Intensity).validate_python({"value": 1.0, "unit": unit})

@@ -529,7 +529,7 @@ def test_signals_now_and_ahead() -> None:
     assert told[0] == [small, small, 300, 303, 2, 2]
     assert told[5] == [small, large, 305, 308, 2, 2], "the timestep that the next action rules begins at 5:00"
     assert told[22] == [small, small, 322, 401, 2, 2]
-    with pytest.raises(InvalidConfig, match=r"TimeSeriesObservation: price: .*a signal expected"):
+    with pytest.raises(InvalidConfig, match=r"TimeSeriesObservation: price: .*a time series expected"):
         w.TimeSeriesObservation(fake(), {"price": "cheap"})
     with pytest.raises(InvalidConfig, match="numbers from 0 on"):
         w.TimeSeriesObservation(fake(), {"price": 1}, hours=[-1])
