@@ -236,7 +236,7 @@ def test_a_snapshot_that_cannot_be_gone_back_to_is_refused_by_name(scratch: Path
         back(env, "s1")
     with pytest.raises(InvalidConfig, match="unknown reset options"):
         env.reset(options={"snapshots": snapshot})
-    with pytest.raises(InvalidConfig, match=r"started again|is of node"):
+    with pytest.raises(InvalidConfig, match=r"was restarted|is of node"):
         back(stranger, snapshot)
     bus, node = env.link.bus, env.manifest.node
     with pytest.raises(RequestRejected, match=snapshot.name):
@@ -334,9 +334,9 @@ def test_a_node_that_has_started_again_has_no_snapshots(scratch: Path) -> None:
     with NodeProgram(scratch / "node", **SMALL_NODE) as node:
         again = BuildingEnv(connect=node.endpoint, node="office", affinity="off")
         again.reset()
-        with pytest.raises(InvalidConfig, match="started again"):
+        with pytest.raises(InvalidConfig, match="was restarted"):
             back(again, snapshot)
-        with pytest.raises(InvalidConfig, match="started again"):
+        with pytest.raises(InvalidConfig, match="was restarted"):
             again.branch(snapshot=snapshot)
         mine = again.snapshot()
         assert mine.name == snapshot.name

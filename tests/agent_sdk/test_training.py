@@ -251,7 +251,7 @@ def test_mistakes_in_a_callback(tmp_path: Path) -> None:
         with pytest.raises(InvalidConfig, match="numbers of at least 1 expected"):
             EvaluationCallback(fake, **given)
     for path in (tmp_path / "best.pt", tmp_path / "nowhere" / "best.zip"):
-        with pytest.raises(InvalidConfig, match=r"a file \.zip in a folder that exists expected"):
+        with pytest.raises(InvalidConfig, match=r"a .zip file in an existing folder expected"):
             EvaluationCallback(fake, every=1, best_model_path=path)
     env = fake()
     with pytest.raises(InvalidConfig, match="returned an environment of the training"):

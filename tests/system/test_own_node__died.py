@@ -38,7 +38,7 @@ def test_a_single_environment() -> None:
     snapshot = env.unwrapped.snapshot()
     instance = env.unwrapped.manifest.instance
     kill_node(env)
-    with pytest.warns(UserWarning, match=STARTED), pytest.raises(InvalidConfig, match="started again"):
+    with pytest.warns(UserWarning, match=STARTED), pytest.raises(InvalidConfig, match="was restarted"):
         env.reset(options={"snapshot": snapshot})
     again, _ = env.reset(seed=7)
     assert env.unwrapped.manifest.instance != instance
