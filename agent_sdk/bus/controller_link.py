@@ -56,12 +56,12 @@ _BUSY = "another thread is in receive() or reset() of this controller; one threa
 
 
 def _interface(manifest: Manifest) -> tuple[Any, ...]:
-    """The parts of a manifest that a controller relies on; weather and run period may differ after a restart."""
+    """Return the parts of a manifest that a controller relies on; weather and run period may differ after a restart."""
     return manifest.slots, manifest.sensors, manifest.meters, manifest.actuators, manifest.task, manifest.steps_per_hour
 
 
 def _is_after(new: Sample, old: Sample) -> bool:
-    """Whether any slot of the same episodes has advanced."""
+    """Return whether any slot of the same episodes has advanced."""
     return new.step > old.step or any(step > before for step, before in zip(new.step, old.step, strict=True))
 
 

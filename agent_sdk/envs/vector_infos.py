@@ -63,7 +63,7 @@ def unbatch(infos: Infos, slot: int) -> dict[str, Any]:
 
 
 def _items(infos: Infos) -> list[tuple[str, Any, Slots]]:
-    """Triples of key, value and mask."""
+    """Return triples of key, value and mask."""
     return [(key, value, infos[f"_{key}"]) for key, value in infos.items() if f"_{key}" in infos]
 
 
