@@ -109,7 +109,7 @@ def from_options(options: Mapping[str, Any], manifest: Manifest, allowed: Collec
     """
     known = ("snapshot", *allowed)
     if unknown := sorted(set(options) - set(known)):
-        raise InvalidConfig(f"unknown reset options {unknown}; there is: {', '.join(map(repr, known))}")
+        raise InvalidConfig(f"unknown reset options {unknown}; available: {', '.join(map(repr, known))}")
     snapshot = options.get("snapshot")
     if snapshot is None:
         return None
