@@ -4,4 +4,4 @@ No I/O in here.
 """
 
 VERSION = "0.1.0"
-"""Of Zenostat; the contract's own version is `topics.messages.SCHEMA`."""
+"""Of Zenostat; the contract's own version is `topics.messages.SCHEMA_VERSION`."""
