@@ -189,7 +189,7 @@ def plan(config: NodeConfig) -> Plan:
     sources = tuple(faults.collect(lambda name=name: _source(name, scenario)) for name in scenario.weather if name)  # type: ignore[misc]
     faults.collect(lambda: noise.resolve_columns(scenario.weather_noise))
     if config.output_dir is not None and config.output_dir.exists() and not config.output_dir.is_dir():
-        faults.found.append(InvalidConfig(f"output_dir={config.output_dir} is a file; name a folder"))
+        faults.errors.append(InvalidConfig(f"output_dir={config.output_dir} is a file; name a folder"))
     period = chosen = task = None
     if _dates_are_right(scenario, faults) and model is not None:
         period = faults.collect(lambda: model.period(scenario.begin, scenario.end, scenario.steps_per_hour))
@@ -217,14 +217,14 @@ def plan(config: NodeConfig) -> Plan:
 
 def _dates_are_right(scenario: Scenario, errors: ErrorCollector) -> bool:
     """Check what can be known of the run period without the model."""
-    before = len(errors.found)
+    before = len(errors.errors)
     for what, day in (("begin", scenario.begin), ("end", scenario.end)):
         if day is not None:
             errors.collect(lambda what=what, day=day: parse_day(day, what))  # type: ignore[misc]
     steps = scenario.steps_per_hour
     if steps is not None:
         errors.collect(lambda: check_steps_per_hour(steps))
-    return len(errors.found) == before
+    return len(errors.errors) == before
 
 
 def _waits_for_what_is_lost(config: NodeConfig, faults: FaultPlan | None) -> tuple[str, ...]:

@@ -1,7 +1,7 @@
-"""The contract: every key expression, message class and unit, their coding, and the errors.
+"""The contract: key expressions, message classes, units, serialization and errors.
 
-No I/O in here.
+Apart from reading a YAML file, no I/O.
 """
 
 VERSION = "0.1.0"
-"""Of Zenostat; the contract's own version is `topics.messages.SCHEMA_VERSION`."""
+"""Version of Zenostat; the version of the contract is `topics.messages.SCHEMA_VERSION`."""

@@ -1,7 +1,7 @@
-"""The contract as an AsyncAPI 3.0 document, made of the table of topics and the message classes. No I/O.
+"""The contract as an AsyncAPI 3.0 document, generated from the table of topics and the message classes. No I/O.
 
-The application that it describes is a node: what the node sends is `send`, what others send to it is `receive`.
-AsyncAPI has no bindings for Zenoh; `x-zenoh` says how a channel's messages travel.
+The document describes a node as the application: its actions are `send` for messages of the node and `receive` for
+messages to it. AsyncAPI has no bindings for Zenoh; `x-zenoh` describes how a channel's messages are delivered.
 """
 
 from __future__ import annotations
@@ -25,69 +25,69 @@ PRESENCE = "Presence"
 
 _NO_PAYLOAD = {
     QUESTION: "A Zenoh query (`get`) without a payload.",
-    PRESENCE: "A Zenoh liveliness token: there as long as who declared it; it carries no payload.",
+    PRESENCE: "A Zenoh liveliness token: it exists as long as its owner is connected and has no payload.",
 }
 _ITEMS = {"operations": "uint8", "payload": "uint8", "source_index": "uint16"}
-_TRAVEL = {
+_DELIVERIES = {
     Delivery.DROP: {"primitive": "put", "congestion_control": "drop"},
     Delivery.BLOCK: {"primitive": "put", "congestion_control": "block"},
     Delivery.QUERY: {"primitive": "query"},
     Delivery.TOKEN: {"primitive": "liveliness"},
 }
-_ABOUT = (
-    "The topics of a Zenostat node on a Zenoh bus. A payload is one msgpack map of its message's fields, and the Zenoh "
-    "encoding that it travels with is its message's content type. Fields of the format `binary` are msgpack `bin`: raw "
-    "arrays in C order, of little-endian float64, of little-endian uint16 or of uint8, as `x-items` says."
+_DESCRIPTION = (
+    "The topics of a Zenostat node on a Zenoh bus. A payload is one msgpack map of its message's fields; its Zenoh "
+    "encoding is the message's content type. Fields of the format `binary` are msgpack `bin`: raw arrays in C order of "
+    "little-endian float64, little-endian uint16 or uint8, as given by `x-items`."
 )
 
 
 def document() -> dict[str, Any]:
-    """The AsyncAPI document: a mapping of plain values."""
+    """Return the AsyncAPI document as a mapping of built-in types."""
     return {
         "asyncapi": ASYNCAPI,
-        "info": {"title": "Zenostat node", "version": str(SCHEMA_VERSION), "description": _ABOUT},
+        "info": {"title": "Zenostat node", "version": str(SCHEMA_VERSION), "description": _DESCRIPTION},
         "defaultContentType": "application/msgpack",
         "channels": {channel_name(topic): _channel(topic) for topic in TOPICS},
-        "operations": {name: made for topic in TOPICS for name, made in _operations(topic)},
+        "operations": {name: operation for topic in TOPICS for name, operation in _operations(topic)},
         "components": {"messages": _messages(), "schemas": _schemas()},
     }
 
 
 def channel_name(topic: Topic) -> str:
-    """The row's name in the document: `sample`, `sensor`, `rpc.claim`, `live.node`."""
+    """Return a topic's channel name: `sample`, `sensor`, `rpc.claim`, `live.node`."""
     return topic.key.removeprefix("@").removesuffix("/{name}").replace("/", ".")
 
 
-def travelling() -> list[type[Message]]:
-    """The classes of all payloads, in the order of the table."""
-    found = [kind for topic in TOPICS for kind in (topic.message, topic.reply) if kind is not None]
-    return list(dict.fromkeys([*found, ErrorReply]))
+def payload_classes() -> list[type[Message]]:
+    """Return the classes of all payloads, in the order of the table."""
+    classes = [kind for topic in TOPICS for kind in (topic.message, topic.reply) if kind is not None]
+    return list(dict.fromkeys([*classes, ErrorReply]))
 
 
 def _channel(topic: Topic) -> dict[str, Any]:
-    names = dict.fromkeys([*_sent(topic), *_asked(topic), *_answers(topic)])
+    names = dict.fromkeys([*_sent(topic), *_queries(topic), *_replies(topic)])
     parameters = {"node": {"description": "The node's name."}}
     if "{name}" in topic.key:
-        parameters["name"] = {"description": "Of the point, the controller or the node's instance."}
+        parameters["name"] = {"description": "The name of the point, the controller or the node's instance."}
     return {
         "address": f"{PREFIX}/{{node}}/{topic.key}",
         "messages": {name: {"$ref": f"#/components/messages/{name}"} for name in names},
         "parameters": parameters,
-        "x-zenoh": dict(_TRAVEL[topic.delivery]),
+        "x-zenoh": dict(_DELIVERIES[topic.delivery]),
     }
 
 
 def _sent(topic: Topic) -> list[str]:
-    """What is put or declared, or asked with a payload."""
+    """Names of the messages that are put, declared or sent as a query's payload."""
     return [topic.message.__name__ if topic.message else PRESENCE]
 
 
-def _asked(topic: Topic) -> list[str]:
-    """A published topic that can be asked for as well takes a query without a payload."""
+def _queries(topic: Topic) -> list[str]:
+    """Names of the queries without a payload, which published topics with a reply accept."""
     return [QUESTION] if topic.reply and topic.delivery is not Delivery.QUERY else []
 
 
-def _answers(topic: Topic) -> list[str]:
+def _replies(topic: Topic) -> list[str]:
     if topic.reply is None:
         return []
     return [topic.reply.__name__] + ([ErrorReply.__name__] if topic.delivery is Delivery.QUERY else [])
@@ -95,41 +95,43 @@ def _answers(topic: Topic) -> list[str]:
 
 def _operations(topic: Topic) -> Iterator[tuple[str, dict[str, Any]]]:
     name = channel_name(topic)
-    says = f"From: {topic.sender}."
+    summary = f"From: {topic.sender}."
     if topic.delivery is Delivery.QUERY:
-        yield name, _operation(topic, "receive", _sent(topic), says, asks=True)
+        yield name, _operation(topic, "receive", _sent(topic), summary, has_reply=True)
         return
-    yield name, _operation(topic, "send" if topic.sender is Role.NODE else "receive", _sent(topic), says)
+    yield name, _operation(topic, "send" if topic.sender is Role.NODE else "receive", _sent(topic), summary)
     if topic.reply is not None:
-        yield f"{name}.get", _operation(topic, "receive", _asked(topic), f"From: {Role.ANYONE}.", asks=True)
+        yield f"{name}.get", _operation(topic, "receive", _queries(topic), f"From: {Role.ANYONE}.", has_reply=True)
 
 
-def _operation(topic: Topic, action: str, messages: list[str], says: str, *, asks: bool = False) -> dict[str, Any]:
+def _operation(
+    topic: Topic, action: str, messages: list[str], summary: str, *, has_reply: bool = False
+) -> dict[str, Any]:
     channel = f"#/channels/{channel_name(topic)}"
-    made: dict[str, Any] = {
+    operation: dict[str, Any] = {
         "action": action,
-        "summary": says,
+        "summary": summary,
         "channel": {"$ref": channel},
         "messages": [{"$ref": f"{channel}/messages/{name}"} for name in messages],
     }
-    if asks:
-        answers = [{"$ref": f"{channel}/messages/{name}"} for name in _answers(topic)]
-        made["reply"] = {"channel": {"$ref": channel}, "messages": answers}
-    return made
+    if has_reply:
+        replies = [{"$ref": f"{channel}/messages/{name}"} for name in _replies(topic)]
+        operation["reply"] = {"channel": {"$ref": channel}, "messages": replies}
+    return operation
 
 
 def _messages() -> dict[str, Any]:
-    found: dict[str, Any] = {
+    messages: dict[str, Any] = {
         kind.__name__: {
             "name": kind.__name__,
             "contentType": codec.encoding(kind),
             "summary": inspect.getdoc(kind),
             "payload": {"$ref": f"#/components/schemas/{kind.__name__}"},
         }
-        for kind in travelling()
+        for kind in payload_classes()
     }
-    found[ErrorReply.__name__]["x-errors"] = {kind.__name__: inspect.getdoc(kind) for kind in _errors(ZenostatError)}
-    return found | {name: {"name": name, "summary": text} for name, text in _NO_PAYLOAD.items()}
+    messages[ErrorReply.__name__]["x-errors"] = {kind.__name__: inspect.getdoc(kind) for kind in _errors(ZenostatError)}
+    return messages | {name: {"name": name, "summary": text} for name, text in _NO_PAYLOAD.items()}
 
 
 def _errors(kind: type[ZenostatError]) -> Iterator[type[ZenostatError]]:
@@ -140,10 +142,10 @@ def _errors(kind: type[ZenostatError]) -> Iterator[type[ZenostatError]]:
 
 
 def _schemas() -> dict[str, Any]:
-    """JSON schemas of all payloads and of what is in them."""
-    wanted = [(kind, "validation") for kind in travelling()]
-    _, made = models_json_schema(wanted, ref_template="#/components/schemas/{model}")  # type: ignore[arg-type]
-    schemas: dict[str, Any] = made["$defs"]
+    """JSON schemas of all payloads and of their nested classes."""
+    classes = [(kind, "validation") for kind in payload_classes()]
+    _, document = models_json_schema(classes, ref_template="#/components/schemas/{model}")  # type: ignore[arg-type]
+    schemas: dict[str, Any] = document["$defs"]
     for schema in schemas.values():
         for name, field in schema.get("properties", {}).items():
             for form in (field, *field.get("anyOf", [])):
@@ -153,7 +155,7 @@ def _schemas() -> dict[str, Any]:
 
 
 def _of_draft_7(schema: Any) -> Any:
-    """AsyncAPI's own form of a schema: a tuple's parts stand in `items`."""
+    """Convert a schema to AsyncAPI's dialect (draft 7), in which a tuple's schemas are in `items`."""
     if isinstance(schema, list):
         return [_of_draft_7(part) for part in schema]
     if not isinstance(schema, dict):

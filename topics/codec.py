@@ -1,7 +1,7 @@
-"""Messages to bytes and back: msgpack maps, with the message's class and version in the encoding.
+"""Serialization of messages: msgpack maps, with the message's class and schema version in the Zenoh encoding.
 
-A payload whose encoding names another class or version is refused by name; one that names none (a
-stranger that speaks msgpack alone) is checked like any other.
+A payload whose encoding names another class or version is rejected. One whose encoding names none (a client that only
+uses msgpack) is validated like any other.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from topics.messages import SCHEMA_VERSION, Batch, Claim, Manifest, Message, Sam
 M = TypeVar("M", bound=Message)
 
 MAX_BYTES = 8 * 1024 * 1024
-"""Larger payloads are refused unread."""
+"""Largest payload in bytes; larger ones are rejected unread."""
 
 MAX_ENTRIES = 4_000
-"""Entries of all lists and maps of a message together; more are refused before they are looked at."""
+"""Largest number of entries in all lists and maps of a message; messages with more are rejected before validation."""
 
 MAX_ITEMS = {Batch: 100_000, Claim: 20_000, Manifest: 1_000_000, Sample: 100_000, Status: 100_000}
-"""The same, of messages that name points, and of a node's for many slots."""
+"""Larger limits of entries, for messages that list points or many slots."""
 
 _MAX_ERRORS = 10
 FLOAT = np.dtype("<f8")
@@ -37,55 +37,55 @@ INDEX = np.dtype("<u2")
 _MEDIA = "application/msgpack"
 _SCHEMA_MARK = ";zenostat/"
 _UNNAMED = frozenset(("", "zenoh/bytes", "application/octet-stream", _MEDIA, "application/x-msgpack"))
-"""Encodings that say nothing of the class: what Zenoh's libraries send unasked, and msgpack as such."""
+"""Encodings without a message class: Zenoh's default encodings and plain msgpack."""
 
 
 @cache
 def encoding(message: type[Message]) -> str:
-    """The encoding of a message class: `application/msgpack;zenostat/2.Sample`."""
+    """Return the encoding of a message class: `application/msgpack;zenostat/2.Sample`."""
     return f"{_MEDIA}{_SCHEMA_MARK}{SCHEMA_VERSION}.{message.__name__}"
 
 
-def encoding_matches(message: type[Message], said: str) -> bool:
-    """Whether the encoding `said` is that of a message class and of this version, or names none."""
-    return said == encoding(message) or said in _UNNAMED
+def encoding_matches(message: type[Message], declared: str) -> bool:
+    """Return whether a declared encoding names this message class and schema version, or none."""
+    return declared == encoding(message) or declared in _UNNAMED
 
 
 def _plain(value: Any) -> Any:
     if isinstance(value, Message):
         return value.__dict__
-    raise TypeError(f"{type(value).__name__} does not travel")
+    raise TypeError(f"a {type(value).__name__} cannot be encoded")
 
 
 def encode(message: Message) -> bytes:
-    """The payload of a message: one msgpack map of its fields."""
+    """Return the payload of a message: one msgpack map of its fields."""
     packed: bytes = msgpack.packb(message.__dict__, default=_plain)
     return packed
 
 
-_packer = msgpack.Packer()  # one for all: of plain values it packs in one go, whichever thread asks
+_packer = msgpack.Packer()  # shared by all threads: packing of built-in types keeps the GIL
 
 
 def pack(**fields: Any) -> bytes:
-    """The payload of a message whose fields the caller knows to be right: the hot path's `encode`."""
+    """Return the payload of a message without validating its fields; `encode` for the hot path."""
     packed: bytes = _packer.pack(fields)
     return packed
 
 
 def command_head(episode: list[int], step: list[int], size: int) -> bytes:
-    """How a `Command` without `operations` and with `size` bytes of values begins; the values follow."""
+    """Return the head of a `Command` without `operations`; `size` bytes of values follow it."""
     blank = bytes(size)
     return pack(episode=episode, step=step, operations=None, values=blank)[: -size or None]
 
 
-def decode(message: type[M], payload: bytes, said: str = "") -> M:
-    """The message in `payload`; `said` is the encoding that came with it.
+def decode(message: type[M], payload: bytes, declared: str = "") -> M:
+    """Decode and validate a message; `declared` is the encoding that was sent with it.
 
     Raises:
-        BadMessage: what was wrong, with the path of the bad value.
+        BadMessage: the payload is not valid; the text has the path of each invalid value.
     """
-    if not encoding_matches(message, said):
-        raise BadMessage(f"expected encoding {encoding(message)!r}, got {said!r}")
+    if not encoding_matches(message, declared):
+        raise BadMessage(f"expected encoding {encoding(message)!r}, got {declared!r}")
     if len(payload) > MAX_BYTES:
         raise BadMessage(f"{len(payload)} bytes; a {message.__name__} has at most {MAX_BYTES}")
     try:
@@ -93,15 +93,15 @@ def decode(message: type[M], payload: bytes, said: str = "") -> M:
     except Exception as error:  # msgpack raises a dozen unrelated classes on malformed input
         raise BadMessage(f"not msgpack: {type(error).__name__} {error}".rstrip()) from None
     if not isinstance(fields, dict):
-        raise BadMessage(f"a {message.__name__} is a map of its fields, got {type(fields).__name__}")
+        raise BadMessage(f"a {message.__name__} should be a map of its fields, got {type(fields).__name__}")
     try:
         return message.__pydantic_validator__.validate_python(fields)  # type: ignore[no-any-return]
     except ValidationError as error:
         raise BadMessage(f"{message.__name__}: {describe_validation_errors(error)}") from None
 
 
-def text_field(payload: bytes, name: str, most: int) -> str:
-    """One text of a map, whatever else is wrong with it: its first `most` characters; empty if it cannot be read."""
+def text_field(payload: bytes, name: str, limit: int) -> str:
+    """Return up to `limit` characters of one string in a map that need not be valid; empty if it cannot be read."""
     if len(payload) > MAX_BYTES:
         return ""
     try:
@@ -109,49 +109,50 @@ def text_field(payload: bytes, name: str, most: int) -> str:
     except Exception:  # msgpack raises a dozen unrelated classes on malformed input
         return ""
     text = fields.get(name) if isinstance(fields, dict) else None
-    return text[:most] if isinstance(text, str) else ""
+    return text[:limit] if isinstance(text, str) else ""
 
 
-def _unpacked(payload: bytes, most: int) -> Any:
-    if len(payload) <= most:  # an entry has a byte at least
+def _unpacked(payload: bytes, limit: int) -> Any:
+    if len(payload) <= limit:  # each entry has at least one byte
         return msgpack.unpackb(payload)
     entries = 0
 
-    def count(gathered: Any) -> Any:
+    def count(container: Any) -> Any:
         nonlocal entries
-        entries += len(gathered)
-        if entries > most:
-            raise ValueError(f"its lists and maps have more than {most} entries")
-        return gathered
+        entries += len(container)
+        if entries > limit:
+            raise ValueError(f"its lists and maps have more than {limit} entries")
+        return container
 
-    return msgpack.unpackb(payload, max_array_len=most, max_map_len=most, list_hook=count, object_hook=count)
+    return msgpack.unpackb(payload, max_array_len=limit, max_map_len=limit, list_hook=count, object_hook=count)
 
 
 def describe_validation_errors(error: ValidationError, known: Iterable[str] = ()) -> str:
-    """The faults that pydantic found, in one line: path, what came, what would be right; of very many the first.
+    """Describe the errors of a pydantic validation in one line: the path, the rule and the value of each.
 
-    `known`: names of the fields at the top, of which near ones are told.
+    Of many errors, only the first ones are described. `known`: names of the top-level fields, of which similar ones
+    are suggested for an unknown one.
     """
-    faults = []
-    found = error.errors(include_url=False)
-    for fault in found[:_MAX_ERRORS]:
-        loc = [str(part) for part in fault["loc"] if not str(part).startswith("@")]
+    texts = []
+    errors = error.errors(include_url=False)
+    for detail in errors[:_MAX_ERRORS]:
+        loc = [str(part) for part in detail["loc"] if not str(part).startswith("@")]
         path = _cut(".".join(loc)) or "(whole)"
-        if fault["type"] == "missing":
-            faults.append(f"{path}: it is missing")
-        elif fault["type"] == "extra_forbidden":
-            faults.append(
+        if detail["type"] == "missing":
+            texts.append(f"{path}: it is missing")
+        elif detail["type"] == "extra_forbidden":
+            texts.append(
                 f"{path}: there is no such field"
                 + (f"; {did_you_mean(loc[0], known)}" if len(loc) == 1 and known else "")
             )
         else:
-            faults.append(f"{path}: {fault['msg'].removeprefix('Value error, ')}, got {_short(fault['input'])}")
-    more = len(found) - len(faults)
-    return "; ".join(faults) + (f"; and {more} more" if more else "")
+            texts.append(f"{path}: {detail['msg'].removeprefix('Value error, ')}, got {_short(detail['input'])}")
+    more = len(errors) - len(texts)
+    return "; ".join(texts) + (f"; and {more} more" if more else "")
 
 
 class _Repr(reprlib.Repr):
-    """`repr` of the begin of a value: a nested one may stand for more than fits into memory."""
+    """`repr` of the first part of a value; a nested value with aliases can have a repr too large for memory."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -160,7 +161,7 @@ class _Repr(reprlib.Repr):
         self.maxstring = self.maxlong = self.maxother = 400
 
     def repr_dict(self, x: Any, level: int) -> str:
-        """A mapping in its own order."""
+        """Return the repr of a mapping in its own order, not sorted as in the base class."""
         shown = dict(itertools.islice(x.items(), self.maxdict))
         if level <= 0:
             return "{...}" if shown else "{}"
@@ -172,33 +173,37 @@ class _Repr(reprlib.Repr):
 _repr = _Repr()
 
 
-def _short(value: Any, most: int = 60) -> str:
-    return _cut(_repr.repr(value), most)
+def _short(value: Any, limit: int = 60) -> str:
+    return _cut(_repr.repr(value), limit)
 
 
-def _cut(text: str, most: int = 200) -> str:
-    return text if len(text) <= most else text[: most - 1] + "…"
+def _cut(text: str, limit: int = 200) -> str:
+    return text if len(text) <= limit else text[: limit - 1] + "…"
 
 
 def floats(raw: bytes, shape: tuple[int, ...], what: str) -> NDArray[np.float64]:
-    """A read-only float64 array over `raw`, or `BadMessage` if the size is not that of `shape`."""
+    """Return a read-only float64 view of `raw`; `what` names it in errors.
+
+    Raises:
+        BadMessage: the size of `raw` is not that of `shape`.
+    """
     return _array(raw, FLOAT, shape, what)
 
 
 def row(raw: bytes, index: int, rows: int, width: int, what: str) -> NDArray[np.float64]:
-    """One row of `floats(raw, (rows, width), what)`, without making the others."""
+    """Return one row of `floats(raw, (rows, width), what)` as a view."""
     if len(raw) != 8 * rows * width:
         floats(raw, (rows, width), what)
     return np.frombuffer(raw, FLOAT, width, 8 * width * index)
 
 
 def uint8s(raw: bytes, shape: tuple[int, ...], what: str) -> NDArray[np.uint8]:
-    """A read-only uint8 array over `raw`, or `BadMessage` if the size is not that of `shape`."""
+    """Return a read-only uint8 view of `raw`; like `floats`."""
     return _array(raw, np.dtype("u1"), shape, what)
 
 
 def indices(raw: bytes, shape: tuple[int, ...], what: str) -> NDArray[np.uint16]:
-    """A read-only uint16 array over `raw`, or `BadMessage` if the size is not that of `shape`."""
+    """Return a read-only uint16 view of `raw`; like `floats`."""
     return _array(raw, INDEX, shape, what)
 
 
@@ -209,7 +214,7 @@ def _array(raw: bytes, kind: np.dtype[Any], shape: tuple[int, ...], what: str) -
         expected *= length
     if array is None or array.size != expected:
         raise BadMessage(
-            f"{what} has {len(raw)} bytes; {expected * kind.itemsize} expected: "
-            f"{' x '.join(map(str, shape))} of {kind.name}"
+            f"{what} has {len(raw)} bytes, not {expected * kind.itemsize}: "
+            f"{' x '.join(map(str, shape))} of {kind.name} expected"
         )
     return array.reshape(shape)

@@ -1,29 +1,28 @@
-"""Every error that Zenostat raises on purpose.
+"""The errors that Zenostat raises.
 
     ZenostatError
-    ├── UsageError              a mistake of this side; nothing was started
-    │   ├── UnknownName         a building, weather, point or controller that is not there
-    │   ├── InvalidConfig       a setting or a combination of settings that cannot be
-    │   │   └── UnknownArgument an argument that is not there; a TypeError as well
+    ├── UsageError              the caller's mistake; nothing was started
+    │   ├── UnknownName         a building, weather, point or controller that does not exist
+    │   ├── InvalidConfig       an invalid setting, or settings that exclude each other
+    │   │   └── UnknownArgument a keyword argument that does not exist; also a TypeError
     │   └── InvalidAction       an action of the wrong shape, out of bounds or not finite
-    ├── PeerError               a mistake of the other side of the bus
-    │   ├── BadMessage          malformed, oversized, of another schema version
-    │   ├── RequestRejected             a request or command that the node did not take, and why
-    │   ├── EpisodeChanged      the episode was reset or stopped under a controller
-    │   └── EpisodeAborted      the node's policy ended the episode: a controller gave no command
-    ├── SimulatorError          EnergyPlus did not do its part
-    │   ├── ModelError        EnergyPlus refused the model or gave up; `lines` of eplusout.err
-    │   ├── EngineDied          the engine process ended without a word
+    ├── PeerError               the mistake of a peer on the bus
+    │   ├── BadMessage          malformed, oversized, or of another schema version
+    │   ├── RequestRejected     a request or command that the node rejected
+    │   ├── EpisodeChanged      somebody else reset or stopped the episode
+    │   └── EpisodeAborted      the fallback policy ended the episode: a controller sent no command
+    ├── SimulatorError          EnergyPlus failed
+    │   ├── ModelError          EnergyPlus rejected the model or stopped with an error
+    │   ├── EngineDied          the engine process ended unexpectedly
     │   │   └── EngineUnresponsive  it neither answered nor used processor time, and was killed
-    │   └── ForkFailed          the system could not fork an engine, for want of memory or processes
-    └── BusError                the way to the other side
-        ├── AddressInUse       another program listens there
-        ├── NameInUse           a node of that name is on the bus already
-        ├── NodeNotFound        nobody answers at that endpoint or under that name
-        └── NodeLost            a node that was there is gone
+    │   └── ForkFailed          the system could not fork an engine: too little memory, too many processes
+    └── BusError                a peer cannot be reached
+        ├── AddressInUse        another program listens at that endpoint
+        ├── NameInUse           a node of that name is already on the bus
+        ├── NodeNotFound        no node answers at that endpoint or under that name
+        └── NodeLost            the node disconnected
 
-An error crosses a process border as `{"error": class name, "message": text}` and is raised there
-again as the same class.
+Between processes an error is sent as `{"error": class name, "message": text}`; the receiver raises the same class.
 """
 
 from __future__ import annotations
@@ -37,23 +36,23 @@ _SMALL = 4096
 
 
 class ZenostatError(Exception):
-    """The root; `except ZenostatError` catches whatever Zenostat raises on purpose."""
+    """Base class of all errors that Zenostat raises."""
 
 
 class UsageError(ZenostatError):
-    """A mistake of this side; nothing was started."""
+    """The caller's mistake; nothing was started."""
 
 
 class UnknownName(UsageError):
-    """A name that is not there; the text lists near ones."""
+    """A name that does not exist; the text suggests similar ones."""
 
 
 class InvalidConfig(UsageError):
-    """A setting, or a combination of settings, that cannot be."""
+    """An invalid setting, or settings that exclude each other."""
 
 
 class UnknownArgument(InvalidConfig, TypeError):
-    """A keyword argument that is not there; a `TypeError` too, which other libraries probe for."""
+    """A keyword argument that does not exist; also a `TypeError`, which other libraries catch."""
 
 
 class InvalidAction(UsageError):
@@ -61,7 +60,7 @@ class InvalidAction(UsageError):
 
 
 class PeerError(ZenostatError):
-    """A mistake of the other side of the bus."""
+    """The mistake of a peer on the bus."""
 
 
 class BadMessage(PeerError):
@@ -69,39 +68,39 @@ class BadMessage(PeerError):
 
 
 class RequestRejected(PeerError):
-    """A request or command that the node did not take, with its reason."""
+    """A request or command that the node rejected, with the reason."""
 
 
 class EpisodeChanged(PeerError):
-    """The episode was reset or stopped by somebody else."""
+    """Somebody else reset or stopped the episode."""
 
 
 class EpisodeAborted(PeerError):
-    """The node's policy ended the episode, since a controller had gone or gave no command in time."""
+    """The fallback policy ended the episode: a controller was disconnected or sent no command in time."""
 
 
 class SimulatorError(ZenostatError):
-    """EnergyPlus did not do its part."""
+    """EnergyPlus failed."""
 
 
 class ModelError(SimulatorError):
-    """EnergyPlus refused the model or gave up; the text has the lines of eplusout.err that matter."""
+    """EnergyPlus rejected the model or stopped with an error; the text has the relevant lines of eplusout.err."""
 
 
 class EngineDied(SimulatorError):
-    """The engine process ended without a word."""
+    """The engine process ended unexpectedly."""
 
 
 class EngineUnresponsive(EngineDied):
-    """The engine process neither answered nor used processor time for as long as the node allows, and was killed."""
+    """The engine process neither answered nor used processor time for the permitted time, and was killed."""
 
 
 class ForkFailed(SimulatorError):
-    """The system could not fork an engine; the engine itself goes on."""
+    """The system could not fork an engine; the engine itself continues to run."""
 
 
 class BusError(ZenostatError):
-    """The way to the other side does not work."""
+    """A peer cannot be reached."""
 
 
 class AddressInUse(BusError):
@@ -109,15 +108,15 @@ class AddressInUse(BusError):
 
 
 class NameInUse(BusError):
-    """A node of that name is on the bus already."""
+    """A node of that name is already on the bus."""
 
 
 class NodeNotFound(BusError):
-    """Nobody answers at that endpoint or under that name."""
+    """No node answers at that endpoint or under that name."""
 
 
 class NodeLost(BusError):
-    """A node that was there is gone."""
+    """The node disconnected."""
 
 
 def _tree(cls: type[ZenostatError]) -> Iterable[type[ZenostatError]]:
@@ -130,60 +129,60 @@ _BY_NAME = {cls.__name__: cls for cls in _tree(ZenostatError)}
 
 
 def to_wire(error: BaseException) -> dict[str, str]:
-    """What a process says of `error` to another; a stranger's exception keeps its type's name."""
+    """Return the form in which an error is sent to another process; other exceptions keep their type's name."""
     if isinstance(error, ZenostatError):
         return {"error": type(error).__name__, "message": str(error)}
     return {"error": "ZenostatError", "message": f"{type(error).__name__}: {error}"}
 
 
-def from_wire(said: dict[str, str]) -> ZenostatError:
-    """The exception that another process described with `to_wire`."""
-    return _BY_NAME.get(said.get("error", ""), ZenostatError)(said.get("message", "no reason given"))
+def from_wire(fields: dict[str, str]) -> ZenostatError:
+    """Return the exception that another process sent with `to_wire`."""
+    return _BY_NAME.get(fields.get("error", ""), ZenostatError)(fields.get("message", "no reason given"))
 
 
 class ErrorCollector:
-    """Gathers mistakes, so that all of them are said at once."""
+    """Collects errors, so that all of them are reported at once."""
 
     def __init__(self) -> None:
-        self.found: list[ZenostatError] = []
+        self.errors: list[ZenostatError] = []
 
-    def collect(self, do: Callable[[], T]) -> T | None:
-        """What `do` gives, or None and its mistake gathered."""
+    def collect(self, function: Callable[[], T]) -> T | None:
+        """Return the result of `function`, or None if it raises an error, which is collected."""
         try:
-            return do()
+            return function()
         except (UsageError, SimulatorError) as error:
-            self.found.append(error)
+            self.errors.append(error)
             return None
 
     def raise_if_any(self) -> None:
-        """Raises what was gathered, each on a line of its own; `InvalidConfig` if of several kinds."""
-        kinds = {type(error) for error in self.found}
-        if self.found:
-            raise (kinds.pop() if len(kinds) == 1 else InvalidConfig)("\n".join(map(str, self.found)))
+        """Raise one error with the collected texts, one per line; `InvalidConfig` if their classes differ."""
+        kinds = {type(error) for error in self.errors}
+        if self.errors:
+            raise (kinds.pop() if len(kinds) == 1 else InvalidConfig)("\n".join(map(str, self.errors)))
 
 
 def _candidates(folded: str, names: list[str]) -> list[str]:
-    """The names, folded; of very many, which would take half a second to compare, those that begin alike."""
+    """Return the case-folded names; of very many, only those that start alike, since comparing all is slow."""
     all_folded = [name.casefold() for name in names]
     if len(names) <= _SMALL:
         return all_folded
     return [name for name in all_folded if name[:2] == folded[:2] and abs(len(name) - len(folded)) <= 3]
 
 
-def did_you_mean(name: str, known: Iterable[str], *, most: int = 5) -> str:
-    """`name`'s nearest neighbours among `known`, as the end of an error text.
+def did_you_mean(name: str, known: Iterable[str], *, limit: int = 5) -> str:
+    """Return the end of an error text that suggests the names in `known` nearest to `name`.
 
-    Names that contain the text come first, then those that are spelled alike.
+    Names that contain the text come first, then those with a similar spelling.
     """
     names = list(dict.fromkeys(known))
     if not names:
         return "there are none"
     folded = name.casefold()
     parts = [n for n in names if folded and folded in n.casefold()]
-    alike = difflib.get_close_matches(folded, _candidates(folded, names), n=most, cutoff=0.5)
+    alike = difflib.get_close_matches(folded, _candidates(folded, names), n=limit, cutoff=0.5)
     by_fold = {n.casefold(): n for n in names}
-    picked = list(dict.fromkeys(parts + [by_fold[a] for a in alike]))[:most]
-    if picked:
-        return "near names: " + ", ".join(repr(n) for n in picked)
-    shown = ", ".join(repr(n) for n in names[:most])
-    return f"there are: {shown}" + (f" and {len(names) - most} more" if len(names) > most else "")
+    similar = list(dict.fromkeys(parts + [by_fold[a] for a in alike]))[:limit]
+    if similar:
+        return "near names: " + ", ".join(repr(n) for n in similar)
+    shown = ", ".join(repr(n) for n in names[:limit])
+    return f"there are: {shown}" + (f" and {len(names) - limit} more" if len(names) > limit else "")

@@ -1,4 +1,4 @@
-"""How an optional part of Zenostat is installed, for the errors of those that need one."""
+"""Installation hints for optional dependencies, used in error texts."""
 
 from __future__ import annotations
 

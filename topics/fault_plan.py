@@ -1,7 +1,6 @@
-"""Faults on purpose: what may be wrong with a node's points and with its link, as a file and as a request.
+"""Fault plans: faults injected into a node's points and into its link, as a file and as a request.
 
-A plan says what goes wrong, when, and to whom. Numbers without a unit in their name are in the unit of the point
-that they disturb. `docs/faults.md` has each kind's formula.
+Numbers without a unit in their name are in the unit of the affected point. `docs/faults.md` has each kind's formula.
 """
 
 from __future__ import annotations
@@ -23,63 +22,63 @@ _LEAP_YEAR = 2016
 
 
 def moment(text: str, year: int) -> datetime:
-    """`2017-07-03T08:00`, or `07-03T08:00` in `year`; without a time of day it is 0:00.
+    """Parse `2017-07-03T08:00`, or `07-03T08:00` in `year`; without a time of day, the time is 0:00.
 
     Raises:
-        ValueError: no such form, or no such moment.
+        ValueError: the text has another form, or there is no such date or time.
     """
-    found = _MOMENT.fullmatch(text.strip())
-    if not found:
-        raise ValueError("a moment is written as 2017-07-03T08:00, or 07-03T08:00 in the simulated year")
-    named, month, day, hour, minute, second = (int(part or 0) for part in found.groups())
+    match = _MOMENT.fullmatch(text.strip())
+    if not match:
+        raise ValueError("expected a date and time such as 2017-07-03T08:00, or 07-03T08:00 in the simulated year")
+    own_year, month, day, hour, minute, second = (int(part or 0) for part in match.groups())
     try:
-        return datetime(named or year, month, day, hour, minute, second)
+        return datetime(own_year or year, month, day, hour, minute, second)
     except ValueError as error:
-        raise ValueError(f"{text!r} is no moment: {error}") from None
+        raise ValueError(f"{text!r} is not a valid date and time: {error}") from None
 
 
-def _is_a_moment(text: str) -> str:
+def _check_moment(text: str) -> str:
     moment(text, _LEAP_YEAR)
     return text
 
 
-def _is_a_span(hours: tuple[float, float]) -> tuple[float, float]:
-    first, end = hours
-    if not (0 <= first < 24 and 0 <= end <= 24 and first != end):
-        raise ValueError("a begin from 0 up to 24 h and another end are expected, as [8.5, 17] or [22, 6]")
+def _check_hours(hours: tuple[float, float]) -> tuple[float, float]:
+    start, end = hours
+    if not (0 <= start < 24 and 0 <= end <= 24 and start != end):
+        raise ValueError("expected a start from 0 to below 24 h and a different end, such as [8.5, 17] or [22, 6]")
     return hours
 
 
-def _one_or_more(value: Any) -> Any:
+def _as_tuple(value: Any) -> Any:
     return (value,) if isinstance(value, str) else value
 
 
-Moment = Annotated[str, AfterValidator(_is_a_moment)]
-Hours = Annotated[tuple[Finite, Finite], AfterValidator(_is_a_span)]
+Moment = Annotated[str, AfterValidator(_check_moment)]
+Hours = Annotated[tuple[Finite, Finite], AfterValidator(_check_hours)]
 Probability = Annotated[float, Field(gt=0, le=1, strict=True)]
 Positive = Annotated[float, Field(gt=0, strict=True)]
 Steps = Annotated[int, Field(ge=1, lt=2**31, strict=True)]
 Pattern = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.\-*]{1,128}$")]
 Names = Annotated[
     tuple[Pattern, ...],
-    BeforeValidator(_one_or_more, json_schema_input_type=str | list[str]),
+    BeforeValidator(_as_tuple, json_schema_input_type=str | list[str]),
 ]
-"""One name or several; `*` stands for any characters."""
+"""One or several names; `*` matches any characters."""
 
 
 class When(Message):
-    """When a fault is on: at the samples for which all that is said holds; always, if nothing is said.
+    """Conditions under which a fault is active: at the samples that meet all of them; always, if there are none.
 
-    A begin is in it, an end is not. A command belongs to the sample that it answers.
+    Starts are inclusive, ends exclusive. A command is affected at the sample that it answers.
 
     Attributes:
-        from_s, to_s: seconds since the episode began.
+        from_s, to_s: seconds since the start of the episode.
         from_step, to_step: steps of the episode.
-        from_time, to_time: simulated time, `2017-07-03T08:00`; without a year it is that of the run period's begin.
-        hours: of the day, the first one and the end; (22, 6) spans midnight.
-        weekdays: of the day on which the moment lies.
-        probability: of beginning, at each sample at which all else holds and it is not on already.
-        lasts_steps: how long it is on once it has so begun; 1 if not said.
+        from_time, to_time: simulated time, `2017-07-03T08:00`; without a year, that of the start of the run period.
+        hours: start and end as hours of the day; (22, 6) spans midnight.
+        weekdays: days of the week.
+        probability: of the fault's onset, at each sample that meets all other conditions while it is not active.
+        lasts_steps: how many steps it is active after such an onset; 1 by default.
     """
 
     from_s: Annotated[float, Field(ge=0, strict=True)] | None = None
@@ -94,25 +93,25 @@ class When(Message):
     lasts_steps: Steps | None = None
 
     @model_validator(mode="after")
-    def _begins_before_it_ends(self) -> When:
-        wrong = []
+    def _check_conditions(self) -> When:
+        errors = []
         for unit in ("s", "step"):
-            first, end = getattr(self, f"from_{unit}"), getattr(self, f"to_{unit}")
-            if first is not None and end is not None and first >= end:
-                wrong.append(f"from_{unit} {first:g} is not before to_{unit} {end:g}")
+            start, end = getattr(self, f"from_{unit}"), getattr(self, f"to_{unit}")
+            if start is not None and end is not None and start >= end:
+                errors.append(f"from_{unit} {start:g} is not before to_{unit} {end:g}")
         if self.lasts_steps is not None and self.probability is None:
-            wrong.append("lasts_steps goes with a probability; without one, say to_step or to_s")
-        if wrong:
-            raise ValueError("; ".join(wrong))
+            errors.append("lasts_steps requires a probability; without one, use to_step or to_s")
+        if errors:
+            raise ValueError("; ".join(errors))
         return self
 
 
 class AnyFault(Message):
-    """What all faults have.
+    """Base class of all faults.
 
     Attributes:
-        name: for events; without one it is the kind and the place in the plan, as `bias 1`.
-        when: it is on.
+        name: its name in events; by default its kind and its position in the plan, such as `bias 1`.
+        when: conditions under which it is active.
     """
 
     name: Annotated[str, Field(max_length=128)] = ""
@@ -123,17 +122,17 @@ class PointFault(AnyFault):
     """A fault of some points.
 
     Attributes:
-        points: names of sensors and meters; the samples on the bus are disturbed.
-        actuators: names of actuators; what reaches the building of the commands is disturbed.
+        points: names of sensors and meters whose values in samples are affected.
+        actuators: names of actuators whose commanded values are affected before they reach the building.
     """
 
     points: Names = ()
     actuators: Names = ()
 
     @model_validator(mode="after")
-    def _somewhere(self) -> PointFault:
+    def _check_targets(self) -> PointFault:
         if not (self.points or self.actuators):
-            raise ValueError("points (sensors and meters) or actuators should be named; '*' is all of them")
+            raise ValueError("name points (sensors and meters) or actuators; '*' matches all of them")
         return self
 
 
@@ -152,57 +151,57 @@ class Gain(PointFault):
 
 
 class Drift(PointFault):
-    """Adds `rate_per_h` for each hour since it began."""
+    """Adds `rate_per_h` for each hour since its onset."""
 
     kind: Literal["drift"]
     rate_per_h: Finite
 
 
 class Noise(PointFault):
-    """Adds Gaussian noise of standard deviation `sigma`, at each sample and for each point anew."""
+    """Adds Gaussian noise with standard deviation `sigma`, drawn for each sample and point."""
 
     kind: Literal["noise"]
     sigma: Positive
 
 
 class Freeze(PointFault):
-    """Holds the value that it had when it began."""
+    """Keeps the value from its onset."""
 
     kind: Literal["freeze"]
 
 
 class Stuck(PointFault):
-    """Has `value`."""
+    """Replaces the value by `value`."""
 
     kind: Literal["stuck"]
     value: Finite
 
 
 class Drop(PointFault):
-    """A point has no value (NaN). An actuator hears nothing: what it was told last goes on."""
+    """Drops the value: a sensor or meter has none (NaN); an actuator keeps the last commanded value."""
 
     kind: Literal["drop"]
 
 
 class Delay(PointFault):
-    """Has the value of `steps` steps ago; NaN where there was none yet."""
+    """Replaces the value by that of `steps` steps ago; NaN if there is none yet."""
 
     kind: Literal["delay"]
     steps: Annotated[int, Field(ge=1, le=10_000, strict=True)]
 
 
 class Quantize(PointFault):
-    """Is rounded to the nearest multiple of `resolution`."""
+    """Rounds to the nearest multiple of `resolution`."""
 
     kind: Literal["quantize"]
     resolution: Positive
 
 
 class Spike(PointFault):
-    """Is `amplitude` off, with a probability, at each sample and for each point anew.
+    """Shifts the value by `amplitude` with a probability, drawn for each sample and point.
 
     Attributes:
-        two_sided: up or down with equal chances; else `amplitude` is added.
+        two_sided: add or subtract `amplitude` with equal probability; otherwise add it.
     """
 
     kind: Literal["spike"]
@@ -212,69 +211,69 @@ class Spike(PointFault):
 
 
 class Clip(PointFault):
-    """Goes no lower than `low` and no higher than `high`."""
+    """Clips to the range from `low` to `high`."""
 
     kind: Literal["clip"]
     low: Finite | None = None
     high: Finite | None = None
 
     @model_validator(mode="after")
-    def _a_range(self) -> Clip:
+    def _check_range(self) -> Clip:
         if self.low is None and self.high is None:
-            raise ValueError("a low or a high is expected")
+            raise ValueError("give low, high or both")
         if self.low is not None and self.high is not None and self.low >= self.high:
             raise ValueError(f"low {self.low:g} is not below high {self.high:g}")
         return self
 
 
 class LinkFault(AnyFault):
-    """A fault of the way between a node and its bus; times are wall time.
+    """A fault of the link between a node and its bus; times are wall time.
 
     Attributes:
-        samples: what the node says.
-        commands: names of controllers whose commands it hears.
+        samples: whether the node's samples are affected.
+        commands: names of controllers whose commands are affected.
     """
 
     samples: Annotated[bool, Field(strict=True)] = False
     commands: Names = ()
 
     @model_validator(mode="after")
-    def _somewhere(self) -> LinkFault:
+    def _check_targets(self) -> LinkFault:
         if not (self.samples or self.commands):
-            raise ValueError("samples: true or commands (names of controllers; '*' is all of them) is expected")
+            raise ValueError("give samples: true, or commands with names of controllers ('*' matches all of them)")
         return self
 
 
 class Latency(LinkFault):
-    """Each message comes `delay_ms` later."""
+    """Delays each message by `delay_ms`."""
 
     kind: Literal["latency"]
     delay_ms: Annotated[float, Field(gt=0, le=3_600_000, strict=True)]
 
 
 class Jitter(LinkFault):
-    """Each message comes up to `jitter_ms` later, uniformly; messages do not overtake each other."""
+    """Delays each message by up to `jitter_ms`, uniformly distributed; messages stay in order."""
 
     kind: Literal["jitter"]
     jitter_ms: Annotated[float, Field(gt=0, le=3_600_000, strict=True)]
 
 
 class Loss(LinkFault):
-    """A message does not come, with a probability."""
+    """Drops a message with a probability."""
 
     kind: Literal["loss"]
     probability: Probability
 
 
 class Duplicate(LinkFault):
-    """A message comes once more, with a probability."""
+    """Delivers a message twice, with a probability."""
 
     kind: Literal["duplicate"]
     probability: Probability
 
 
 class Reorder(LinkFault):
-    """A message is held back for `hold_ms`, with a probability; those that come meanwhile overtake it."""
+    """Delays a message by `hold_ms` with a probability; later messages overtake it."""
 
     kind: Literal["reorder"]
     probability: Probability
@@ -287,31 +286,31 @@ KINDS: dict[str, type[AnyFault]] = {
     get_args(form.model_fields["kind"].annotation)[0]: form
     for form in (*get_args(AnyPointFault), *get_args(AnyLinkFault))
 }
-"""All kinds of faults, by name."""
+"""The classes of faults by kind."""
 
 
-def _has_a_kind(value: Any) -> Any:
+def _check_kind(value: Any) -> Any:
     if isinstance(value, BaseModel):
         return value
     if not isinstance(value, dict):
-        raise ValueError("a fault is a map with a kind, as {kind: bias, points: NAME, offset: 1.5}")
+        raise ValueError("a fault is a map with a kind, such as {kind: bias, points: NAME, offset: 1.5}")
     if "kind" not in value:
-        raise ValueError(f"its kind is missing: one of {', '.join(KINDS)}")
+        raise ValueError(f"the kind is missing: one of {', '.join(KINDS)}")
     kind = value["kind"]
     if not isinstance(kind, str) or kind not in KINDS:
-        raise ValueError(f"no kind {kind!r}; {did_you_mean(str(kind), KINDS, most=len(KINDS))}")
+        raise ValueError(f"no kind {kind!r}; {did_you_mean(str(kind), KINDS, limit=len(KINDS))}")
     return value
 
 
-Fault = Annotated[AnyPointFault | AnyLinkFault, Field(discriminator="kind"), BeforeValidator(_has_a_kind)]
+Fault = Annotated[AnyPointFault | AnyLinkFault, Field(discriminator="kind"), BeforeValidator(_check_kind)]
 
 
 class FaultPlan(Message):
-    """What goes wrong on a node, on purpose. Faults of a point act in this order, each on what the former leaves.
+    """Faults to inject into a node. Faults of the same point are applied in this order, each to the previous result.
 
     Attributes:
-        seed: of all their random numbers.
-        faults: none for a node in order.
+        seed: seed of all random numbers of the faults.
+        faults: the faults; none restores normal operation.
     """
 
     seed: Annotated[int, Field(ge=0, lt=2**63, strict=True)] = 0
@@ -319,16 +318,16 @@ class FaultPlan(Message):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The name of each fault; no two are alike."""
+        """The unique name of each fault."""
         return _names(self.faults)
 
     @field_validator("faults")
     @classmethod
-    def _names_differ(cls, faults: tuple[Fault, ...]) -> tuple[Fault, ...]:
+    def _check_names(cls, faults: tuple[Fault, ...]) -> tuple[Fault, ...]:
         names = _names(faults)
-        twice = sorted({name for name in names if names.count(name) > 1})
-        if twice:
-            raise ValueError(f"each fault needs a name of its own; twice there: {', '.join(map(repr, twice))}")
+        repeated = sorted({name for name in names if names.count(name) > 1})
+        if repeated:
+            raise ValueError(f"each fault needs a unique name; used more than once: {', '.join(map(repr, repeated))}")
         return faults
 
 

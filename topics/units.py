@@ -1,4 +1,4 @@
-"""EnergyPlus's unit texts, the names that they have on the bus, and the limits that units carry."""
+"""Unit names on the bus for EnergyPlus's units, and the limits that units imply."""
 
 from __future__ import annotations
 
@@ -28,20 +28,20 @@ _LIMITS: dict[str, tuple[float | None, float | None]] = {
 
 
 def unit_name(energyplus: str) -> str:
-    """The unit's name on the bus: `[C]` is `degC`, no unit is `1`; unknown ones stay as they are."""
+    """Return a unit's name on the bus: `degC` for `[C]`, `1` for no unit; unknown units are unchanged."""
     bare = energyplus.strip().removeprefix("[").removesuffix("]").strip()
     return _NAMES.get(bare, bare)
 
 
 def limits(unit: str) -> tuple[float | None, float | None]:
-    """Lowest and highest value that a quantity of this unit can have; None where there is none."""
+    """Return the lowest and the highest possible value of a quantity in this unit; None where there is no limit."""
     return _LIMITS.get(unit, (None, None))
 
 
 _PLAIN = ("", "1", "fraction", "count", "on_off")
-"""Units that people leave out."""
+"""Units that are not shown."""
 
 
 def with_unit(number: str, unit: str) -> str:
-    """Return a number with its unit as people write it: `26 degC`, `0 to 1` without one."""
+    """Return a number with its unit for display: `26 degC`, but `0 to 1` for a fraction."""
     return number if unit in _PLAIN else f"{number} {unit}"

@@ -1,9 +1,9 @@
-"""Files for people: YAML 1.2's core, so that words are words.
+"""Reading and writing YAML with the core schema of YAML 1.2.
 
-PyYAML reads YAML 1.1, in which `on` and `no` are booleans, `1e-4` a text, `12:30` a number in base 60 and
-`2018-07-01` a date. Here none of them surprises, and a key that stands twice is an error.
+PyYAML implements YAML 1.1, in which `on` and `no` are booleans, `1e-4` is a string, `12:30` a number in base 60 and
+`2018-07-01` a date. With the core schema they are strings and floats as expected. A repeated key is an error.
 
-A file may be a stranger's: size, depth and what its aliases stand for are limited before anything is built of it.
+Files may be untrusted: their size, depth and number of nodes (aliases expanded) are limited before they are loaded.
 """
 
 from __future__ import annotations
@@ -34,20 +34,20 @@ _WORDS = (
 
 
 MAX_BYTES = 8 * 1024 * 1024
-"""Larger files are refused unread."""
+"""Largest size of a file in bytes."""
 
 MAX_NODES = 200_000
-"""Values, lists and mappings of a file together, each counted as often as an alias repeats it."""
+"""Largest number of values, lists and mappings in a file, with all aliases expanded."""
 
 MAX_DEPTH = 64
-"""Lists and mappings within each other."""
+"""Largest depth of nested lists and mappings."""
 
 _TAGS = {f"tag:yaml.org,2002:{name}" for name in ("null", "bool", "int", "float", "str")}
-"""Tags that a value may have; a list or a mapping has none."""
+"""Tags permitted on scalars; lists and mappings may have none."""
 
 
 class _Loader(_Base):  # type: ignore[misc]
-    yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012  # PyYAML's own form
+    yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012  # as PyYAML declares it
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:  # noqa: FBT001, FBT002
         seen = set()
@@ -55,10 +55,10 @@ class _Loader(_Base):  # type: ignore[misc]
             if not isinstance(key, yaml.ScalarNode):
                 raise yaml.constructor.ConstructorError(None, None, "a name is expected", key.start_mark)
             if key.tag != _MERGE and key.value in seen:
-                raise yaml.constructor.ConstructorError(None, None, f"{key.value!r} stands twice", key.start_mark)
+                raise yaml.constructor.ConstructorError(None, None, f"repeated name {key.value!r}", key.start_mark)
             seen.add(key.value)
-        found: dict[Any, Any] = super().construct_mapping(node, deep)
-        return found
+        mapping: dict[Any, Any] = super().construct_mapping(node, deep)
+        return mapping
 
 
 class _Dumper(yaml.SafeDumper):
@@ -82,7 +82,7 @@ _Loader.add_constructor("tag:yaml.org,2002:int", lambda loader, node: int(loader
 
 
 def _text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
-    """Line breaks that YAML would read as a space are escaped."""
+    """Represent a string; line breaks that YAML would read as a space are escaped."""
     style = '"' if re.search("[\x85\u2028\u2029]", text) else None
     return dumper.represent_scalar("tag:yaml.org,2002:str", text, style=style)
 
@@ -91,18 +91,18 @@ _Dumper.add_representer(str, _text)
 
 
 class _Limits:
-    """Counts what a text would be built of from its events: nothing is built, and nothing recurses."""
+    """Checks the limits on a stream of parser events, without building objects and without recursion."""
 
     def __init__(self) -> None:
         self._nodes = 0
         self._open: list[tuple[str | None, int]] = []  # anchor, and the number of nodes before it
-        self._sizes: dict[str, int] = {}  # nodes that an alias stands for
+        self._sizes: dict[str, int] = {}  # number of nodes of each anchor
 
     def check(self, event: yaml.Event) -> None:
-        """Raise `YAMLError` where a limit is passed, or a tag or an alias is none that is taken."""
+        """Raise `YAMLError` if a limit is exceeded, a tag is not permitted or an alias has no anchor."""
         if isinstance(event, yaml.AliasEvent):
             if event.anchor not in self._sizes:
-                _fail(f"the alias *{event.anchor} stands for nothing before it", event)
+                _fail(f"the alias *{event.anchor} has no anchor before it", event)
             self._count(self._sizes[event.anchor], event)
         elif isinstance(event, yaml.NodeEvent):
             self._node(event)
@@ -113,7 +113,7 @@ class _Limits:
     def _node(self, event: Any) -> None:
         scalar = isinstance(event, yaml.ScalarEvent)
         if event.tag not in (None, "!", *(_TAGS if scalar else ())):
-            _fail(f"the tag {event.tag!r} is not taken; leave it out", event)
+            _fail(f"the tag {event.tag!r} is not supported; remove it", event)
         before = self._nodes
         self._count(1, event)
         if not scalar:
@@ -121,14 +121,14 @@ class _Limits:
             if len(self._open) > MAX_DEPTH:
                 _fail(f"it is nested more than {MAX_DEPTH} levels deep", event)
         elif "\0" in event.value:
-            _fail("a NUL character in a text", event)
+            _fail("a NUL character in a string", event)
         else:
             self._name(event.anchor, before)
 
     def _count(self, more: int, event: yaml.Event) -> None:
         self._nodes += more
         if self._nodes > MAX_NODES:
-            _fail(f"it has more than {MAX_NODES} values, with what its aliases repeat", event)
+            _fail(f"it has more than {MAX_NODES} values, with aliases expanded", event)
 
     def _name(self, anchor: str | None, before: int) -> None:
         if anchor is not None:
@@ -140,18 +140,18 @@ def _fail(text: str, event: Any) -> NoReturn:
 
 
 def read_text(path: Path) -> str:
-    """Return the text of a file that a person wrote.
+    """Return the text of a file.
 
     Raises:
-        OSError: it is not there, cannot be read, is no regular file, or larger than `MAX_BYTES`.
-        UnicodeDecodeError: it is not UTF-8.
+        OSError: the file does not exist, cannot be read, is not a regular file, or is larger than `MAX_BYTES`.
+        UnicodeDecodeError: the file is not UTF-8.
     """
     if "\0" in str(path):
         raise OSError("a NUL character in its name")
-    # Not waiting for the other end of a FIFO.
+    # O_NONBLOCK: opening a FIFO would wait for its other end.
     with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
         if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-            raise OSError("it is no regular file")
+            raise OSError("it is not a regular file")
         raw = file.read(MAX_BYTES + 1)
     if len(raw) > MAX_BYTES:
         raise OSError(f"it has more than {MAX_BYTES} bytes")
@@ -159,14 +159,14 @@ def read_text(path: Path) -> str:
 
 
 def parse(text: str, what: str) -> dict[str, Any]:
-    """A mapping from a YAML text.
+    """Parse the YAML text of a file into a mapping.
 
     Args:
-        text: of the file.
-        what: the file, for the error.
+        text: content of the file.
+        what: description of the file for errors.
 
     Raises:
-        InvalidConfig: no YAML, something else than names and values, or beyond the limits of this module.
+        InvalidConfig: the text is not YAML, is not a mapping with names as keys, or exceeds the limits.
     """
     if len(text) > MAX_BYTES:
         raise InvalidConfig(f"{what} has {len(text)} characters; at most {MAX_BYTES} are read")
@@ -174,14 +174,14 @@ def parse(text: str, what: str) -> dict[str, Any]:
     try:
         for event in yaml.parse(text, _Loader):
             limits.check(event)
-        found = yaml.load(text, _Loader)  # noqa: S506  # a SafeLoader
+        mapping = yaml.load(text, _Loader)  # noqa: S506  # a SafeLoader
     except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise InvalidConfig(f"{what} is no YAML: {error}") from None
-    if not isinstance(found, dict) or not all(isinstance(key, str) for key in found):
-        raise InvalidConfig(f"{what} should hold names and values, as `building: office-small`")
-    return found
+        raise InvalidConfig(f"{what} is not valid YAML: {error}") from None
+    if not isinstance(mapping, dict) or not all(isinstance(key, str) for key in mapping):
+        raise InvalidConfig(f"{what} should contain names and values, such as `building: office-small`")
+    return mapping
 
 
 def dump(plain: dict[str, Any]) -> str:
-    """A mapping of plain values as YAML; `parse` gives an equal one."""
+    """Return a mapping of built-in types as YAML; `parse` returns an equal mapping."""
     return yaml.dump(plain, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None)

@@ -56,7 +56,7 @@ def load_controller(text: str) -> Callable[..., ControllerProtocol]:
         return CONTROLLERS[text]
     place, colon, name = text.rpartition(":")
     if not colon or not place or not name:
-        known = did_you_mean(text, CONTROLLERS, most=len(CONTROLLERS))
+        known = did_you_mean(text, CONTROLLERS, limit=len(CONTROLLERS))
         raise UnknownName(
             f"no controller {text!r}; {known}; a class of your own is path/to/file.py:MyController "
             f"or package.module:MyController"

@@ -200,7 +200,7 @@ def check_points(
                 if not any(fnmatchcase(name, pattern) for name in there[side]):
                     what = {"points": "sensor or meter", "actuators": "actuator"}[side]
                     hint = f"name it under {other}" if pattern in there[other] else did_you_mean(pattern, there[side])
-                    gathered.found.append(InvalidConfig(f"fault {label!r}: no {what} {pattern!r}; {hint}"))
+                    gathered.errors.append(InvalidConfig(f"fault {label!r}: no {what} {pattern!r}; {hint}"))
         if isinstance(fault, Stuck):
             for actuator in actuators:
                 if _any_of(fault.actuators, actuator.name):
@@ -214,4 +214,4 @@ def _check_bounds(label: str, value: float, actuator: Actuator, gathered: ErrorC
         bounds = " to ".join("unbounded" if b is None else f"{b:g}" for b in (actuator.low, actuator.high))
         stuck = with_unit(f"{value:g}", actuator.unit)
         text = f"fault {label!r}: {actuator.name} cannot be stuck at {stuck}; its bounds are {bounds}"
-        gathered.found.append(InvalidConfig(text))
+        gathered.errors.append(InvalidConfig(text))

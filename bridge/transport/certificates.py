@@ -117,9 +117,9 @@ def add(
     names = faults.collect(lambda: _hosts(hosts)) if role is Role.NODE else ()
     faults.collect(lambda: _days(days, left))
     if role not in ROLES:
-        faults.found.append(InvalidConfig(f"there are no certificates for {role!r}; name one of {', '.join(ROLES)}"))
+        faults.errors.append(InvalidConfig(f"there are no certificates for {role!r}; name one of {', '.join(ROLES)}"))
     elif hosts and role is not Role.NODE:
-        faults.found.append(InvalidConfig(f"a {role} does not listen; hosts are for a node's certificate"))
+        faults.errors.append(InvalidConfig(f"a {role} does not listen; hosts are for a node's certificate"))
     if not force:
         faults.collect(lambda: _refuse_existing(folder, [name]))
     faults.raise_if_any()
@@ -163,9 +163,9 @@ def identity(folder: Path, role: Role, name: str | None = None) -> Identity:
     faults = ErrorCollector()
     described = _described(name, certificate, authority)
     if described.fault:
-        faults.found.append(InvalidConfig(f"{path}: {described.fault}"))
+        faults.errors.append(InvalidConfig(f"{path}: {described.fault}"))
     if described.role is not role:
-        faults.found.append(InvalidConfig(f"{path} is of the role {described.role or 'authority'}; {role} expected"))
+        faults.errors.append(InvalidConfig(f"{path} is of the role {described.role or 'authority'}; {role} expected"))
     faults.collect(lambda: _check_key(key, certificate))
     faults.raise_if_any()
     return Identity(folder / f"{AUTHORITY}.pem", path, key)

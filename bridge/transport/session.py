@@ -143,22 +143,22 @@ def _check_endpoints(
     listen: Sequence[str], connect: Sequence[str], faults: ErrorCollector, *, keys: Path | None, expose: bool
 ) -> None:
     if not listen and not connect:
-        faults.found.append(InvalidConfig("name an endpoint to listen on, or one to connect to"))
+        faults.errors.append(InvalidConfig("name an endpoint to listen on, or one to connect to"))
     for endpoint in (*listen, *connect):
         if faults.collect(lambda endpoint=endpoint: check_endpoint(endpoint)) is None:  # type: ignore[misc]
             continue
         kind, _, address = endpoint.partition("/")
         if keys is not None and kind != "tls":
             right = f"tls/{address}" if kind == "tcp" else DEFAULT_TLS_ENDPOINT
-            faults.found.append(InvalidConfig(f"{endpoint} takes no keys, only TLS does; write {right}, or no keys"))
+            faults.errors.append(InvalidConfig(f"{endpoint} takes no keys, only TLS does; write {right}, or no keys"))
         if keys is None and kind == "tls":
-            faults.found.append(
+            faults.errors.append(
                 InvalidConfig(f"{endpoint} needs keys: zenostat keys init FOLDER, then keys=FOLDER (--keys FOLDER)")
             )
     for endpoint in listen:
         if endpoint.startswith(("tcp/", "tls/")) and not _LOOPBACK.fullmatch(endpoint) and not expose:
             how = "" if endpoint.startswith("tls/") else ", without encryption or a password"
-            faults.found.append(
+            faults.errors.append(
                 InvalidConfig(
                     f"{endpoint} can be reached from other machines{how}; "
                     "ask for it with expose=True (--expose) if that is meant"

@@ -19,7 +19,7 @@ from topics.errors import InvalidConfig
 WRONG = pytest.mark.parametrize(
     "seed", [2**70, 2**64, -1, 1.0, 1.5, True, "1", np.float64(2), np.bool_(True)], ids=repr
 )
-RANGE = r"seed = .*; a whole number from 0 to 2\*\*64 - 1 expected"
+RANGE = r"seed = .*; an integer from 0 to 2\*\*64 - 1 expected"
 
 
 def zones() -> ZonesEnv:
@@ -39,7 +39,7 @@ def test_one_building(made: Callable[[], Any], seed: Any) -> None:
 @WRONG
 def test_slots(seed: Any) -> None:
     env = BuildingVectorEnv(2, link=FakeSlots([FakeBuilding(), FakeBuilding()]))
-    with pytest.raises(InvalidConfig, match=r"seed = .*; a whole number from 0 to 2\*\*64 - 2 expected"):
+    with pytest.raises(InvalidConfig, match=r"seed = .*; an integer from 0 to 2\*\*64 - 2 expected"):
         env.reset(seed=seed)
     with pytest.raises(InvalidConfig, match=RANGE):
         env.reset(seed=[0, seed])

@@ -403,7 +403,7 @@ def test_steps_that_cannot_be() -> None:
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        ({"seed": -1}, "a whole number from 0 to 2**64 - 2 expected"),
+        ({"seed": -1}, "an integer from 0 to 2**64 - 2 expected"),
         ({"seed": [1]}, "each of 2 slots"),
         ({"seed": [1, -2]}, "seed = -2; a whole number from 0 to 2**64 - 1 expected"),
         ({"options": {"mask": 1}}, "unknown reset options ['mask']; available: 'snapshot', 'reset_mask'"),

@@ -114,7 +114,7 @@ def test_all_faults_of_a_call_are_told_at_once(tmp_path: Path) -> None:
     ("role", "name", "given", "said"),
     [
         (Role.CONTROLLER, "ca", {}, "is the authority"),
-        (Role.CONTROLLER, "../x", {}, "cannot stand in a topic"),
+        (Role.CONTROLLER, "../x", {}, "is not valid in a topic"),
         (Role.CONTROLLER, "x", {"hosts": ["h.org"]}, "does not listen"),
         (Role.ANYONE, "x", {}, "name one of node, controller, monitor"),
         (Role.NODE, "x", {"days": 4000}, "days of validity"),

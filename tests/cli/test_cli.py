@@ -131,7 +131,7 @@ def test_ctrl_c_in_a_controller_leaves_the_node_waiting(scratch):
         ),
         (["node", *DAY[:4], "--begin", "02-30"], ["begin '02-30' is not a calendar date"]),
         (["node", *DAY, "--steps-per-hour", "7"], ["7 does not divide the hour"]),
-        (["node", *DAY, "--name", "my office"], ["'my office' cannot stand in a topic", "'my_office'"]),
+        (["node", *DAY, "--name", "my office"], ["'my office' is not valid in a topic", "'my_office'"]),
         (["node", *DAY, "--listen", "tcp/0.0.0.0:7447"], ["can be reached from other machines", "--expose"]),
         (["node", *DAY, "--listen", "7447"], ["is no endpoint", "tcp/127.0.0.1:7447"]),
         (["run", "--node", "office", "--controller", "rb"], ["no controller 'rb'", "'rbc'"]),

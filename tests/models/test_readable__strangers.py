@@ -33,11 +33,11 @@ HOSTILE = {
     "deep entries": ("a:\n" + "- " * 50_000 + "x", "more than 64 levels"),
     "no boolean": ("a: !!bool abc", "'abc' is neither true nor false"),
     "no number": ("a: !!int abc", "invalid literal"),
-    "list as a mapping": ("a: !!map [1]", "tag .* is not taken"),
-    "object of Python": ("a: !!python/object/apply:os.getcwd []", "tag .* is not taken"),
+    "list as a mapping": ("a: !!map [1]", "tag .* is not supported"),
+    "object of Python": ("a: !!python/object/apply:os.getcwd []", "tag .* is not supported"),
     "NUL in a value": ('building: "x\\0y"', "NUL character"),
     "NUL in a name": ('"x\\0y": 1', "NUL character"),
-    "alias of itself": ("a: &a [*a]", "stands for nothing before it"),
+    "alias of itself": ("a: &a [*a]", "has no anchor before it"),
     "huge number": ("a: " + "1" * 100_000, "4300 digits"),
 }
 

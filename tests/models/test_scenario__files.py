@@ -349,7 +349,7 @@ weather_noise:
 )
 def test_a_key_that_stands_twice_is_an_error(load: Load, text: str, key: str, line: int) -> None:
     said = refused(load, text)
-    assert f"{key!r} stands twice" in said
+    assert f"repeated name {key!r}" in said
     assert f"line {line}" in said
 
 

@@ -467,7 +467,7 @@ def test_all_faults_of_a_file_are_said_at_once(own, tmp_path, monkeypatch):
     assert all(fault.startswith(f"{path}: ") for fault in faults)
     for expected in (
         "unknown setting 'wether_variability'; near names: 'weather_variability'",
-        "id_base: the base of the ids 'my hut' cannot stand in a topic",
+        "id_base: the base of the ids 'my hut' is not valid in a topic",
         "building_file: '5ZoneAutoDXVAV.epJSON' is in the data pack 'sinergym': zenostat data-packs add sinergym",
         "weather_specification: 1 weather_files but 2 keys",
         "weather_specification.weather_files.0: no file 'there.epw' next to own.yaml or in the data pack",
@@ -740,7 +740,7 @@ def test_no_code_of_a_configuration_is_run(text, own, tmp_path):
 def test_no_object_of_a_yaml_is_made(own, tmp_path):
     path = own()
     path.write_text(path.read_text() + f"initial_context: !!python/object/apply:os.mkdir ['{tmp_path}/ran']\n")
-    with pytest.raises(InvalidConfig, match="is no YAML"):
+    with pytest.raises(InvalidConfig, match="is not valid YAML"):
         scenarios_of(path)
     assert not (tmp_path / "ran").exists()
 
@@ -748,7 +748,7 @@ def test_no_object_of_a_yaml_is_made(own, tmp_path):
 def test_a_setting_that_stands_twice_is_refused(own):
     path = own()
     path.write_text(path.read_text() + "id_base: other\n")
-    with pytest.raises(InvalidConfig, match="'id_base' stands twice"):
+    with pytest.raises(InvalidConfig, match="repeated name 'id_base'"):
         scenarios_of(path)
 
 

@@ -149,7 +149,7 @@ def test_an_unknown_building_and_weather_are_named_at_once() -> None:
         ({"begin": "1 July"}, r"begin '1 July' is not a date; write it as MM-DD or YYYY-MM-DD"),
         ({"begin": "07-02", "end": "07-01"}, r"the run period ends \(.*07-01\) before it begins \(.*07-02\)"),
         ({"steps_per_hour": 7}, r"steps_per_hour 7 does not divide the hour"),
-        ({"sensors": {"a b": ("Zone Air Temperature", "CORE_ZN")}}, r"the point name 'a b' cannot stand in a topic"),
+        ({"sensors": {"a b": ("Zone Air Temperature", "CORE_ZN")}}, r"the point name 'a b' is not valid in a topic"),
         (
             {"sensors": {"inside": ("Zone Air Temperature", "CORE_ZN", "avg")}},
             r"sensors.inside.aggregation: .*'mean', 'sum' or 'instant', got 'avg'",

@@ -22,14 +22,14 @@ from support.contract_page import COMMAND, DOCUMENT, MASKED, PAGE, SAMPLE
 
 from bridge.faults import read_plan
 from topics import codec, keys, messages, yaml12
-from topics.asyncapi import channel_name, document, travelling
+from topics.asyncapi import channel_name, document, payload_classes
 from topics.errors import ZenostatError
 from topics.fault_plan import FaultPlan
 from topics.keys import TOPICS, Delivery, Role, Topic
 from topics.messages import ErrorReply, Message
 
 MADE = document()
-CLASSES = sorted(travelling(), key=lambda kind: kind.__name__)
+CLASSES = sorted(payload_classes(), key=lambda kind: kind.__name__)
 EVERY = sorted(
     (c for c in vars(messages).values() if isinstance(c, type) and issubclass(c, Message) and c is not Message),
     key=lambda kind: kind.__name__,

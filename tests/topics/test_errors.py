@@ -94,7 +94,7 @@ def test_names_that_are_spelled_alike_are_near() -> None:
 
 
 def test_where_nothing_is_near_some_are_shown() -> None:
-    assert did_you_mean("qqq", SETPOINTS, most=2) == (
+    assert did_you_mean("qqq", SETPOINTS, limit=2) == (
         "there are: 'core_zn_cooling_setpoint', 'core_zn_heating_setpoint' and 2 more"
     )
     assert did_you_mean("", ["a", "b"]) == "there are: 'a', 'b'"
@@ -106,7 +106,7 @@ def test_where_there_is_nothing_it_says_so() -> None:
 
 @given(st.text(max_size=8), st.lists(st.text(max_size=8), max_size=12), st.integers(1, 5))
 def test_only_known_names_are_offered_and_never_too_many(name: str, known: list[str], most: int) -> None:
-    said = did_you_mean(name, iter(known), most=most)
+    said = did_you_mean(name, iter(known), limit=most)
     if not known:
         assert said == "there are none"
         return

@@ -1,8 +1,8 @@
-"""Every message class of the bus.
+"""Message classes of the bus.
 
-Each is frozen, refuses unknown fields and refuses NaN and infinities: a message that exists is
-valid. Arrays travel as raw little-endian float64 (`values`, `effective`), uint16 (`source_index`) or uint8
-(`operations`) bytes in C order with the shape `(slots, points)`, in the manifest's order.
+Messages are frozen and reject unknown fields, NaN and infinities: a message that exists is valid. Arrays are sent as
+raw little-endian float64 (`values`, `effective`), uint16 (`source_index`) or uint8 (`operations`) bytes in C order,
+with the shape `(slots, points)` and in the manifest's order.
 """
 
 from __future__ import annotations

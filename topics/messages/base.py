@@ -10,15 +10,15 @@ SCHEMA_VERSION = 2
 """Version of the contract; part of every key's root and of every message's encoding."""
 
 SafeName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.\-]{0,127}$")]
-"""A name that may stand as a chunk of a key: letters, digits, `_`, `.`, `-`; at most 128."""
+"""A name that can be a chunk of a key: up to 128 letters, digits, `_`, `.` and `-`."""
 
 SourceName = Annotated[str, Field(max_length=128)]
-"""Who asks or writes, in its own words."""
+"""Name that the sender of a request or a write gives itself."""
 
 ANONYMOUS = "anonymous"
 """Source of a write that names none."""
 
-# Strict where strangers write: a text is no number, and true is no step.
+# Strict, since any client may send these: a string is not a number, and true is not a step.
 Count = Annotated[int, Field(ge=0, strict=True)]
 
 Priority = Annotated[int, Field(ge=1, le=16, strict=True)]
@@ -33,6 +33,6 @@ Seed = Annotated[int, Field(ge=0, strict=True)]
 
 
 class Message(BaseModel):
-    """Base of everything that travels."""
+    """Base class of all messages."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, ser_json_inf_nan="null")

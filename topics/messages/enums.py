@@ -1,4 +1,4 @@
-"""Enumerations of the messages."""
+"""Enumerations used in messages."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from enum import IntEnum, IntFlag, StrEnum
 
 
 class Aggregation(StrEnum):
-    """How a sensor is read over a timestep.
+    """How a sensor's value relates to its timestep.
 
-    `MEAN` and `SUM` are what EnergyPlus reports for the timestep: the time-weighted mean, or the sum,
-    over its system timesteps. `INSTANT` is the state at the end of the timestep.
+    `MEAN` and `SUM` are the values that EnergyPlus reports for the timestep: the time-weighted mean, or the sum, over
+    its system timesteps. `INSTANT` is the state at the end of the timestep.
     """
 
     MEAN = "mean"
@@ -18,10 +18,10 @@ class Aggregation(StrEnum):
 
 
 class Mode(StrEnum):
-    """Who sets the pace of simulated time.
+    """What determines the pace of simulated time.
 
-    `LOCKSTEP`: the required controllers. `PACED`: the wall clock, at a multiple of its speed; commands hold. `FREE`:
-    nobody; it goes as fast as it can.
+    `LOCKSTEP`: each timestep waits for the required controllers. `PACED`: simulated time follows the wall clock at a
+    multiple of its speed; the last commands stay in effect. `FREE`: the simulation runs as fast as it can.
     """
 
     LOCKSTEP = "lockstep"
@@ -30,10 +30,10 @@ class Mode(StrEnum):
 
 
 class Policy(StrEnum):
-    """What the node does when a controller has gone, or gives no valid command in time.
+    """Fallback policy for a controller that is disconnected or sends no valid command in time.
 
-    `WAIT`: waits for it. `HOLD`: goes on with what it commanded last. `RELEASE`: gives what it commanded back, to the
-    next priority level or to the building's own control. `ABORT`: ends the episode.
+    `WAIT`: wait for it. `HOLD`: continue with its last command. `RELINQUISH`: relinquish what it commanded, to the next
+    lower priority or to baseline control. `ABORT`: end the episode.
     """
 
     WAIT = "wait"
@@ -43,7 +43,7 @@ class Policy(StrEnum):
 
 
 class State(StrEnum):
-    """Where a node stands in an episode."""
+    """State of a node's episode."""
 
     STARTING = "starting"
     WAITING = "waiting"
@@ -54,10 +54,11 @@ class State(StrEnum):
 
 
 class EngineStart(StrEnum):
-    """How the engine of an episode came to sample 0.
+    """How an episode's engine reached its first sample.
 
-    `REUSED`: it waited there untouched. `FORKED`: from one that waits there. `PREFETCHED`: it was started while the
-    episode before ran. `STARTED`: afresh. `SNAPSHOT`: from a snapshot, at that one's sample.
+    `REUSED`: it was already waiting at sample 0, unused. `FORKED`: it was forked from an engine that waits at sample 0.
+    `PREFETCHED`: it was started while the previous episode ran. `STARTED`: it was newly started. `SNAPSHOT`: it was
+    forked from a snapshot, at the snapshot's sample.
     """
 
     NONE = ""
@@ -69,9 +70,10 @@ class EngineStart(StrEnum):
 
 
 class Flag(IntFlag):
-    """What a sample says about its episode.
+    """Flags of a sample.
 
-    `FALLBACK`: a required controller gave no command for this timestep; the node's policy went on without it.
+    `FIRST`: sample 0 of an episode. `TRUNCATED`: the last sample of an episode. `FALLBACK`: a required controller sent
+    no command for this timestep, and the fallback policy applied.
     """
 
     NONE = 0
@@ -81,7 +83,7 @@ class Flag(IntFlag):
 
 
 class CommandOp(IntEnum):
-    """What a command does to one actuator at the controller's level."""
+    """Operation of a command on one actuator at the controller's priority."""
 
     KEEP = 0
     SET = 1
@@ -89,10 +91,11 @@ class CommandOp(IntEnum):
 
 
 class TimeField(StrEnum):
-    """A field of the clock that an agent may observe, named as in EnergyPlus's data exchange API.
+    """Field of the simulated clock that an agent can observe, named as in EnergyPlus's data exchange API.
 
-    They describe the timestep that a sample closes (the episode's begin for sample 0): `hour` is 0 to 23,
-    `minutes` 1 to 60 and `current_time` (hours of the day, 0 to 24) its end; `day_of_week` is 1 on Sundays.
+    The fields describe the timestep that ends with a sample (for sample 0, the start of the episode): `hour` is 0 to
+    23; `minutes` (1 to 60) and `current_time` (hours of the day, 0 to 24) are the end of the timestep; `day_of_week` is
+    1 on Sundays.
     """
 
     YEAR = "year"

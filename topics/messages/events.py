@@ -8,10 +8,10 @@ from topics.messages.base import Count, Message
 
 
 class EventKind(StrEnum):
-    """What an event tells.
+    """Kind of an event.
 
-    `REJECTED`, `LATE`, `DUPLICATE`: a message that was not taken and changed nothing. `ACCEPTED_LATE`: a command that
-    was taken, although the deadline of its step was over.
+    `REJECTED`, `LATE`, `DUPLICATE`: a message was not accepted and changed nothing. `ACCEPTED_LATE`: a command was
+    accepted after the deadline of its step.
     """
 
     STARTED = "started"
@@ -35,10 +35,10 @@ class EventKind(StrEnum):
 
 
 class Event(Message):
-    """What happened on a node; `source` is the controller or device that it is about.
+    """Something that happened on a node; `source` is the controller or device concerned.
 
-    `late_s`, in seconds of wall time: how long after its step had gone on a `late` command came, or how long after the
-    deadline an `accepted_late` one.
+    `late_s`, in seconds of wall time: how long after the end of its step's intake a `late` command arrived, or how long
+    after the deadline an `accepted_late` command arrived.
     """
 
     kind: EventKind

@@ -12,7 +12,7 @@ from topics.messages.status import Statistics
 
 
 class Sensor(Message):
-    """An EnergyPlus output variable, under a name of the user's."""
+    """An EnergyPlus output variable, under a name that the user chose."""
 
     name: SafeName
     variable: str
@@ -24,7 +24,7 @@ class Sensor(Message):
 
 
 class Meter(Message):
-    """An EnergyPlus meter: what was used in the timestep (J for energy)."""
+    """An EnergyPlus meter: the consumption in the timestep (J for energy)."""
 
     name: SafeName
     meter: str
@@ -34,7 +34,7 @@ class Meter(Message):
 
 
 class Actuator(Message):
-    """An EnergyPlus actuator. `feedback` is the output variable that tells what really ruled."""
+    """An EnergyPlus actuator. `feedback` is the output variable that reports its effective value."""
 
     name: SafeName
     component_type: str
@@ -48,7 +48,7 @@ class Actuator(Message):
 
 
 class Action(Message):
-    """One dimension of an agent's action: the actuators that it sets, all to the same value."""
+    """One dimension of an agent's action: it sets all its actuators to the same value."""
 
     name: SafeName
     unit: str
@@ -58,14 +58,14 @@ class Action(Message):
 
 
 class DiscreteAction(Message):
-    """One discrete dimension: the actions that it sets, and a row of their values for each choice."""
+    """One discrete dimension of an agent's action: `values` has a row of values for `actions` for each choice."""
 
     actions: Annotated[tuple[SafeName, ...], Field(min_length=1)]
     values: Annotated[tuple[tuple[float, ...], ...], Field(min_length=1)]
 
 
 class TerminationLimit(Message):
-    """An episode is terminated when one of the points has been outside the range for `duration_s` without a break."""
+    """Terminates an episode once a point has been outside its range for `duration_s` without interruption."""
 
     points: Annotated[tuple[SafeName, ...], Field(min_length=1)]
     low: float | None = None
@@ -74,11 +74,11 @@ class TerminationLimit(Message):
 
 
 class Task(Message):
-    """What an agent of this node observes besides its points, what it decides, and what it is rewarded for.
+    """The agent's part of a scenario: time features, actions, reward, termination limits and wrappers.
 
-    With `choices` the action is discrete: one number for each of them. Without, it is a value for each of
-    `actions`. `reward` is a kind and its parameters, as `agent_sdk.rewards` reads them; `wrappers` are names and
-    arguments, the innermost first, as `agent_sdk.wrappers` reads them.
+    With `discrete_actions` the action is discrete: a number for each of them. Otherwise it is a value for each of
+    `actions`. `reward` is a kind with its parameters, as `agent_sdk.rewards` reads them; `wrappers` are names with
+    arguments, innermost first, as `agent_sdk.wrappers` reads them.
     """
 
     scenario: str = ""
@@ -91,7 +91,7 @@ class Task(Message):
 
 
 class Versions(Message):
-    """What a node is made of."""
+    """Versions of a node's software and of its message schema."""
 
     zenostat: str
     energyplus: str
@@ -99,13 +99,13 @@ class Versions(Message):
 
 
 class Manifest(Message):
-    """All that a stranger needs to read a node's samples and to command it.
+    """Everything that a client needs to read a node's samples and to command the node.
 
-    `slots`: engines that step together, each with an episode of its own. `branch_of`: the node that this one is a
-    branch of. `baseline`: whether samples tell what the building's own control would have done. `speed`: simulated
-    seconds in a second, in paced mode. `grace_s`: how long a controller may be gone before the policy goes on without
-    it. `deadline_s`: how long each step waits for commands. `disturbed`: whether samples carry injected faults.
-    `statistics`: only in the answer to a query.
+    `slots`: number of engines that step together, each with its own episode. `branch_of`: the node that this one
+    branched from. `baseline`: whether samples include the building under baseline control. `speed`: simulated seconds
+    per second of wall time, in paced mode. `grace_s`: how long a controller may be disconnected before the fallback
+    policy applies. `deadline_s`: how long each step waits for commands. `faults_injected`: whether samples contain
+    injected faults. `statistics`: only in replies to queries.
     """
 
     node: SafeName

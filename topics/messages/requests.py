@@ -11,7 +11,7 @@ from topics.messages.enums import EngineStart, Mode
 
 
 class Claim(Message):
-    """Asks for a priority level on actuators (None: all). Required controllers are waited for."""
+    """Claim a priority of some actuators (None: all). In lockstep, the node waits for required controllers."""
 
     controller: SafeName
     priority: Priority = 10
@@ -20,10 +20,10 @@ class Claim(Message):
 
 
 class Reset(Message):
-    """Asks for a new episode, of all slots or of some; or to go back to a snapshot.
+    """Start a new episode in all slots or in some, or return to a snapshot.
 
-    `seed`: begins the draws of weather and noise anew; of several slots the first gets this one, the next the one
-    after it, or each its own.
+    `seed`: restarts the random draws of weather and noise. With one seed for several slots, the first slot gets this
+    seed, the next one `seed + 1` and so on; a list has a seed per slot.
     """
 
     controller: SourceName = ""
@@ -33,13 +33,13 @@ class Reset(Message):
 
 
 class TakeSnapshot(Message):
-    """Asks for a snapshot of the running episode; it lasts until it is dropped, or its owner leaves."""
+    """Take a snapshot of the running episode; it is kept until it is dropped or its owner disconnects."""
 
     controller: SourceName = ""
 
 
 class SnapshotTaken(Message):
-    """A snapshot's name, and where it stands."""
+    """A snapshot's name, and the episode and step of each slot."""
 
     snapshot: str
     episode: list[Count]
@@ -47,16 +47,17 @@ class SnapshotTaken(Message):
 
 
 class DropSnapshot(Message):
-    """Gives a snapshot's memory back."""
+    """Drop a snapshot and free its memory."""
 
     snapshot: str
 
 
 class CreateBranch(Message):
-    """Asks for a branch: a node of its own that goes on from this sample, or from a snapshot, on its own.
+    """Create a branch: a node that continues independently from the current sample or from a snapshot.
 
-    It ends with a `Stop`, when its owner leaves, or with its parent. `released`: what was commanded up to now holds
-    no more; the building's own control goes on. `slots`: how many engines it has, all from this slot.
+    A branch ends on a `Stop`, when its owner disconnects, or with its parent. `relinquished`: the branch starts with
+    all commands relinquished, under baseline control. `slots`: number of engines of the branch, all forked from the
+    slot `slot`.
     """
 
     controller: SourceName = ""
@@ -67,13 +68,13 @@ class CreateBranch(Message):
 
 
 class BranchCreated(Message):
-    """A branch's name on the bus."""
+    """The node name of a branch."""
 
     node: SafeName
 
 
 class SetPace(Message):
-    """Asks for another pace, from now on: simulated seconds in a second, or a mode without one."""
+    """Change the mode, or the speed in paced mode (simulated seconds per second of wall time), from now on."""
 
     source: SourceName = ""
     mode: Mode = Mode.PACED
@@ -81,42 +82,42 @@ class SetPace(Message):
 
 
 class Pause(Message):
-    """Asks the node to stand still, in whatever mode."""
+    """Pause the node, in any mode."""
 
     source: SourceName = ""
 
 
 class Resume(Message):
-    """Asks the node to go on; a paced one from here, without catching up."""
+    """Resume a paused node; in paced mode it does not catch up."""
 
     source: SourceName = ""
 
 
 class StepRequest(Message):
-    """Asks a node that stands still for some timesteps: in lockstep once they are answered, else at once."""
+    """Simulate some timesteps of a paused node: in lockstep as they are answered, otherwise immediately."""
 
     source: SourceName = ""
     steps: Annotated[int, Field(ge=1, le=1_000_000, strict=True)] = 1
 
 
 class Stop(Message):
-    """Asks the node to end."""
+    """Stop the node."""
 
     source: SourceName = ""
 
 
 class WeatherQuery(Message):
-    """Asks for columns of the weather file that a slot's present episode reads, by their EPW names."""
+    """Request columns, by their EPW names, of the weather file that a slot's current episode reads."""
 
     columns: Annotated[list[str], Field(min_length=1, max_length=40)]
     slot: Count = 0
 
 
 class WeatherSeries(Message):
-    """The weather of an episode and of a week after it, as EnergyPlus reads it, noise included.
+    """The weather of an episode and of the week after it, as EnergyPlus reads it, including noise.
 
-    Row k of `values`, raw with shape (rows, columns), holds at `step_s * (k + 1)` seconds after the episode's
-    begin; NaN where the file says nothing.
+    `values` is raw, of shape (rows, columns). Row k is valid `step_s * (k + 1)` seconds after the start of the episode;
+    NaN where the file has no value.
     """
 
     episode: Count
@@ -133,17 +134,17 @@ class ScenarioText(Message):
 
 
 class Query(Message):
-    """A question: status, scenario. `memory`: of the status, also what each process shares with no other."""
+    """Query of a node's status or scenario. `memory`: include the private memory of each process in the status."""
 
     memory: bool = False
 
 
 class EpisodeStart(Message):
-    """How an episode begins.
+    """The start of an episode in one slot.
 
-    `engine_start`: how its engine came to its first sample. `weather`: the weather file. `noise_parameters`: the
-    parameters of its noise, by column (`dry_bulb_temperature.sigma`). `output_dir`: the folder of EnergyPlus's own
-    files, if they are kept.
+    `engine_start`: how its engine reached the first sample. `weather`: the weather file. `noise_parameters`: the
+    parameters of the weather noise, by column (`dry_bulb_temperature.sigma`). `output_dir`: the folder of EnergyPlus's
+    output files, if they are kept.
     """
 
     engine_start: EngineStart
@@ -153,7 +154,7 @@ class EpisodeStart(Message):
 
 
 class Ack(Message):
-    """The node took a request. `episode` is the one that is running or starting now, of each slot.
+    """The node accepted a request. `episode`: of each slot, the episode that is running or starting.
 
     After a reset, `episode_starts` has an entry for each slot that was reset.
     """
@@ -163,7 +164,7 @@ class Ack(Message):
 
 
 class ErrorReply(Message):
-    """The node did not take a request: an error class of `topics.errors` and its text."""
+    """The node rejected a request: an error class of `topics.errors` and its text."""
 
     error: str
     message: str

@@ -1,4 +1,4 @@
-"""Samples, commands and writes: the messages of each timestep."""
+"""Messages of each timestep: samples, commands and writes."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from topics.messages.base import ANONYMOUS, Count, Finite, Message, Priority, Ra
 
 
 class Sample(Message):
-    """One frame a step. Lists have an entry a slot; slot 0 is the only one of a plain node.
+    """The values of all points at one step. Lists have one entry per slot; most nodes have one slot only.
 
-    `values` are the sensors, then the meters. `effective` says what each actuator really was in the
-    timestep that this sample closes; NaN where EnergyPlus has no variable that tells. `source_index` is an
-    index into `sources`: who set it, with `sources[0]` the building's own control. `baseline`, like `values`, is the
-    same building under its baseline control since sample 0, and `baseline_effective`, like `effective`, what that
-    control set its actuators to; empty unless the manifest says so. `fault_free_values`, like `values`, are the
-    plant's own where faults are injected into `values`.
+    `values`: the sensors, then the meters. `effective`: the effective value of each actuator during the timestep that
+    ends with this sample; NaN where EnergyPlus has no variable that reports it. `source_index`: the value source of
+    each actuator, an index into `sources`; `sources[0]` is baseline control. `baseline`: the values, in the order of
+    `values`, of the same building under baseline control since sample 0; `baseline_effective`: the effective values of
+    its actuators; both are empty unless the manifest's `baseline` is true. `fault_free_values`: the plant's own values,
+    in the order of `values`, where faults are injected into `values`.
     """
 
     episode: list[Count]
@@ -37,13 +37,13 @@ class Sample(Message):
 
 
 class Command(Message):
-    """A controller's answer to sample `step` of `episode`; it rules timestep `step + 1`.
+    """A controller's answer to sample `step` of `episode`; it takes effect in timestep `step + 1`.
 
-    A slot whose step is None is not answered: it stands still while the others go on.
+    A slot whose step is None is not answered: it does not step while the others do.
 
-    `values` has all actuators of all slots. `operations` (one `CommandOp` byte each) says which of them are
-    set, kept as they are, or released; without it all are set. `values` stands last, so that a command's
-    bytes are a head that the node can foresee and the values: it needs no decoding (`codec.command_head`).
+    `values` has all actuators of all slots. `operations` (one `CommandOp` byte per value) selects which of them are
+    set, kept or relinquished; without it, all are set. `values` is the last field, so that a command's bytes are a
+    predictable head followed by the values, and the node need not decode it (`codec.command_head`).
     """
 
     episode: list[Count]
@@ -53,10 +53,10 @@ class Command(Message):
 
 
 class Write(Message):
-    """One actuator, written by a device or a person; `value` None releases it.
+    """One actuator's value, written by a device or a person; a `value` of None relinquishes it.
 
-    `priority` as in BACnet: 1 the highest, 16 the lowest, 8 a person's.
-    `duration_s`: seconds of simulated time after which it is released by itself.
+    `priority`: as in BACnet, 1 is the highest, 16 the lowest and 8 that of manual operators. `duration_s`: seconds of
+    simulated time after which the value is relinquished automatically.
     """
 
     value: Finite | None
@@ -66,7 +66,7 @@ class Write(Message):
 
 
 class PointValue(Message):
-    """One point at one step, for dashboards and devices that want just that."""
+    """The value of one point at one step, for dashboards and devices that need no full sample."""
 
     value: float
     unit: str
@@ -76,13 +76,13 @@ class PointValue(Message):
 
 
 class StreamedMessage(Message):
-    """A message as it was sent: its topic below the root (`sample`, `event` or `manifest`), and its bytes."""
+    """A message as it was sent: its topic below the node's root (`sample`, `event` or `manifest`) and its payload."""
 
     topic: str
     payload: Raw
 
 
 class Batch(Message):
-    """What a node has streamed since its last batch, in the order sent: for whoever need not know it at once."""
+    """The messages that a node has streamed since its last batch, in the order sent; for recorders and monitors."""
 
     messages: list[StreamedMessage]

@@ -9,7 +9,7 @@ from topics.messages.enums import Mode, Policy, State
 
 
 class LatencySummary(Message):
-    """How long something took: `count` times in all; median and 99th percentile of the latest 4,096; the longest."""
+    """Summary of durations: their count and maximum, and the median and 99th percentile of the latest 4,096."""
 
     count: Count = 0
     median_ms: float = 0.0
@@ -18,12 +18,12 @@ class LatencySummary(Message):
 
 
 class Statistics(Message):
-    """How a node keeps up, in wall time.
+    """A node's timing, in wall time, and its message counts.
 
-    `step`: from the begin of a timestep to its sample. `cycle`: from sample to sample. `overruns`: paced timesteps
-    whose sample came after the next one was due, `max_lag_s` by how much at worst. `missed`: timesteps that went on
-    without a required controller. `late`, `rejected`, `duplicate`, `rate_limited`: messages that changed nothing.
-    `accepted_late`: commands that were taken although the deadline was over.
+    `step`: from the start of a timestep to its sample. `cycle`: from sample to sample. `overruns`: paced timesteps
+    whose sample was published after the next one was due; `max_lag_s`: the largest such delay. `missed`: timesteps
+    simulated without a required controller's command. `late`, `rejected`, `duplicate`, `rate_limited`: messages that
+    changed nothing. `accepted_late`: commands accepted after the deadline.
     """
 
     step: LatencySummary = LatencySummary()
@@ -39,12 +39,12 @@ class Statistics(Message):
 
 
 class ControllerStatus(Message):
-    """One controller that has claimed something.
+    """Status of a controller that has a claim.
 
-    `accepted_late`: of the accepted commands, those that came after the deadline; `late`: those that were refused
-    because their step was over. `missed`: timesteps that went on without its command. `bypassed`: it has gone, and the
-    policy goes on without it.
-    `unresponsive`: it gave no command by the deadline, and none since. `response`: from a sample to its answer.
+    `actuators`: number of actuators that it has claimed. `accepted_late`: accepted commands that arrived after the
+    deadline. `late`: commands rejected because their step was over. `missed`: timesteps simulated without its command.
+    `bypassed`: it is disconnected, and the fallback policy applies. `unresponsive`: it missed the deadline and has not
+    answered since. `response`: time from a sample to its answer.
     """
 
     controller: str
@@ -64,7 +64,7 @@ class ControllerStatus(Message):
 
 
 class ForkStatus(Message):
-    """A snapshot or branch of a node: at which sample of slot 0, and the memory that is its own alone."""
+    """A snapshot or a branch of a node: its step in slot 0, its number of engines and its private memory."""
 
     name: str
     owner: str
@@ -74,10 +74,10 @@ class ForkStatus(Message):
 
 
 class Status(Message):
-    """Where a node stands.
+    """Status of a node.
 
-    `faults`: the injected faults that are on now. `engine_private_bytes`, and the `private_bytes` of its forks: what
-    they share with no other process; 0 unless asked for.
+    `faults`: the injected faults that are active now. `engine_private_bytes`, and `private_bytes` of snapshots and
+    branches: memory shared with no other process; 0 unless requested.
     """
 
     node: SafeName

@@ -96,7 +96,7 @@ def _row(topic: bytes) -> tuple[Topic, str, str]:
     if verb + slash in NAMED:
         return NAMED[verb + slash], node, _checked(name, f"the name after {verb}/")
     known = [*QUERIES, *(row.key for row in NAMED.values())]
-    raise BadMessage(f"no request {_short(rest.encode())}; {did_you_mean(rest[:_SHOWN], known, most=len(known))}")
+    raise BadMessage(f"no request {_short(rest.encode())}; {did_you_mean(rest[:_SHOWN], known, limit=len(known))}")
 
 
 def _checked(name: str, what: str) -> str:
