@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sched
 from collections.abc import Callable
 from time import monotonic
 from typing import TYPE_CHECKING
@@ -34,7 +35,7 @@ class Pacing:
         self._timesteps = 0  # of all episodes and slots: what the schedule counts
         self._into_s = 0.0  # of the timestep in which it was paused
         self._overdue_at_s = 0.0
-        self._alarm: int | None = None
+        self._alarm: sched.Event | None = None
 
     def declare(self) -> None:
         """Answers what is asked for on the bus."""

@@ -1,7 +1,8 @@
-"""Calls at a later time: the agenda by itself, and the thread that follows it."""
+"""Delayed calls: their order, cancellation, and the thread that makes them."""
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Iterator
 
@@ -10,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.nodes import until
 
-from bridge.runtime.timer import Agenda, Timer
+from bridge.runtime.timer import Timer
 
 
 class Clock:
@@ -38,39 +39,43 @@ def timer(clock: Clock) -> Iterator[Timer]:
     assert not [thread for thread in threading.enumerate() if thread.name == "timer"]
 
 
-# The agenda
-
 times = st.floats(0, 100)
 
 
-@given(st.lists(times), st.sets(st.integers(0, 50)), times)
+@given(st.lists(times, max_size=30), st.sets(st.integers(0, 30)), times)
 def test_what_is_due_comes_in_order_and_the_rest_stays(dues: list[float], removed: set[int], now_s: float) -> None:
-    agenda, came = Agenda(), []
-    numbers = [agenda.add(due, lambda i=i: came.append(i)) for i, due in enumerate(dues)]
-    for index in removed:
-        if index < len(numbers):
-            assert agenda.remove(numbers[index])
-            assert not agenda.remove(numbers[index])
-    while call := agenda.pop(now_s):
-        call()
-    kept = [i for i in range(len(dues)) if i not in removed]
-    assert came == sorted((i for i in kept if dues[i] <= now_s), key=lambda i: (dues[i], i))
-    later = [dues[i] for i in kept if dues[i] > now_s]
-    assert len(agenda) == len(later)
-    assert agenda.next_s == min(later, default=None)
+    clock, came, ended = Clock(), list[int](), threading.Event()
+    clock.now_s = -1.0  # nothing is due before all are there
+    with Timer(clock) as timer:
+        events = [timer.at(due, lambda i=i: came.append(i)) for i, due in enumerate(dues)]
+        for index in removed:
+            if index < len(events):
+                assert timer.cancel(events[index])
+                assert not timer.cancel(events[index])
+        clock.now_s = now_s
+        timer.at(now_s, ended.set)
+        timer._wakeup.set()
+        assert ended.wait(30.0)
+        kept = [i for i in range(len(dues)) if i not in removed]
+        assert came == sorted((i for i in kept if dues[i] <= now_s), key=lambda i: (dues[i], i))
+        later = [dues[i] for i in kept if dues[i] > now_s]
+        assert [event.time for event in timer._scheduler.queue] == sorted(later)
 
 
-def test_deadlines_that_were_met_do_not_pile_up() -> None:
-    agenda = Agenda()
-    kept = agenda.add(1e9, nothing)
+def test_deadlines_that_were_met_do_not_pile_up(clock: Clock, timer: Timer) -> None:
+    kept = timer.at(1e9, nothing)
     for step in range(10_000):
-        agenda.remove(agenda.add(step + 10.0, nothing))
-    assert len(agenda._heap) < 100
-    assert agenda.next_s == 1e9
-    assert agenda.remove(kept)
+        timer.cancel(timer.at(step + 10.0, nothing))
+    assert timer._scheduler.queue == [kept]
 
 
-# The thread
+def test_an_alarm_that_is_set_anew_each_step_does_not_wake_the_thread(clock: Clock, timer: Timer) -> None:
+    alarm = timer.at(1000.0, nothing)
+    until(lambda: timer._wakes_at_s == 1000.0, "the thread's waiting")
+    for step in range(100):
+        assert timer.cancel(alarm)
+        alarm = timer.at(1001.0 + step, nothing)
+        assert not timer._wakeup.is_set()
 
 
 def test_no_thread_before_it_is_used() -> None:
@@ -97,7 +102,7 @@ def test_an_earlier_call_is_not_kept_waiting_by_a_later_one() -> None:
     came = threading.Event()
     with Timer() as timer:
         timer.at(timer.clock() + 1e6, nothing)
-        until(lambda: timer._changed._waiters, "the thread's waiting for the later call")
+        until(lambda: timer._wakes_at_s < math.inf, "the thread's waiting for the later call")
         timer.at(timer.clock() + 0.01, came.set)
         until(came.is_set, "the earlier call")
 
