@@ -1,1 +1,1 @@
-"""What moves messages: the Zenoh session, the step exchange, priorities, placement on cores, Rerun."""
+"""The bridge: Zenoh sessions, the step exchange, injected faults, gateways, Rerun, threads and timers."""

@@ -1,1 +1,1 @@
-"""Threads, timers, signals, polling and placement on cores."""
+"""Timers, signals, polling, scratch folders and CPU affinity."""

@@ -1,21 +1,21 @@
-"""Telling a process that stands still from one that computes: by the processor time that it uses."""
+"""Detection of unresponsive processes by the processor time that they use."""
 
 from __future__ import annotations
 
 import psutil
 
 LOOK_S = 0.5
-"""Time between two looks at a process."""
+"""Interval of checks in seconds."""
 
 
 class IdleWatch:
-    """Idle time of a process that is being waited for.
+    """Measures how long a process has been idle while the caller waits for it.
 
-    What counts is the waiting of the caller, look by look, and not the clock: a watcher that was frozen itself
-    (together with its machine, say) does not take that time for the idleness of the other.
+    Idle time is the sum of the caller's waits, not a difference of clock times: if the caller itself was suspended
+    (for example with its machine), that time does not count as idle time of the process.
 
     Args:
-        pid: the process.
+        pid: the process id.
     """
 
     def __init__(self, pid: int) -> None:
@@ -24,7 +24,7 @@ class IdleWatch:
         self._idle_s = 0.0
 
     def look(self, waited_s: float = LOOK_S) -> float:
-        """For how long the process has been idle, in seconds; to be called after each `waited_s` of waiting."""
+        """Return for how many seconds the process has been idle; call it after each wait of `waited_s`."""
         used_s = processor_s(self._pid)
         self._idle_s = self._idle_s + waited_s if used_s == self._used_s else 0.0
         self._used_s = used_s
@@ -32,7 +32,7 @@ class IdleWatch:
 
 
 def processor_s(pid: int) -> float:
-    """Processor time that a process has used, in seconds; 0 if it has ended."""
+    """Return the processor time that a process has used, in seconds; 0 if it has ended."""
     try:
         times = psutil.Process(pid).cpu_times()
     except psutil.Error:

@@ -1,7 +1,7 @@
-"""Scratch folders that do not outlive their owners.
+"""Scratch folders that are removed even if their owners are killed.
 
-A folder is owned by whoever holds a lock on a file in it. The system releases the lock when the owner ends, in
-whatever way, so the next program that starts finds what a killed one has left.
+The owners of a folder hold a shared lock on a file in it. The kernel releases the lock when a process ends for any
+reason, so the next program that starts can remove the folders of killed ones.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ from pathlib import Path
 
 _PREFIX = "zenostat-"
 _LOCK = ".owner"
-_TRIES, _TRY_AGAIN_S = 20, 0.01
+_ATTEMPTS, _RETRY_S = 20, 0.01
 
 
 class Scratch:
-    """A scratch folder that this process owns, alone or with others.
+    """A scratch folder that this process owns, alone or together with other processes.
 
     Args:
-        folder: one that is there, or is made; None makes one in the place of temporary files.
-        parent: where it is made then; None is the usual place.
+        folder: a folder, which is created if it does not exist; None creates a new temporary folder.
+        parent: where a temporary folder is created; None is the default location.
 
     Attributes:
-        folder: that one.
+        folder: its path.
     """
 
     def __init__(self, folder: Path | None = None, *, parent: str | None = None) -> None:
@@ -39,26 +39,26 @@ class Scratch:
         self._lock = _locked(folder)
 
     def release(self) -> None:
-        """Does not own the folder any more; twice is fine."""
+        """Give up ownership of the folder; idempotent."""
         lock, self._lock = self._lock, -1
         if lock >= 0:
             os.close(lock)
 
     def remove(self) -> None:
-        """Removes the folder; twice is fine."""
-        for _ in range(_TRIES):  # a process that was killed may write a last time
+        """Remove the folder; idempotent."""
+        for _ in range(_ATTEMPTS):  # a process that was just killed may still write to it
             shutil.rmtree(self.folder, ignore_errors=True)
             if not self.folder.exists():
                 break
-            time.sleep(_TRY_AGAIN_S)
+            time.sleep(_RETRY_S)
         self.release()
 
 
 def sweep() -> None:
-    """Removes the scratch folders whose owners have ended."""
-    for place in {tempfile.gettempdir(), "/tmp"}:  # where folders go if the usual path is too long
+    """Remove the scratch folders whose owners have ended."""
+    for parent in {tempfile.gettempdir(), "/tmp"}:  # /tmp is used where the default path is too long
         with suppress(OSError):
-            for folder in Path(place).glob(f"{_PREFIX}*"):
+            for folder in Path(parent).glob(f"{_PREFIX}*"):
                 _sweep(folder)
 
 
@@ -68,27 +68,27 @@ def _sweep(folder: Path) -> None:
             return
         lock = os.open(folder / _LOCK, os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
     except OSError:
-        return  # another's, or nobody's whose end could be known
+        return  # another user's folder, or one without a lock
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         shutil.rmtree(folder, ignore_errors=True)
     except OSError:
-        pass  # its owner lives
+        pass  # an owner is still running
     finally:
         os.close(lock)
 
 
 def _locked(folder: Path) -> int:
-    """A descriptor that holds the folder's lock together with whoever else owns it."""
+    """Return a file descriptor that has the folder's shared lock."""
     path = folder / _LOCK
     try:
         lock = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
     except FileNotFoundError:
-        # Locked before it has its name: it is never seen without a lock.
-        unnamed = folder / f"{_LOCK}-{os.getpid()}"
-        lock = os.open(unnamed, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
+        # Locked before it is renamed, so that `sweep` never finds an owned folder unlocked.
+        temporary = folder / f"{_LOCK}-{os.getpid()}"
+        lock = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
         fcntl.flock(lock, fcntl.LOCK_SH)
-        unnamed.rename(path)
+        temporary.rename(path)
     else:
         fcntl.flock(lock, fcntl.LOCK_SH)
     return lock

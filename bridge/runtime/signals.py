@@ -1,4 +1,4 @@
-"""Handlers of signals for a while."""
+"""Temporary signal handlers."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from contextlib import contextmanager
 from typing import Any
 
 TERMINATION_SIGNALS = (signal.SIGINT, signal.SIGTERM)
-"""What Ctrl-C sends, and what `kill` sends."""
+"""The signals of Ctrl-C and of `kill`."""
 
 
 @contextmanager
 def override_signals(handler: Callable[[int, Any], Any] | signal.Handlers, *numbers: signal.Signals) -> Iterator[None]:
-    """Has `handler` called on these signals, and puts back what was there before. In the main thread only."""
-    before = {number: signal.signal(number, handler) for number in numbers}
+    """Handle these signals with `handler`, and restore the previous handlers on exit. In the main thread only."""
+    previous = {number: signal.signal(number, handler) for number in numbers}
     try:
         yield
     finally:
-        for number, former in before.items():
+        for number, former in previous.items():
             signal.signal(number, former)
