@@ -214,7 +214,7 @@ def _array(raw: bytes, kind: np.dtype[Any], shape: tuple[int, ...], what: str) -
         expected *= length
     if array is None or array.size != expected:
         raise BadMessage(
-            f"{what} has {len(raw)} bytes, not {expected * kind.itemsize}: "
-            f"{' x '.join(map(str, shape))} of {kind.name} expected"
+            f"{what} has {len(raw)} bytes; {expected * kind.itemsize} expected: "
+            f"{' x '.join(map(str, shape))} of {kind.name}"
         )
     return array.reshape(shape)

@@ -313,12 +313,12 @@ def test_an_array_has_the_size_of_its_shape_or_is_refused(size: int, slots: int,
     if size == 8 * slots * points:
         assert codec.floats(raw, (slots, points), "values").shape == (slots, points)
     else:
-        with pytest.raises(BadMessage, match=f"values has {size} bytes, not {8 * slots * points}: "):
+        with pytest.raises(BadMessage, match=f"values has {size} bytes; {8 * slots * points} expected"):
             codec.floats(raw, (slots, points), "values")
     if size == slots * points:
         assert codec.uint8s(raw, (slots, points), "operations").shape == (slots, points)
     else:
-        with pytest.raises(BadMessage, match=f"operations has {size} bytes, not {slots * points}: "):
+        with pytest.raises(BadMessage, match=f"operations has {size} bytes; {slots * points} expected"):
             codec.uint8s(raw, (slots, points), "operations")
 
 

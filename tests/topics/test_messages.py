@@ -182,7 +182,7 @@ def test_a_value_is_read_by_name_and_an_unknown_name_lists_near_ones() -> None:
 
 def test_a_frame_of_another_size_is_a_bad_message() -> None:
     short = WIRE.model_copy(update={"values": WIRE.values[:-8]})
-    with pytest.raises(BadMessage, match="40 bytes, not 48"):
+    with pytest.raises(BadMessage, match="40 bytes; 48 expected"):
         view(short)["zone_t"]
 
 
