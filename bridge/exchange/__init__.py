@@ -1,1 +1,1 @@
-"""The step exchange: rules without I/O for who answers which sample, and what the actuators are commanded."""
+"""The step exchange: which controllers answer which sample, and what the actuators are commanded. No I/O."""

@@ -1,6 +1,6 @@
-"""What is commanded to the actuators: values at 16 levels, within their bounds, some of them for a time.
+"""Commanded values of the actuators: at 16 priorities, within their bounds, optionally with an expiry.
 
-Rules without I/O. Shapes are (slots, actuators).
+No I/O. Arrays have the shape (slots, actuators).
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from topics.messages import Actuator, Command, CommandOp, Write
 from topics.units import with_unit
 
 _SMALL = 8
-"""Values that are looked at one by one in less time than it takes to make arrays of them."""
+"""Largest number of values for which a Python loop is faster than NumPy."""
 
 
 @dataclass(frozen=True, slots=True)
 class Expiry:
-    """A single point that is released when so much simulated time has passed since all slots began."""
+    """A written value that is relinquished once so much simulated time has passed since all slots started."""
 
     at_s: float
     priority: int
@@ -34,38 +34,38 @@ class Expiry:
 
 @dataclass(frozen=True, slots=True)
 class CommandSnapshot:
-    """What was commanded up to a sample and holds on: a part of a snapshot."""
+    """The commanded values that are in effect at a sample; part of a snapshot."""
 
     array: PriorityArray
     expiries: tuple[Expiry, ...] = ()
     timesteps: int = 0
 
     def of_slot(self, slot: int, slots: int) -> CommandSnapshot:
-        """What holds in one slot, for each of `slots` new ones."""
+        """Return a snapshot for `slots` new slots, all with the commands of one slot."""
         return CommandSnapshot(self.array.of_slot(slot, slots), self.expiries, self.timesteps)
 
 
 class ActuatorCommands:
-    """Of one node.
+    """Command state of one node: priorities, bounds, expiries.
 
     Args:
         actuators: in manifest order.
-        slots: engines in the node.
+        slots: number of engines in the node.
 
     Attributes:
-        array: who commands what, at which level.
+        array: values and sources at each priority.
         size: bytes of the values of all actuators of all slots.
-        timesteps: that have passed since all slots began: the clock of what is written for a time.
+        timesteps: timesteps since all slots started; the clock of expiries.
     """
 
     def __init__(self, actuators: tuple[Actuator, ...], slots: int) -> None:
         self._actuators, self._shape = actuators, (slots, len(actuators))
-        most = float(np.finfo(np.float64).max)  # an unbounded actuator takes any finite value
-        low = [-most if a.low is None else a.low for a in actuators]
-        high = [most if a.high is None else a.high for a in actuators]
+        max_float = float(np.finfo(np.float64).max)  # an unbounded actuator accepts any finite value
+        low = [-max_float if a.low is None else a.low for a in actuators]
+        high = [max_float if a.high is None else a.high for a in actuators]
         self._bounds = np.tile(np.array([low, high]).reshape(2, -1), slots)
         self._clipped = np.empty(self._bounds.shape[1])
-        self._few = len(low) * slots <= _SMALL
+        self._is_small = len(low) * slots <= _SMALL
         self._low, self._high = low * slots, high * slots
         self._index = {a.name: i for i, a in enumerate(actuators)}
         self._expiries: list[Expiry] = []
@@ -74,27 +74,27 @@ class ActuatorCommands:
         self.timesteps = 0
 
     def clear(self) -> None:
-        """Releases everything, for a new episode."""
+        """Relinquish everything, for a new episode."""
         self.array.clear()
         self._expiries, self.timesteps = [], 0
 
     def capture(self) -> CommandSnapshot:
-        """What holds now."""
+        """Return the current commands."""
         return CommandSnapshot(self.array.copy(), tuple(self._expiries), self.timesteps)
 
-    def restore(self, held: CommandSnapshot) -> None:
-        """Has that hold again."""
-        self.array.restore(held.array)
-        self._expiries, self.timesteps = [*held.expiries], held.timesteps
+    def restore(self, snapshot: CommandSnapshot) -> None:
+        """Restore captured commands."""
+        self.array.restore(snapshot.array)
+        self._expiries, self.timesteps = [*snapshot.expiries], snapshot.timesteps
 
     # A controller's command
 
     def put_fast(self, claimant: ClaimHolder, raw: bytes) -> bool:
-        """Sets all actuators of all slots to raw values, if it is plain that they are within bounds; whether it was.
+        """Set all actuators of all slots to raw values after a fast check of the bounds; return whether it passed.
 
-        False also for some that are (of many, -0.0 at a bound of 0): `put` looks at them closely.
+        The check may fail for values that are valid (-0.0 at a bound of 0); `put` checks them exactly.
         """
-        if self._few:
+        if self._is_small:
             for value, low, high in zip(memoryview(raw).cast("d"), self._low, self._high, strict=True):
                 if not low <= value <= high:  # NaN is not
                     return False
@@ -108,43 +108,45 @@ class ActuatorCommands:
         return True
 
     def put(self, claimant: ClaimHolder, command: Command, answered: Sequence[int]) -> None:
-        """Sets and releases what a command says, in the slots that it answers.
+        """Apply a command in the slots that it answers.
 
         Raises:
-            BadMessage: wrong sizes, a value out of bounds or not finite, or an actuator that was not claimed; nothing
-                is changed.
+            BadMessage: wrong sizes, a value out of bounds or not finite, or an actuator that the controller has not
+                claimed; nothing is changed.
         """
         values = codec.floats(command.values, self._shape, "values")
-        whole = len(answered) == self._shape[0]
-        if command.operations is None and claimant.covers_all and whole:
+        all_slots = len(answered) == self._shape[0]
+        if command.operations is None and claimant.covers_all and all_slots:
             self._check(values)
             self.array.put_all(claimant.priority, claimant.source, command.values)
             return
-        mask = self._mask(claimant, command)
-        if not whole:
-            mask = np.where(np.isin(np.arange(self._shape[0]), answered)[:, None], mask, np.uint8(CommandOp.KEEP))
-        self._check(np.where(mask == CommandOp.SET, values, self._bounds[0].reshape(self._shape)))
+        operations = self._operations(claimant, command)
+        if not all_slots:
+            is_answered = np.isin(np.arange(self._shape[0]), answered)[:, None]
+            operations = np.where(is_answered, operations, np.uint8(CommandOp.KEEP))
+        is_set = operations == CommandOp.SET
+        self._check(np.where(is_set, values, self._bounds[0].reshape(self._shape)))
         self.array.put(
-            claimant.priority, claimant.source, np.where(mask == CommandOp.SET, values, np.nan), mask != CommandOp.KEEP
+            claimant.priority, claimant.source, np.where(is_set, values, np.nan), operations != CommandOp.KEEP
         )
 
-    def _mask(self, claimant: ClaimHolder, command: Command) -> NDArray[np.uint8]:
+    def _operations(self, claimant: ClaimHolder, command: Command) -> NDArray[np.uint8]:
         if command.operations is None:
-            mask = np.full(self._shape, CommandOp.SET, np.uint8)
+            operations = np.full(self._shape, CommandOp.SET, np.uint8)
         else:
-            mask = codec.uint8s(command.operations, self._shape, "operations")
-        if mask.size and mask.max() > CommandOp.RELINQUISH:
-            raise BadMessage(f"operations has {int(mask.max())}; 0 keeps, 1 sets, 2 releases")
-        if (mask[:, ~claimant.mask] != CommandOp.KEEP).any():
-            _, index = np.argwhere((mask != CommandOp.KEEP) & ~claimant.mask)[0]
-            raise BadMessage(f"{self._actuators[index].name!r} is not among the actuators it claimed")
-        return mask
+            operations = codec.uint8s(command.operations, self._shape, "operations")
+        if operations.size and operations.max() > CommandOp.RELINQUISH:
+            raise BadMessage(f"operations has {int(operations.max())}; 0 keeps, 1 sets, 2 relinquishes")
+        if (operations[:, ~claimant.mask] != CommandOp.KEEP).any():
+            _, index = np.argwhere((operations != CommandOp.KEEP) & ~claimant.mask)[0]
+            raise BadMessage(f"{self._actuators[index].name!r} is not among the actuators that it claimed")
+        return operations
 
     def _check(self, values: NDArray[np.float64]) -> None:
         low, high = self._bounds.reshape(2, *self._shape)
-        wrong = ~((values >= low) & (values <= high))  # true for NaN
-        if wrong.any():
-            slot, index = np.argwhere(wrong)[0]
+        invalid = ~((values >= low) & (values <= high))  # true for NaN
+        if invalid.any():
+            slot, index = np.argwhere(invalid)[0]
             raise BadMessage(self._out_of_bounds(int(index), float(values[slot, index])))
 
     def _out_of_bounds(self, index: int, value: float) -> str:
@@ -152,13 +154,13 @@ class ActuatorCommands:
         low, high = (str(b) if b is not None else "unbounded" for b in (actuator.low, actuator.high))
         return f"{actuator.name} = {with_unit(f'{value:g}', actuator.unit)}; its bounds are {low} to {high}"
 
-    # Single points
+    # Writes of single points
 
     def find(self, name: str, write: Write) -> int:
-        """The index of the actuator that is written.
+        """Return the index of the actuator to write.
 
         Raises:
-            BadMessage: there is none of that name, or the value is out of its bounds.
+            BadMessage: there is no actuator of that name, or the value is out of its bounds.
         """
         if name not in self._index:
             raise BadMessage(f"no actuator {name!r}; {did_you_mean(name, self._index)}")
@@ -170,32 +172,34 @@ class ActuatorCommands:
         return index
 
     def write(self, index: int, write: Write, source: int, elapsed_s: float) -> str:
-        """Sets or releases one actuator of all slots; says so in words."""
+        """Set or relinquish one actuator in all slots; return a description."""
         occupied = self.array.occupied(write.priority, index)
         self.array.put_one(write.priority, source, index, np.nan if write.value is None else write.value)
         self._expiries = [e for e in self._expiries if (e.priority, e.actuator) != (write.priority, index)]
         actuator = self._actuators[index]
         if write.value is None:
             priority = f"at priority {write.priority}"
-            return f"{actuator.name} {'released' if occupied else 'had nothing to release'} {priority}"
+            return f"{actuator.name} {'relinquished' if occupied else 'had nothing to relinquish'} {priority}"
         if write.duration_s is not None:
             self._expiries.append(Expiry(elapsed_s + write.duration_s, write.priority, index, write.source))
         return f"{actuator.name} = {with_unit(f'{write.value:g}', actuator.unit)} at priority {write.priority}"
 
     def drop_superseded_expiries(self, claimant: ClaimHolder) -> None:
-        """What was written for a time where somebody claims holds no longer than the claim says."""
-        priority, allowed = claimant.priority, claimant.mask
-        self._expiries = [e for e in self._expiries if not (e.priority == priority and allowed[e.actuator])]
+        """Drop the expiries of actuators that a new claim covers at the same priority."""
+        priority, claimed = claimant.priority, claimant.mask
+        self._expiries = [e for e in self._expiries if not (e.priority == priority and claimed[e.actuator])]
 
     @property
     def has_expiries(self) -> bool:
-        """Whether anything was written for a time."""
+        """Whether any written value has an expiry."""
         return bool(self._expiries)
 
     def expire(self, elapsed_s: float) -> list[tuple[str, str]]:
-        """Releases what was written for a time that is over: for each what is to be said, and who had written it."""
-        over = [e for e in self._expiries if e.at_s <= elapsed_s]
+        """Relinquish written values that have expired; return a description and the source of each."""
+        expired = [e for e in self._expiries if e.at_s <= elapsed_s]
         self._expiries = [e for e in self._expiries if e.at_s > elapsed_s]
-        for e in over:
+        for e in expired:
             self.array.put_one(e.priority, 0, e.actuator, np.nan)
-        return [(f"{self._actuators[e.actuator].name} released at priority {e.priority}", e.source) for e in over]
+        return [
+            (f"{self._actuators[e.actuator].name} relinquished at priority {e.priority}", e.source) for e in expired
+        ]

@@ -1,8 +1,8 @@
-"""Who may command what: controllers' claims on actuators at priority levels. Rules without I/O.
+"""Claims: the exclusive rights of controllers to command actuators at a priority. No I/O.
 
-A claim is on a level of some or all actuators. A level of an actuator has one holder; a second claim on it is
-refused by name while the holder is present, and takes over once it has gone. What a claimant has set does not
-outlive its claim.
+A claim covers some or all actuators at one priority. Each priority of an actuator has at most one holder. A second
+claim on it is rejected while the holder is connected, and replaces the holder's claim once it is disconnected. Values
+that a controller has set are relinquished when its claim ends.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from topics.errors import RequestRejected, did_you_mean
 from topics.messages import Actuator, Claim
 
 MAX_CLAIMS = 1000
-"""Controllers that may have claimed something at a node at a time."""
+"""Largest number of controllers that have a claim on a node at the same time."""
 
 
 @dataclass(slots=True)
 class ControllerStats:
-    """How a controller has done: its messages, the timesteps that went on without it, how fast it answers."""
+    """Statistics of a controller: its messages, timesteps simulated without its command, response times."""
 
     accepted: int = 0
     late: int = 0
@@ -36,10 +36,11 @@ class ControllerStats:
 
 @dataclass(slots=True)
 class ClaimHolder:
-    """A controller's claim: its priority, its actuators, and its statistics.
+    """A controller's claim: its priority, its actuators and its statistics.
 
-    `bypassed`: it is disconnected, and the policy applies. `unresponsive`: it missed the deadline and has not answered
-    since. `connected_at_s`, `disconnected_at_s`: when it claimed, and when it disconnected (wall time).
+    `mask`: of each actuator, whether it is claimed. `covers_all`: whether all are. `source`: index of its name among
+    the sources. `bypassed`: it is disconnected, and the fallback policy applies. `unresponsive`: it missed the deadline
+    and has not answered since. `connected_at_s`, `disconnected_at_s`: wall times of its claim and its disconnection.
     """
 
     name: str
@@ -61,10 +62,10 @@ class Claims:
 
     Args:
         actuators: in manifest order.
-        array: where claimants' values stand, and are released.
+        array: the values that the controllers have set.
 
     Attributes:
-        by_name: controller to its claim.
+        by_name: the claims by controller.
     """
 
     def __init__(self, actuators: tuple[Actuator, ...], array: PriorityArray) -> None:
@@ -74,82 +75,89 @@ class Claims:
         self._index = {a.name: i for i, a in enumerate(actuators)}
 
     def claim(self, claim: Claim, now_s: float = 0.0) -> tuple[ClaimHolder, list[str]]:
-        """Takes or renews a claim; also returns the absent controllers that it replaces.
+        """Add or renew a claim; also return the disconnected controllers whose claims it replaces.
 
         Raises:
             RequestRejected: unknown actuators, a priority that another connected controller has claimed, or too many
                 claims.
         """
-        allowed = self._select(claim.actuators)
-        self._refuse_held(claim, allowed)
-        replaced = [c.name for c in self.by_name.values() if self._replaces(claim, allowed, c)]
+        mask = self._select(claim.actuators)
+        self._check_conflicts(claim, mask)
+        replaced = [c.name for c in self.by_name.values() if self._replaces(claim, mask, c)]
         if claim.controller not in self.by_name and len(self.by_name) - len(replaced) >= MAX_CLAIMS:
             raise RequestRejected(
-                f"{MAX_CLAIMS} controllers have claimed something, which is the most; "
-                "a reset of all slots forgets those that have gone"
+                f"{MAX_CLAIMS} controllers have a claim, which is the maximum; "
+                "a reset of all slots drops the claims of disconnected ones"
             )
         for name in replaced:
-            self._give_up(self.by_name.pop(name), kept=allowed)
+            self._relinquish(self.by_name.pop(name), except_for=mask)
         old = self.by_name.get(claim.controller)
         if old is not None:
-            self._give_up(old, kept=allowed if old.priority == claim.priority else np.zeros_like(allowed))
-        taken = self.by_name[claim.controller] = ClaimHolder(
+            self._relinquish(old, except_for=mask if old.priority == claim.priority else np.zeros_like(mask))
+        holder = self.by_name[claim.controller] = ClaimHolder(
             claim.controller,
             claim.priority,
-            allowed,
+            mask,
             claim.required,
             self._array.source(claim.controller, self.sources),
-            covers_all=bool(allowed.all()),
+            covers_all=bool(mask.all()),
             stats=old.stats if old else ControllerStats(),
             connected_at_s=now_s,
         )
-        return taken, replaced
+        return holder, replaced
 
     @property
     def sources(self) -> list[int]:
-        """The claimants' places among the sources."""
+        """The indices of the controllers' names among the sources."""
         return [claimant.source for claimant in self.by_name.values()]
 
     def holder(self, priority: int, actuator: int) -> ClaimHolder | None:
-        """Who has claimed a level of an actuator."""
+        """Return the controller that has claimed a priority of an actuator."""
         return next((c for c in self.by_name.values() if c.priority == priority and c.mask[actuator]), None)
 
     def begin_episode(self) -> None:
-        """Forgets controllers that have gone; call it after the array was cleared."""
+        """Drop the claims of disconnected controllers; call it after the array was cleared."""
         self.by_name = {name: c for name, c in self.by_name.items() if c.connected}
         for claimant in self.by_name.values():
             claimant.source = self._array.source(claimant.name)
             claimant.unresponsive = False
 
     def relinquish(self, claimant: ClaimHolder) -> None:
-        """Gives back what a claimant has set; it keeps its claim."""
-        self._give_up(claimant, kept=np.zeros_like(claimant.mask))
+        """Relinquish the values that a controller has set; it keeps its claim."""
+        self._relinquish(claimant, except_for=np.zeros_like(claimant.mask))
 
     def _select(self, names: list[str] | None) -> NDArray[np.bool_]:
-        allowed = np.full(len(self._actuators), names is None)
+        mask = np.full(len(self._actuators), names is None)
         for name in names or ():
             if name not in self._index:
                 raise RequestRejected(f"no actuator {name!r}; {did_you_mean(name, self._index)}")
-            allowed[self._index[name]] = True
-        return allowed
+            mask[self._index[name]] = True
+        return mask
 
-    def _refuse_held(self, claim: Claim, allowed: NDArray[np.bool_]) -> None:
-        for other in self.by_name.values():
-            clash = other.mask & allowed
-            if other.name != claim.controller and other.priority == claim.priority and other.connected and clash.any():
-                which = self._actuators[int(np.flatnonzero(clash)[0])].name
+    def _check_conflicts(self, claim: Claim, mask: NDArray[np.bool_]) -> None:
+        for holder in self.by_name.values():
+            overlap = holder.mask & mask
+            if (
+                holder.name != claim.controller
+                and holder.priority == claim.priority
+                and holder.connected
+                and overlap.any()
+            ):
+                actuator = self._actuators[int(np.flatnonzero(overlap)[0])].name
                 raise RequestRejected(
-                    f"level {claim.priority} of {which!r} is claimed by {other.name!r}; "
-                    "claim another level, or wait until it has left"
+                    f"priority {claim.priority} of {actuator!r} is claimed by {holder.name!r}; "
+                    "claim another priority, or wait until it disconnects"
                 )
 
-    def _replaces(self, claim: Claim, allowed: NDArray[np.bool_], other: ClaimHolder) -> bool:
-        # A building without actuators has controllers all the same: they set the pace.
-        meets = bool((other.mask & allowed).any()) or not self._actuators
-        return not other.connected and other.name != claim.controller and other.priority == claim.priority and meets
+    def _replaces(self, claim: Claim, mask: NDArray[np.bool_], holder: ClaimHolder) -> bool:
+        # Without actuators there are no conflicts, but controllers still set the pace.
+        overlaps = bool((holder.mask & mask).any()) or not self._actuators
+        return (
+            not holder.connected and holder.name != claim.controller and holder.priority == claim.priority and overlaps
+        )
 
-    def _give_up(self, claimant: ClaimHolder, kept: NDArray[np.bool_]) -> None:
-        """Releases what a claimant has set, but for the actuators that the next claim on its level covers."""
-        where = np.tile(claimant.mask & ~kept, (self._array.shape[0], 1))
+    def _relinquish(self, claimant: ClaimHolder, except_for: NDArray[np.bool_]) -> None:
+        """Relinquish the values that a controller has set, except for actuators that the next claim covers."""
+        where = np.tile(claimant.mask & ~except_for, (self._array.shape[0], 1))
         if where.any():
             self._array.put(claimant.priority, claimant.source, np.full(self._array.shape, np.nan), where)

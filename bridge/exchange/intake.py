@@ -1,4 +1,4 @@
-"""Intake of the step exchange: which commands and writes are accepted."""
+"""The intake of the step exchange: commands and writes that are accepted or rejected."""
 
 from __future__ import annotations
 
@@ -13,99 +13,101 @@ from topics.errors import BadMessage
 from topics.messages import ANONYMOUS, Command, Event, EventKind, State, Write
 
 MAX_MESSAGES_PER_STEP = 100
-"""Messages of one controller in one step that are looked at, besides its usual commands."""
+"""Largest number of messages of one controller that are processed in one step, apart from fast-path commands."""
 
 _UNKNOWN_CONTROLLERS = ""  # no controller can have this name
 
 _COMMAND_ENCODING = codec.encoding(Command)
 
-# Python 3.11 looks at an enum's member by raising and catching an error.
+# Access to an enum's member raises and catches an error in Python 3.11.
 _WAITING = State.WAITING
 
 
 @dataclass(slots=True)
 class Intake(ExchangeState):
-    """Accepts and rejects commands and writes."""
+    """Accepts or rejects commands and writes."""
 
-    def accept_fast(self, controller: str, payload: bytes, said: str = "") -> bool:
-        """Takes the bytes of a usual command: all actuators of one controller, for the present step.
+    def accept_fast(self, controller: str, payload: bytes, encoding: str = "") -> bool:
+        """Accept a command on the fast path: all actuators, for the current step of all slots.
 
-        It is known by its head and needs no decoding; false (and nothing changed) for any other, as for one whose
-        encoding `said` names another class or version.
+        Such a command is recognized by its first bytes and not decoded. For any other command, including one whose
+        encoding names another class or version, return False; nothing is changed.
         """
-        if said != _COMMAND_ENCODING and not codec.encoding_matches(Command, said):
+        if encoding != _COMMAND_ENCODING and not codec.encoding_matches(Command, encoding):
             return False
         head, size = self._head, self.commands.size
         if head and controller in self._pending and len(payload) == len(head) + size and payload.startswith(head):
             claimant, raw = self.claims.by_name[controller], payload[len(head) :]
-            usual = claimant.covers_all and not claimant.unresponsive and self.state is _WAITING
-            if usual and self.commands.put_fast(claimant, raw):
-                self._took(claimant, self._all)
+            is_eligible = claimant.covers_all and not claimant.unresponsive and self.state is _WAITING
+            if is_eligible and self.commands.put_fast(claimant, raw):
+                self._record_answer(claimant, self._all_slots)
                 return True
         return False
 
-    def receive_command(self, controller: str, payload: bytes, said: str = "") -> Event | None:
-        """Takes the bytes of any command; an event if there is something to say, above all if it was not taken.
+    def receive_command(self, controller: str, payload: bytes, encoding: str = "") -> Event | None:
+        """Accept or reject the payload of any command; return an event unless it is a normal answer.
 
-        Of one controller's messages that are no usual commands, only the first hundred of a step are looked at: a
-        flood is counted and passed over. All who have claimed nothing are one in this, whatever they call themselves.
+        Of each controller, only the first hundred such messages in a step are processed; the rest are counted as rate
+        limited and ignored. All controllers without a claim count as one.
         """
-        who = controller if controller in self.claims.by_name else _UNKNOWN_CONTROLLERS
-        heard = self._heard[who] = self._heard.get(who, 0) + 1
-        if heard > MAX_MESSAGES_PER_STEP:
+        sender = controller if controller in self.claims.by_name else _UNKNOWN_CONTROLLERS
+        count = self._message_counts[sender] = self._message_counts.get(sender, 0) + 1
+        if count > MAX_MESSAGES_PER_STEP:
             self.counts.rate_limited += 1
             return None
         try:
-            return self.command(controller, codec.decode(Command, payload, said))
+            return self.command(controller, codec.decode(Command, payload, encoding))
         except BadMessage as error:
             return self.rejected(str(error), controller)
 
-    def _took(self, claimant: ClaimHolder, answered: Sequence[int]) -> None:
+    def _record_answer(self, claimant: ClaimHolder, answered: Sequence[int]) -> None:
         if claimant.required:
-            self._answers.update(answered)
-        record = claimant.stats
-        record.accepted += 1
-        record.response.add(self.now_s - max(self._told_s, claimant.connected_at_s))
+            self._answered_slots.update(answered)
+        stats = claimant.stats
+        stats.accepted += 1
+        stats.response.add(self.now_s - max(self._opened_s, claimant.connected_at_s))
         self.counts.accepted += 1
         self._pending.discard(claimant.name)
         self._answered.add(claimant.name)
 
     def command(self, controller: str, command: Command) -> Event | None:
-        """Takes a command; an event if it was not taken."""
+        """Accept or reject a command; return an event unless it is a normal answer."""
         claimant = self.claims.by_name.get(controller)
         if claimant is None:
             return self.rejected(f"{controller!r} has claimed nothing; claim first", controller)
         answered = [slot for slot, step in enumerate(command.step) if step is not None]
-        if not self._for_the_present(command, answered):
+        if not self._answers_current_step(command, answered):
             return self._wrong_step(controller, command, answered)
         if self.state in (State.FAILED, State.STARTING):
             return self.rejected(f"the node is {self.state}", controller)
         if self.state is not State.WAITING or controller in self._answered:
             self.counts.duplicate += 1
             claimant.stats.duplicate += 1
-            text = f"step {self.step} was answered already" if self.state is not State.ENDED else "the episode is over"
+            text = f"step {self.step} is already answered" if self.state is not State.ENDED else "the episode is over"
             return self.event(EventKind.DUPLICATE, text, controller)
         over = next((slot for slot in answered if self.done[slot]), None)
-        if over is not None or not answered:
-            what = f"slot {over} is over; reset it, or" if answered else "no slot is answered;"
-            return self.rejected(f"{what} leave out (step None) only those that are to stand still", controller)
+        if over is not None:
+            text = f"the episode of slot {over} is over; reset it, or send None as its step"
+            return self.rejected(text, controller)
+        if not answered:
+            return self.rejected("no slot is answered; send None as the step only of slots that pause", controller)
         try:
             self.commands.put(claimant, command, answered)
         except BadMessage as error:
             return self.rejected(str(error), controller)
-        self._took(claimant, answered)
-        return self._back_in_time(claimant)
+        self._record_answer(claimant, answered)
+        return self._delay_event(claimant)
 
-    def _back_in_time(self, claimant: ClaimHolder) -> Event | None:
-        """What is to be said of a command that was taken, but after the deadline, or as the first one again."""
+    def _delay_event(self, claimant: ClaimHolder) -> Event | None:
+        """Return the event of an accepted command that came after the deadline, or is the first after a missed one."""
         if claimant.unresponsive:
             claimant.unresponsive = False
             return self.event(EventKind.CONNECTED, f"{claimant.name} answers again", claimant.name)
-        if self._overdue_s is not None and claimant.connected_at_s <= self._overdue_s:
+        if self._deadline_passed_s is not None and claimant.connected_at_s <= self._deadline_passed_s:
             self.counts.accepted_late += 1
             claimant.stats.accepted_late += 1
-            text = f"was taken, though after the deadline of {self.deadline_s:g} s"
-            return self._late_event(EventKind.ACCEPTED_LATE, text, claimant.name, self._overdue_s)
+            text = f"accepted after the deadline of {self.deadline_s:g} s"
+            return self._late_event(EventKind.ACCEPTED_LATE, text, claimant.name, self._deadline_passed_s)
         return None
 
     def _late(self, text: str, source: str, since_s: float | None) -> Event:
@@ -119,7 +121,7 @@ class Intake(ExchangeState):
         event = self.event(kind, text, source)
         return event if since_s is None else event.model_copy(update={"late_s": self.now_s - since_s})
 
-    def _for_the_present(self, command: Command, answered: Sequence[int]) -> bool:
+    def _answers_current_step(self, command: Command, answered: Sequence[int]) -> bool:
         if command.step == self.step and command.episode == self.episode:
             return True
         return len(command.step) == len(command.episode) == self.slots and all(
@@ -127,25 +129,25 @@ class Intake(ExchangeState):
         )
 
     def _wrong_step(self, controller: str, command: Command, answered: Sequence[int]) -> Event:
-        text = f"answers episode {command.episode} step {command.step}; "
-        text += f"present are episode {self.episode} step {self.step}"
+        text = f"it answers episode {command.episode} step {command.step}; "
+        text += f"the current ones are episode {self.episode} step {self.step}"
         if len(command.step) == len(command.episode) == self.slots:
-            came = [(command.episode[slot], command.step[slot] or 0) for slot in answered]
-            present = [(self.episode[slot], self.step[slot]) for slot in answered]
-            if all(one <= other for one, other in zip(came, present, strict=True)):
-                return self._late(text, controller, self._went_on(answered[0], came[0]) if came else None)
+            received = [(command.episode[slot], command.step[slot] or 0) for slot in answered]
+            current = [(self.episode[slot], self.step[slot]) for slot in answered]
+            if all(old <= new for old, new in zip(received, current, strict=True)):
+                return self._late(text, controller, self._step_start(answered[0], received[0]) if received else None)
         return self.rejected(text, controller)
 
-    def _went_on(self, slot: int, at: tuple[int, int]) -> float | None:
-        """When a slot went on from a step; None if that is forgotten, or it never did."""
-        went = (now for episode, step, now in reversed(self._went) if (episode[slot], step[slot]) == at)
-        return next(went, None)
+    def _step_start(self, slot: int, at: tuple[int, int]) -> float | None:
+        """Return when a slot stepped on from (episode, step); None if it never did or that is no longer recorded."""
+        starts = (now for episode, step, now in reversed(self._step_starts) if (episode[slot], step[slot]) == at)
+        return next(starts, None)
 
     def write(self, name: str, write: Write, elapsed_s: float) -> Event:
-        """A device or a person writes one actuator; it rules from the next timestep on."""
+        """Accept or reject a write of one actuator, which takes effect in the next timestep."""
         if self.state in (State.ENDED, State.FAILED):
             return self.rejected(
-                f"{name}: the episode is over, and nothing would feel it; reset it first", write.source
+                f"{name}: the episode is over, and a write has no effect; reset it first", write.source
             )
         try:
             index = self.commands.find(name, write)
@@ -153,18 +155,20 @@ class Intake(ExchangeState):
             return self.rejected(str(error), write.source)
         holder = self.claims.holder(write.priority, index)
         if holder is not None:
-            return self.rejected(f"level {write.priority} of {name!r} is claimed by {holder.name!r}", write.source)
-        array, name_ = self.commands.array, write.source or ANONYMOUS
-        if write.value is not None and not array.has_room(name_, self.claims.sources):
-            text = f"{name}: {MAX_SOURCES} sources hold actuators, which is the most; release what some of them hold"
+            return self.rejected(f"priority {write.priority} of {name!r} is claimed by {holder.name!r}", write.source)
+        array, source_name = self.commands.array, write.source or ANONYMOUS
+        if write.value is not None and not array.has_room(source_name, self.claims.sources):
+            text = (
+                f"{name}: {MAX_SOURCES} sources command actuators, which is the maximum; relinquish some values first"
+            )
             return self.rejected(text, write.source)
-        self.modified = self._moved
-        who = array.source(name_, self.claims.sources)
-        return self.event(EventKind.WRITTEN, self.commands.write(index, write, who, elapsed_s), write.source)
+        self.modified = self._all_modified
+        source = array.source(source_name, self.claims.sources)
+        return self.event(EventKind.WRITTEN, self.commands.write(index, write, source, elapsed_s), write.source)
 
     def expire(self, elapsed_s: float) -> list[Event]:
-        """Releases what was written for a time that is over."""
-        over = self.commands.expire(elapsed_s)
-        if over:
-            self.modified = self._moved
-        return [self.event(EventKind.EXPIRED, text, source) for text, source in over]
+        """Relinquish written values that have expired."""
+        expired = self.commands.expire(elapsed_s)
+        if expired:
+            self.modified = self._all_modified
+        return [self.event(EventKind.EXPIRED, text, source) for text, source in expired]

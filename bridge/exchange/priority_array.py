@@ -1,10 +1,10 @@
-"""Who rules an actuator: 16 levels each, as in BACnet (ASHRAE 135, clause 19.2).
+"""Priority arrays: 16 priorities for each actuator, as in BACnet (ASHRAE 135, clause 19.2).
 
-The lowest occupied level rules, releasing it falls to the next, and an empty array gives the building's own
-control back.
+The value at the highest occupied priority (the lowest number) takes effect. Once it is relinquished, the next one
+does; an empty array leaves the actuator to baseline control.
 
-Rules without I/O. Values stay in the bytes that they came in as long as one level rules alone: the usual
-case then costs neither an array nor a copy.
+No I/O. Values stay in the bytes in which they arrived as long as only one priority is occupied: the usual case then
+needs neither an array nor a copy.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from topics.codec import INDEX
 
 PRIORITIES = 16
 BASELINE_SOURCE = ""
-"""Name of the building's own control among the rulers."""
+"""Name of baseline control among the sources."""
 
 MAX_SOURCES = 4096
-"""Sources that may hold something at a time, claims included; each sample carries their names."""
+"""Largest number of sources with a value or a claim; each sample contains their names."""
 
 FEW_SOURCES = 256
-"""Names that are kept although nothing of theirs holds; beyond, they make place for others."""
+"""Number of names up to which unused ones are kept; beyond, new names replace unused ones."""
 
 
 @dataclass(slots=True)
 class _Row:
-    """One occupied level: float64 values, NaN where it is free, and who set each (uint16), as raw bytes."""
+    """One occupied priority: values (float64, NaN where relinquished) and sources (uint16) as raw bytes."""
 
     values: bytes
     sources: bytes
@@ -38,7 +38,7 @@ class _Row:
 
 
 class PriorityArray:
-    """Values and sources of all actuators of all slots, shaped `shape`: (slots, actuators)."""
+    """The priority arrays of all actuators in all slots; `shape` is (slots, actuators)."""
 
     def __init__(self, slots: int, actuators: int) -> None:
         self.shape = (slots, actuators)
@@ -46,45 +46,45 @@ class PriorityArray:
         self.clear()
 
     def clear(self) -> None:
-        """Releases everything and forgets the sources, for a new episode."""
+        """Relinquish everything and drop the sources, for a new episode."""
         self._rows: dict[int, _Row] = {}
         self._relinquished = (np.full(self._size, np.nan).tobytes(), bytes(INDEX.itemsize * self._size))
         self.names: list[str] = [BASELINE_SOURCE]
 
     def relinquish_slots(self, slots: Sequence[int]) -> None:
-        """Releases everything in some slots, for a new episode there."""
+        """Relinquish everything in some slots, for new episodes there."""
         where = np.zeros(self.shape, np.bool_)
         where[list(slots)] = True
         for priority in [*self._rows]:
             self.put(priority, 0, np.full(self.shape, np.nan), where)
 
     def copy(self) -> PriorityArray:
-        """The same again, on its own."""
-        other = PriorityArray(*self.shape)
-        other.restore(self)
-        return other
+        """Return a deep copy."""
+        duplicate = PriorityArray(*self.shape)
+        duplicate.restore(self)
+        return duplicate
 
-    def restore(self, other: PriorityArray) -> None:
-        """Becomes as another one of the same shape is; what changes in one later does not change the other."""
-        self._rows = {priority: replace(row) for priority, row in other._rows.items()}
-        self.names = [*other.names]
+    def restore(self, saved: PriorityArray) -> None:
+        """Copy the values and sources of another array of the same shape."""
+        self._rows = {priority: replace(row) for priority, row in saved._rows.items()}
+        self.names = [*saved.names]
 
     def of_slot(self, slot: int, slots: int) -> PriorityArray:
-        """What one slot has, in each of `slots` new ones."""
-        other = PriorityArray(slots, self.shape[1])
-        other.names = [*self.names]
+        """Return an array for `slots` new slots, all with the values of one slot."""
+        result = PriorityArray(slots, self.shape[1])
+        result.names = [*self.names]
         width = self.shape[1]
         for priority, row in self._rows.items():
             values = row.values[8 * width * slot : 8 * width * (slot + 1)] * slots
             sources = row.sources[2 * width * slot : 2 * width * (slot + 1)] * slots
             if not np.isnan(np.frombuffer(values)).all():
-                other._rows[priority] = _Row(values, sources, row.full)
-        return other
+                result._rows[priority] = _Row(values, sources, row.full)
+        return result
 
     def source(self, name: str, keeping: Collection[int] = ()) -> int:
-        """The index of a source's name.
+        """Return the index of a source's name; a new name is added.
 
-        Once there are 256 names, a new one takes the place of one that stands in no row and is not in `keeping`.
+        Once there are 256 names, a new one replaces one that is used at no priority and is not in `keeping`.
         """
         if name in self.names:
             return self.names.index(name)
@@ -96,7 +96,7 @@ class PriorityArray:
         return free
 
     def has_room(self, name: str, keeping: Collection[int] = ()) -> bool:
-        """Whether one more source may hold something."""
+        """Return whether a source can set values: its name is known, or there is room for another one."""
         return len(self.names) < MAX_SOURCES or name in self.names or self._free(keeping) < MAX_SOURCES
 
     def _free(self, keeping: Collection[int]) -> int:
@@ -107,7 +107,7 @@ class PriorityArray:
         return int(used.argmin())
 
     def put_all(self, priority: int, source: int, values: bytes) -> None:
-        """Sets all actuators of a level to finite values."""
+        """Set all actuators at a priority to finite values."""
         row = self._rows.get(priority)
         index = source.to_bytes(2, "little")
         if row is not None and row.full and row.sources[:2] == index:
@@ -116,7 +116,7 @@ class PriorityArray:
             self._rows[priority] = _Row(values, index * self._size, full=True)
 
     def put(self, priority: int, source: int, values: NDArray[np.float64], where: NDArray[np.bool_]) -> None:
-        """Sets those of a level that `where` says; NaN releases."""
+        """Set the actuators selected by `where` at a priority; NaN relinquishes."""
         row = self._rows.get(priority)
         old, sources = (row.values, row.sources) if row else self._relinquished
         new_values = np.frombuffer(old).reshape(self.shape).copy()
@@ -128,18 +128,18 @@ class PriorityArray:
             del self._rows[priority]
 
     def occupied(self, priority: int, actuator: int) -> bool:
-        """Return whether an actuator has a value at a level, in any slot."""
+        """Return whether an actuator has a value at a priority in any slot."""
         row = self._rows.get(priority)
         return row is not None and not np.isnan(np.frombuffer(row.values).reshape(self.shape)[:, actuator]).all()
 
     def put_one(self, priority: int, source: int, actuator: int, value: float) -> None:
-        """Sets one actuator of all slots at a level; NaN releases."""
+        """Set one actuator in all slots at a priority; NaN relinquishes."""
         where = np.zeros(self.shape, np.bool_)
         where[:, actuator] = True
         self.put(priority, source, np.full(self.shape, value), where)
 
     def resolve(self) -> tuple[bytes, bytes]:
-        """The ruling values (float64, NaN where nobody rules) and the index of who rules (uint16)."""
+        """Return the values in effect (float64, NaN under baseline control) and their sources' indices (uint16)."""
         rows = self._rows
         if len(rows) == 1:
             (row,) = rows.values()

@@ -1,4 +1,4 @@
-"""State of the step exchange: its transitions, its fields and its message counts."""
+"""State of the step exchange: transitions, fields and message counts."""
 
 from __future__ import annotations
 
@@ -12,15 +12,17 @@ from bridge.exchange.claims import Claims
 from topics.messages import Actuator, Event, EventKind, Mode, Policy, State
 
 MAX_EVENT_TEXT = 20_000
+"""Largest number of characters in an event's text."""
+
 MAX_SOURCE_NAME = 128
-"""Characters of an event's text, and of the name of who writes: samples and events repeat it."""
+"""Largest number of characters in a source's name, which samples and events repeat."""
 
 _STEP_TIMES_KEPT = 64
-"""Timesteps of which is known when they went on, to say how late a command is."""
+"""Number of latest timesteps whose start is recorded, to report how late a command is."""
 
 
 class Trigger(StrEnum):
-    """What can happen to an episode."""
+    """Inputs of the state machine."""
 
     READY = "ready"
     GO = "go"
@@ -45,12 +47,12 @@ TRANSITIONS: dict[tuple[State, Trigger], State] = {
 
 
 class IllegalTransition(RuntimeError):
-    """An input that the present state has no row for: a mistake in the program, not of a peer."""
+    """A trigger that is not allowed in the current state: a bug in the program, not a mistake of a peer."""
 
 
 @dataclass(slots=True)
 class MessageCounts:
-    """Messages of the node's life."""
+    """Message counts since the node started."""
 
     accepted: int = 0
     rejected: int = 0
@@ -67,17 +69,17 @@ class ExchangeState:
 
     Attributes:
         actuators: in manifest order.
-        slots: engines in the node.
-        commanded: what the actuators are commanded.
-        claims: by whom.
-        mode: who sets the pace.
-        touched: of each slot, whether it was commanded or has moved since it began.
-        ended: of each slot, whether its episode is over.
-        moving: the slots that the running timestep moves.
-        policy: what happens without a controller that is waited for.
-        deadline_s: how long a step waits; whoever drives the exchange calls `overdue` then.
-        now_s: wall time, by whatever clock; set by whoever drives the exchange before it calls.
-        fallback: whether the running timestep, or the latest, went on without a command of a required controller.
+        slots: number of engines in the node.
+        mode: what determines the pace of simulated time.
+        policy: the fallback policy.
+        deadline_s: how long a step waits for commands; the node calls `on_deadline` then.
+        now_s: wall time of any monotonic clock; the node sets it before it calls a method.
+        commands: the commanded values of the actuators.
+        claims: the controllers' claims.
+        modified: of each slot, whether it was commanded or has stepped since the start of its episode.
+        done: of each slot, whether its episode is over.
+        active_slots: the slots that step in the running timestep.
+        fallback_active: whether the running or the latest timestep lacks a required controller's command.
     """
 
     actuators: tuple[Actuator, ...]
@@ -96,25 +98,27 @@ class ExchangeState:
     done: list[bool] = field(init=False)
     active_slots: Sequence[int] = field(init=False)
     fallback_active: bool = False
-    _falls: bool = False
-    _told_s: float = 0.0
-    _overdue_s: float | None = None
-    _went: deque[tuple[list[int], list[int], float]] = field(default_factory=lambda: deque(maxlen=_STEP_TIMES_KEPT))
-    _heard: dict[str, int] = field(default_factory=dict)
-    _answers: set[int] = field(default_factory=set)
+    _needs_fallback: bool = False
+    _opened_s: float = 0.0
+    _deadline_passed_s: float | None = None
+    _step_starts: deque[tuple[list[int], list[int], float]] = field(
+        default_factory=lambda: deque(maxlen=_STEP_TIMES_KEPT)
+    )
+    _message_counts: dict[str, int] = field(default_factory=dict)
+    _answered_slots: set[int] = field(default_factory=set)
     _pending: set[str] = field(default_factory=set)
     _answered: set[str] = field(default_factory=set)
     _head: bytes = field(init=False, default=b"")
-    _all: range = field(init=False)
-    _moved: list[bool] = field(init=False)
+    _all_slots: range = field(init=False)
+    _all_modified: list[bool] = field(init=False)
 
     def __post_init__(self) -> None:
         self.episode = self.episode or [0] * self.slots
         self.step = self.step or [0] * self.slots
         self.modified = [False] * self.slots
         self.done = [False] * self.slots
-        self.active_slots = self._all = range(self.slots)
-        self._moved = [True] * self.slots
+        self.active_slots = self._all_slots = range(self.slots)
+        self._all_modified = [True] * self.slots
         self.commands = ActuatorCommands(self.actuators, self.slots)
         self.claims = Claims(self.actuators, self.commands.array)
 
@@ -125,32 +129,32 @@ class ExchangeState:
 
     @property
     def source_names(self) -> list[str]:
-        """Names that the indices of `go` refer to."""
+        """Names to which the source indices of `begin_step` refer."""
         return self.commands.array.names
 
-    def transition(self, what: Trigger) -> None:
-        """Moves on by the table.
+    def transition(self, trigger: Trigger) -> None:
+        """Change the state according to the table of transitions.
 
         Raises:
-            IllegalTransition: there is no row for it.
+            IllegalTransition: the trigger is not allowed in the current state.
         """
         try:
-            self.state = TRANSITIONS[self.state, what]
+            self.state = TRANSITIONS[self.state, trigger]
         except KeyError:
-            raise IllegalTransition(f"{what!r} cannot happen to a node that is {self.state!r}") from None
+            raise IllegalTransition(f"{trigger!r} is not allowed in state {self.state!r}") from None
 
     def awaiting(self) -> list[str]:
-        """Required controllers that have not answered the present sample."""
+        """Return the required controllers that have not answered the current sample."""
         return sorted(self._pending)
 
     def rejected(self, text: str, source: str) -> Event:
-        """Counts a message that was not taken, and the event that names it."""
+        """Count a rejected message and return its event."""
         self.counts.rejected += 1
         if source in self.claims.by_name:
             self.claims.by_name[source].stats.rejected += 1
         return self.event(EventKind.REJECTED, text, source)
 
     def event(self, kind: EventKind, text: str, source: str = "", error: str = "") -> Event:
-        """An event at the present episode and step."""
+        """Return an event at the current episode and step."""
         text, source = text[:MAX_EVENT_TEXT], source[:MAX_SOURCE_NAME]
         return Event(kind=kind, text=text, source=source, error=error, episode=self.episode[0], step=self.step[0])

@@ -1,4 +1,4 @@
-"""The schedule of simulated time against the wall clock. Rules without a clock: whoever asks says what time it is."""
+"""The schedule of simulated time against the wall clock, in paced mode. No clock: callers pass the wall time."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from dataclasses import dataclass
 
 @dataclass(slots=True)
 class StepSchedule:
-    """Which timestep is due when: on an absolute schedule, so that no drift grows.
+    """Due times of timesteps on an absolute schedule, so that delays do not accumulate.
 
-    The timestep after sample k ends one step's length after sample k did: that is when it is simulated, with what is
-    commanded by then, and when sample k + 1 is due.
+    Sample k + 1 is due one timestep after sample k. Its timestep is simulated then, with the values that are commanded
+    by then.
 
     Args:
         step_s: length of a timestep, in simulated seconds.
-        speed: simulated seconds in a second.
+        speed: simulated seconds per second of wall time.
 
     Attributes:
-        overruns: timesteps whose sample came when the next one was due already.
-        max_lag_s: by how much at worst.
+        overruns: timesteps whose sample was published after the next one was due.
+        max_lag_s: the largest delay of such a sample.
     """
 
     step_s: float
@@ -29,19 +29,19 @@ class StepSchedule:
     _origin_step: int = 0
 
     def rebase(self, now_s: float, step: int, into_s: float = 0.0) -> None:
-        """The schedule begins anew: at `now_s`, `into_s` simulated seconds have gone by since the sample `step`."""
+        """Restart the schedule: at `now_s`, `into_s` simulated seconds have passed since the sample `step`."""
         self._origin_s, self._origin_step = now_s - into_s / self.speed, step
 
     def elapsed_in_step_s(self, now_s: float, step: int) -> float:
-        """How many simulated seconds have gone by since the sample `step`: a timestep at most."""
+        """Return the simulated seconds since the sample `step`: at most a timestep."""
         return min(max((now_s - self.due_s(step)) * self.speed, 0.0), self.step_s)
 
     def due_s(self, step: int) -> float:
-        """When the sample `step` is due."""
+        """Return the wall time at which the sample `step` is due."""
         return self._origin_s + (step - self._origin_step) * self.step_s / self.speed
 
     def record_sample(self, now_s: float, step: int) -> bool:
-        """Notes when a sample came; whether the next one was due by then."""
+        """Record the time of a sample; return whether the next one was already due."""
         late_s = now_s - self.due_s(step + 1)
         if late_s <= 0.0:
             return False

@@ -41,7 +41,7 @@ def test_too_many_claims_are_refused_until_some_have_gone() -> None:
     at = exchange(*(actuator(f"a{i}", 0.0, 1.0) for i in range(MAX_CLAIMS + 1)))
     for number in range(MAX_CLAIMS):
         claim(at, f"c{number}", actuators=[f"a{number}"])
-    with pytest.raises(RequestRejected, match=rf"^{MAX_CLAIMS} controllers have claimed something, which is the most"):
+    with pytest.raises(RequestRejected, match=rf"^{MAX_CLAIMS} controllers have a claim, which is the maximum"):
         claim(at, "another", actuators=[f"a{MAX_CLAIMS}"])
     assert "another" not in at.claims.by_name
     claim(at, "c5", actuators=["a5"])  # again
@@ -56,7 +56,7 @@ def test_too_many_sources_are_refused_by_name_and_releasing_makes_place() -> Non
         assert at.write(f"a{number}", Write(value=1.0, source=f"w{number}"), 0.0).kind is EventKind.WRITTEN
     over = at.write("a0", Write(value=1.0, source="panel"), 0.0)
     assert (over.kind, over.source) == (EventKind.REJECTED, "panel")
-    assert f"{MAX_SOURCES} sources hold actuators, which is the most" in over.text
+    assert f"{MAX_SOURCES} sources command actuators, which is the maximum" in over.text
     assert at.write("a0", Write(value=0.5, source="w9"), 0.0).kind is EventKind.WRITTEN
     assert at.write("a3", Write(value=None, source="panel"), 0.0).kind is EventKind.WRITTEN
     assert at.write("a3", Write(value=0.5, source="panel"), 0.0).kind is EventKind.WRITTEN

@@ -251,7 +251,7 @@ def test_a_second_answer_is_a_duplicate() -> None:
     claim(at, "second", 11)  # is waited for, so that the node stays at sample 2
     answer(at, "agent", [20.0, 25.0])
     event = unchanged(at, lambda: answer(at, "agent", [21.0, 26.0]), count="duplicate")
-    said(event, EventKind.DUPLICATE, "answered already")
+    said(event, EventKind.DUPLICATE, "already answered")
     assert event.source == "agent"
 
 
@@ -290,7 +290,7 @@ WRONG = {
         "agent", command([20.0, 25.0], step=2, operations=[SET] * 3), ["operations has 3 bytes", "2 expected"]
     ),
     "with an unknown mask": (
-        "agent", command([20.0, 25.0], step=2, operations=[SET, 3]), ["operations has 3;", "releases"]
+        "agent", command([20.0, 25.0], step=2, operations=[SET, 3]), ["operations has 3;", "relinquishes"]
     ),
     "of an actuator of another": ("helper", command([20.0, 25.0], step=2), ["'heat'", "claimed"]),
     "releasing another's": ("helper", command([0.0, 25.0], step=2, operations=[RELEASE, SET]), ["'heat'", "claimed"]),
@@ -478,7 +478,7 @@ def test_a_second_claim_on_a_level_is_refused_by_name() -> None:
     claim(at, "first", 10, actuators=["cool"])
     with pytest.raises(RequestRejected) as raised:
         claim(at, "second", 10)
-    assert "level 10 of 'cool' is claimed by 'first'" in str(raised.value)
+    assert "priority 10 of 'cool' is claimed by 'first'" in str(raised.value)
     assert [c.controller for c in at.controllers()] == ["first"]
     assert at.awaiting() == ["first"]
 
@@ -628,7 +628,7 @@ def test_a_write_rules_over_a_controller_until_it_is_released() -> None:
     answer(at, "agent", [20.0, 24.0])
     assert advance(at) == ([20.0, 28.0], ["agent", "wall"])
     answer(at, "agent", [20.0, 24.0])
-    said(at.write("cool", Write(value=None, source="wall"), 1800.0), EventKind.WRITTEN, "released", "priority 8")
+    said(at.write("cool", Write(value=None, source="wall"), 1800.0), EventKind.WRITTEN, "relinquished", "priority 8")
     assert advance(at) == ([20.0, 24.0], ["agent", "agent"])
 
 
@@ -697,9 +697,9 @@ def test_each_write_has_a_time_of_its_own() -> None:
     at.write("heat", Write(value=16.0, duration_s=1800.0), 0.0)
     at.write("cool", Write(value=27.0, duration_s=2700.0, priority=9), 0.0)
     assert [(k, e.text) for k in range(5) for e in at.expire(k * 900.0)] == [
-        (1, "cool released at priority 8"),
-        (2, "heat released at priority 8"),
-        (3, "cool released at priority 9"),
+        (1, "cool relinquished at priority 8"),
+        (2, "heat relinquished at priority 8"),
+        (3, "cool relinquished at priority 9"),
     ]
 
 
@@ -735,8 +735,8 @@ REFUSED_WRITES = {
     "unknown": ("coool", Write(value=25.0), ["no actuator 'coool'", "'cool'"]),
     "too low": ("cool", Write(value=22.0), ["cool = 22 degC", "22.5 to 30.0"]),
     "too high": ("cool", Write(value=31.0), ["cool = 31 degC", "22.5 to 30.0"]),
-    "level of a controller": ("cool", Write(value=25.0, priority=9), ["level 9 of 'cool'", "'helper'"]),
-    "release of a controller's": ("cool", Write(value=None, priority=9), ["level 9 of 'cool'", "'helper'"]),
+    "level of a controller": ("cool", Write(value=25.0, priority=9), ["priority 9 of 'cool'", "'helper'"]),
+    "release of a controller's": ("cool", Write(value=None, priority=9), ["priority 9 of 'cool'", "'helper'"]),
 }
 
 

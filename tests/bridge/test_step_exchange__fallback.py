@@ -94,7 +94,7 @@ def test_the_policy_begins_when_the_time_of_grace_is_over(policy: Policy) -> Non
         assert not status(at, "agent").bypassed
         return
     assert told(events) == [(EventKind.FALLBACK, "agent")]
-    assert ("holds" if policy is Policy.HOLD else "is released") in events[0].text
+    assert ("stay in effect" if policy is Policy.HOLD else "are relinquished") in events[0].text
     assert (status(at, "agent").bypassed, status(at, "agent").connected) == (True, False)
     for _ in range(3):
         check_ruled(at, ruled(policy))
@@ -109,7 +109,7 @@ def test_abort_raises_when_the_time_of_grace_is_over() -> None:
     at.now_s = 6.0
     assert at.bypass("agent", 5.0) == []
     at.now_s = 7.0
-    with pytest.raises(EpisodeAborted, match="agent has gone"):
+    with pytest.raises(EpisodeAborted, match="agent disconnected"):
         at.bypass("agent", 5.0)
 
 
@@ -306,7 +306,7 @@ def test_a_new_episode_forgets_who_was_waived_and_who_was_silent() -> None:
 def test_after_an_abort_a_reset_begins_anew() -> None:
     at = with_two(Policy.ABORT, 2.0)
     answer(at, "cooler", [0.0, 26.0], [KEEP, SET])
-    with pytest.raises(EpisodeAborted, match=r"^heater gave no command within 2 s$"):
+    with pytest.raises(EpisodeAborted, match=r"^heater sent no command within 2 s$"):
         at.on_deadline()
     at.transition(Trigger.FAIL)
     late = answer(at, "heater", [21.0, 0.0], [SET, KEEP])
@@ -380,7 +380,7 @@ def test_waiting_takes_a_late_command_and_says_how_late() -> None:
     event = at.receive_command("agent", payload)
     assert event is not None
     assert (event.kind, event.late_s) == (EventKind.ACCEPTED_LATE, 1.5)
-    assert "was taken" in event.text
+    assert "accepted after the deadline" in event.text
     check_ruled(at, ([21.0, 26.0], ["agent", "agent"]))
     assert not at.fallback_active
     agent = status(at, "agent")
@@ -407,7 +407,7 @@ def test_of_two_the_one_that_answered_is_not_blamed(policy: Policy) -> None:
     answer(at, "cooler", [0.0, 26.0], [KEEP, SET])
     at.now_s = 3.0
     if policy is Policy.ABORT:
-        with pytest.raises(EpisodeAborted, match=r"^heater gave no command within 2 s$"):
+        with pytest.raises(EpisodeAborted, match=r"^heater sent no command within 2 s$"):
             at.on_deadline()
         return
     assert told(at.on_deadline()) == [(EventKind.FALLBACK, "heater")]

@@ -25,7 +25,7 @@ Ruling = list[float | None]
 
 _FREE: Entry = (None, "")
 _OWN = "the building"
-_WRITTEN = re.compile(rf"(\S+) (?:= (\S+) .*|released) ?at priority {PERSON_LEVEL}")
+_WRITTEN = re.compile(rf"(\S+) (?:= (\S+) .*|relinquished) ?at priority {PERSON_LEVEL}")
 
 
 @dataclass(slots=True)

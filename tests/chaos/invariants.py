@@ -134,12 +134,12 @@ def _written(outcome: Outcome, events: Iterable[Event]) -> list[str]:
     sent = Counter[tuple[str, str]]()
     for line in journal.lines(outcome.floods):
         for point, write in line.get("writes", []):
-            how = "released" if write["value"] is None else f"= {write['value']:g}"
+            how = "relinquished" if write["value"] is None else f"= {write['value']:g}"
             sent[write["source"], f"{point} {how}"] += 1
     for event in events:
         if event.kind is EventKind.WRITTEN:
             words = event.text.split()
-            what = words[:3] if words[1] == "=" else [words[0], "released"]  # or there was nothing to release
+            what = words[:3] if words[1] == "=" else [words[0], "relinquished"]  # or there was nothing to release
             sent[event.source, " ".join(what)] -= 1
     return [f"{who} never wrote {what}" for (who, what), count in sent.items() if count < 0]
 

@@ -154,7 +154,7 @@ def event(kind: EventKind, text: str = "", source: str = "") -> Event:
 
 
 BASE, NORTH = "base-1-0", "north-2-0"
-JOINED = [event(EventKind.CONNECTED, f"{name} controls at level 1", name) for name in (BASE, NORTH)]
+JOINED = [event(EventKind.CONNECTED, f"{name} controls at priority 1", name) for name in (BASE, NORTH)]
 STARTED = event(EventKind.STARTED)
 COMMANDS = [
     command(BASE, 0, 20, 21),
@@ -220,7 +220,7 @@ def test_another_takes_over_and_what_was_commanded_holds_until_it_commands() -> 
     stream: list[Event | Sample] = [
         sample(1, ruled=BOTH, rows="30 21"),
         event(EventKind.DISCONNECTED, "gone", NORTH),
-        event(EventKind.CONNECTED, f"{second} controls at level 1", second),
+        event(EventKind.CONNECTED, f"{second} controls at priority 1", second),
         sample(2, ruled=f"{second} {BASE}", rows="33 23"),
     ]
     mine = [one for one in COMMANDS if (one.name, one.step) != (NORTH, 1)]
@@ -231,7 +231,7 @@ def test_another_takes_over_and_what_was_commanded_holds_until_it_commands() -> 
 def test_a_person_rules_until_the_time_is_over() -> None:
     person = f"person {BASE}"
     write = event(EventKind.WRITTEN, "a = 26.5 C at priority 8", "person")
-    over = event(EventKind.EXPIRED, "a released at priority 8", "person")
+    over = event(EventKind.EXPIRED, "a relinquished at priority 8", "person")
     ruled = sample(1, ruled=person, rows="26.5 21")
     assert account(write, ruled, over, sample(2, ruled=BOTH, rows="31 23")).faults == []
     assert account(write, sample(1, ruled=BOTH, rows="30 21")).faults

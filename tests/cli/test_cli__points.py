@@ -74,7 +74,7 @@ def test_a_write_rules_until_it_is_released(node: NodeProgram, bus: agent_sdk.Bu
         said = actuator_of(node.endpoint)
         assert (said["value"], said["unit"], said["value_source"].startswith("ann-")) == (26.0, "degC", True)
         relinquished = zenostat(node.endpoint, "relinquish", "office", POINT)
-        assert (relinquished.returncode, relinquished.stdout) == (0, f"office: {POINT} released at priority 8\n")
+        assert (relinquished.returncode, relinquished.stdout) == (0, f"office: {POINT} relinquished at priority 8\n")
         ((value, who),) = sources(link, 1)
         assert (value != 26.0, who) == (True, "")
         assert actuator_of(node.endpoint)["value_source"] == ""
@@ -113,7 +113,7 @@ def test_what_the_node_refuses_ends_with_1_and_its_reason(node: NodeProgram, bus
     with bus.controller("office", name="holder", priority=8) as link:
         done = zenostat(node.endpoint, "write", "office", POINT, "26")
         assert done.returncode == 1
-        assert f"level 8 of '{POINT}' is claimed by '{link.name}'" in done.stderr
+        assert f"priority 8 of '{POINT}' is claimed by '{link.name}'" in done.stderr
     assert bus.status("office").rejected == 3
 
 

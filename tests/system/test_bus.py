@@ -138,7 +138,7 @@ def test_a_stranger_reads_and_writes_with_msgpack_alone(endpoint: str, bus: agen
         )
         for text, source_index in (
             ("core_zn_cooling_setpoint = 26 degC at priority 8", "anonymous"),
-            ("core_zn_cooling_setpoint released at priority 8", ""),
+            ("core_zn_cooling_setpoint relinquished at priority 8", ""),
         ):
             assert stranger.json() == {"written": text}
             sample.send()
@@ -221,7 +221,7 @@ def test_two_controllers_are_both_waited_for(bus: agent_sdk.Bus, second_bus: age
             core.send({name: value["heating" in name] for name in names[:half]})
             until(lambda before=accepted: bus.status("office").accepted == before + 1, "the node has the one command")
             # A request goes through the node's own loop: had it gone on, it would be at the next step now.
-            with pytest.raises(RequestRejected, match=f"level 10 of {names[0]!r} is claimed by '{core.name}'"):
+            with pytest.raises(RequestRejected, match=f"priority 10 of {names[0]!r} is claimed by '{core.name}'"):
                 bus.claim("office", Claim(controller="third", actuators=names[:1]))
             status = bus.status("office")
             assert (status.state, status.step) == (State.WAITING, [step])
@@ -255,7 +255,9 @@ def test_a_higher_level_rules_until_it_is_released(bus: agent_sdk.Bus, second_bu
 def test_a_second_claim_of_a_level_names_the_holder(bus: agent_sdk.Bus, second_bus: agent_sdk.Bus) -> None:
     until(lambda: bus.controllers() == [], "those of other tests have gone")
     with bus.controller("office", name="holder") as holder:
-        with pytest.raises(RequestRejected, match=f"level 10 of .* is claimed by '{holder.name}'; claim another level"):
+        with pytest.raises(
+            RequestRejected, match=f"priority 10 of .* is claimed by '{holder.name}'; claim another priority"
+        ):
             second_bus.controller("office", name="late")
         until(lambda: bus.controllers() == [("office", holder.name)], "the holder alone is there")
         with second_bus.controller("office", name="late", priority=11) as late:
@@ -300,7 +302,7 @@ def test_another_takes_over_from_one_that_vanished(endpoint: str, bus: agent_sdk
         left = next_event(events, EventKind.DISCONNECTED)
         while left.source != first:  # "takes over from" of its own claim
             left = next_event(events, EventKind.DISCONNECTED)
-        assert left.text == f"{first} has gone, the node waits for it"
+        assert left.text == f"{first} disconnected; the node waits for it"
         assert left.step == 3
         with bus.controller("office", name="second") as second:
             over = next_event(events, EventKind.DISCONNECTED)

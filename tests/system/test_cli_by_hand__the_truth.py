@@ -36,10 +36,10 @@ def test_reset_begins_an_episode_and_stop_ends_the_node(node: NodeProgram, bus: 
 
 def test_release_says_whether_anything_was_held(node: NodeProgram) -> None:
     at = ("--connect", node.endpoint)
-    nothing = f"office: {POINT} had nothing to release at priority 8\n"
+    nothing = f"office: {POINT} had nothing to relinquish at priority 8\n"
     assert zenostat("relinquish", "office", POINT, *at).stdout == nothing
     assert zenostat("write", "office", POINT, "26", *at).returncode == 0
-    assert zenostat("relinquish", "office", POINT, *at).stdout == f"office: {POINT} released at priority 8\n"
+    assert zenostat("relinquish", "office", POINT, *at).stdout == f"office: {POINT} relinquished at priority 8\n"
     assert zenostat("relinquish", "office", POINT, *at).stdout == nothing
 
 

@@ -203,7 +203,7 @@ def test_commands_sent_without_waiting_are_answered_in_order(gateway):
         peer.say("command/c", **keeping(sample, step=[9]))
         answers = [peer.answer() for _ in range(5)]
     assert [kind for kind, _ in answers] == ["Ack", "Ack", "ErrorReply", "Ack", "ErrorReply"]
-    assert "present are episode" in answers[2][1]["message"]
+    assert "the current ones are episode" in answers[2][1]["message"]
     assert "answers episode [0] step [9]" in answers[4][1]["message"]
 
 
