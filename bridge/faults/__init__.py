@@ -1,4 +1,4 @@
-"""Faults on purpose, between a node and its bus. Rules without I/O; only `read_plan` reads a file."""
+"""Injected faults, between a node and its bus. No I/O, except that `read_plan` reads a file."""
 
 from bridge.faults.link_faults import LinkFaults
 from bridge.faults.plan_file import read_plan

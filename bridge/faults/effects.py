@@ -1,4 +1,4 @@
-"""What each kind of fault makes of values: arrays of shape (slots, points of the fault)."""
+"""Effects of point faults on values: arrays of shape (slots, points of the fault)."""
 
 from __future__ import annotations
 
@@ -17,53 +17,55 @@ Floats = NDArray[np.float64]
 
 
 class Effect(ABC):
-    """One fault on its columns.
+    """Effect of one fault on its columns.
 
     Args:
-        row: of the fault in `windows`.
-        columns: of the whole array.
-        new_draws: makes the stream of the fault's random numbers.
+        row: index of the fault in `schedule`.
+        columns: the columns that the fault affects.
+        schedule: when the fault is active.
+        step_h: length of a timestep in hours.
+        new_stream: creates the stream of the fault's random numbers.
 
     Attributes:
-        remembers: whether it must see the values of each step, also while it is off.
-        law: what it draws; one number for each point at each step.
-        memory: what it remembers; the first axis is the slots.
+        is_stateful: whether it must process the values of each step, also while it is not active.
+        distribution: of its random numbers, of which there is one for each point at each step.
+        memory: its state; the first axis is the slots.
     """
 
-    remembers: ClassVar[bool] = False
-    law: ClassVar[Distribution] = Distribution.UNIFORM
+    is_stateful: ClassVar[bool] = False
+    distribution: ClassVar[Distribution] = Distribution.UNIFORM
 
     def __init__(
         self,
         row: int,
         columns: NDArray[np.intp],
-        windows: FaultSchedule,
+        schedule: FaultSchedule,
         step_h: float,
-        new_draws: Callable[[Distribution], RandomStream],
+        new_stream: Callable[[Distribution], RandomStream],
     ) -> None:
-        self.row, self.columns, self.windows, self.step_h = row, columns, windows, step_h
-        self.fault: Any = windows.faults[row]
-        self.draws = new_draws(self.law)
-        self.memory: Floats = np.full((len(windows.at), *self._memory_shape()), np.nan)
+        self.row, self.columns, self.schedule, self.step_h = row, columns, schedule, step_h
+        self.fault: Any = schedule.faults[row]
+        self.stream = new_stream(self.distribution)
+        self.memory: Floats = np.full((len(schedule.at), *self._memory_shape()), np.nan)
 
     def _memory_shape(self) -> tuple[int, ...]:
         return (0,)
 
     @property
     def on(self) -> NDArray[np.bool_]:
-        """Shape (slots,)."""
-        found: NDArray[np.bool_] = self.windows.on[self.row]
-        return found
+        """Whether the fault is active, of shape (slots,)."""
+        active: NDArray[np.bool_] = self.schedule.on[self.row]
+        return active
 
     @property
     def since(self) -> NDArray[np.int64]:
-        """Shape (slots,)."""
-        found: NDArray[np.int64] = self.windows.since[self.row]
-        return found
+        """Step of its onset, of shape (slots,)."""
+        onset: NDArray[np.int64] = self.schedule.since[self.row]
+        return onset
 
     @abstractmethod
     def disturb(self, values: Floats) -> Floats:
-        """The disturbed values, as if the fault were on in all slots; `values` stay as they are."""
+        """Return the values with the fault active in all slots; `values` are not changed."""
 
 
 class _Bias(Effect):
@@ -78,7 +80,7 @@ class _Gain(Effect):
 
 class _Drift(Effect):
     def disturb(self, values: Floats) -> Floats:
-        hours = (self.windows.at - self.since) * self.step_h
+        hours = (self.schedule.at - self.since) * self.step_h
         return values + float(self.fault.rate_per_h) * hours[:, None]
 
 
@@ -88,13 +90,11 @@ class _Stuck(Effect):
 
 
 class _Missing(Effect):
-    """A point without a value."""
-
     def disturb(self, values: Floats) -> Floats:
         return np.full_like(values, np.nan)
 
 
-class _Quantise(Effect):
+class _Quantize(Effect):
     def disturb(self, values: Floats) -> Floats:
         rounded: Floats = np.rint(values / self.fault.resolution) * self.fault.resolution
         return rounded
@@ -106,20 +106,20 @@ class _Clip(Effect):
 
 
 class _Noise(Effect):
-    law = Distribution.NORMAL
+    distribution = Distribution.NORMAL
 
     def disturb(self, values: Floats) -> Floats:
-        return values + float(self.fault.sigma) * self.draws.at(self.windows.at)
+        return values + float(self.fault.sigma) * self.stream.at(self.schedule.at)
 
 
 class _Spike(Effect):
-    """One uniform number tells whether there is a spike and, of those, which way: each half has the same chance."""
+    """One uniform number determines both whether there is a spike and its sign."""
 
     def disturb(self, values: Floats) -> Floats:
-        number, probability = self.draws.at(self.windows.at), self.fault.probability
-        down = (number < probability / 2) if self.fault.two_sided else np.False_
-        by = np.where(down, -self.fault.amplitude, self.fault.amplitude)
-        return np.where(number < probability, values + by, values)
+        number, probability = self.stream.at(self.schedule.at), self.fault.probability
+        is_down = (number < probability / 2) if self.fault.two_sided else np.False_
+        shift = np.where(is_down, -self.fault.amplitude, self.fault.amplitude)
+        return np.where(number < probability, values + shift, values)
 
 
 class _Freeze(Effect):
@@ -127,15 +127,15 @@ class _Freeze(Effect):
         return (len(self.columns),)
 
     def disturb(self, values: Floats) -> Floats:
-        begins = (self.windows.at == self.since)[:, None]
-        self.memory = np.where(begins, values, self.memory)
+        starts = (self.schedule.at == self.since)[:, None]
+        self.memory = np.where(starts, values, self.memory)
         return self.memory
 
 
 class _HoldLast(Effect):
-    """An actuator that hears nothing keeps what it heard last."""
+    """Keeps the last value: an actuator that receives no commands does not move."""
 
-    remembers = True
+    is_stateful = True
 
     def _memory_shape(self) -> tuple[int, ...]:
         return (len(self.columns),)
@@ -146,23 +146,23 @@ class _HoldLast(Effect):
 
 
 class _Delay(Effect):
-    """The memory is a ring of the last steps."""
+    """The memory is a ring buffer of the last steps."""
 
-    remembers = True
+    is_stateful = True
 
     def _memory_shape(self) -> tuple[int, ...]:
         return (self.fault.steps + 1, len(self.columns))
 
     def disturb(self, values: Floats) -> Floats:
         slots, length = np.arange(len(values)), self.memory.shape[1]
-        begun = np.broadcast_to(self.windows.at >= 0, slots.shape)  # before, there is no step that it is of
-        self.memory[slots[begun], np.broadcast_to(self.windows.at % length, slots.shape)[begun]] = values[begun]
-        former: Floats = self.memory[slots, (self.windows.at + 1) % length]
-        return former
+        started = np.broadcast_to(self.schedule.at >= 0, slots.shape)  # there is no step before the episode starts
+        self.memory[slots[started], np.broadcast_to(self.schedule.at % length, slots.shape)[started]] = values[started]
+        delayed: Floats = self.memory[slots, (self.schedule.at + 1) % length]
+        return delayed
 
 
 def clipped(values: Floats, low: Any, high: Any) -> Floats:
-    """`values` within bounds (None: unbounded); those that are within stay as they are to the bit, NaN too."""
+    """Clip values to bounds (None: unbounded); values within the bounds and NaN are unchanged to the bit."""
     if low is not None:
         values = np.where(values < low, low, values)
     if high is not None:
@@ -179,11 +179,11 @@ SENSOR_EFFECTS: dict[type[PointFault], type[Effect]] = {
     Stuck: _Stuck,
     Drop: _Missing,
     Delay: _Delay,
-    Quantize: _Quantise,
+    Quantize: _Quantize,
     Spike: _Spike,
     Clip: _Clip,
 }
-"""What a kind of fault does to sensors and meters."""
+"""Effects of the kinds of faults on sensors and meters."""
 
 ACTUATOR_EFFECTS: dict[type[PointFault], type[Effect]] = {**SENSOR_EFFECTS, Drop: _HoldLast}
-"""What it does to actuators."""
+"""Effects of the kinds of faults on actuators."""

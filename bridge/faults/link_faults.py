@@ -1,7 +1,7 @@
-"""Faults of the link: how late each message comes, once, twice or never.
+"""Link faults: delayed, duplicated, reordered and lost messages.
 
-Each controller's commands, and the samples, are a flow of their own: the random numbers of one do not depend on how
-many messages another has. Messages of a flow do not overtake each other, but for those that are held back.
+The samples and each controller's commands are separate flows: the random numbers of one do not depend on the number of
+messages in another. Messages of a flow stay in order, except for reordered ones.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _SAMPLES = ""  # no controller has this name
 
 @dataclass(slots=True)
 class _Flow:
-    """One flow's faults by row, with the numbers of each; how many messages it has had, and when its last is due."""
+    """A flow: its faults with their rows and random numbers, its message count, and when its last message is due."""
 
     faults: list[tuple[int, Any, RandomStream]]
     number: int = 0
@@ -32,60 +32,61 @@ class _Flow:
 
 
 class LinkFaults:
-    """The faults of a node's link.
+    """The link faults of a node.
 
     Args:
-        step_s: length of a timestep.
+        plan: the fault plan.
+        step_s: length of a timestep in seconds.
         begin: simulated time of sample 0.
-        end: of the last sample, if windows after it are to be refused.
+        end: simulated time of the last sample; if it is given, faults that could only be active after it are errors.
 
     Attributes:
-        counts: of each fault, the messages that it hit.
+        counts: of each fault, the number of messages that it affected.
 
     Raises:
-        InvalidConfig: windows without a sample; all of them.
+        InvalidConfig: faults that are active at no sample; the text names all of them.
     """
 
     def __init__(self, plan: FaultPlan, *, step_s: float, begin: datetime, end: datetime | None = None) -> None:
         self.plan = plan
         self._episodes = EpisodeKeys(1)
-        self._windows = FaultSchedule(plan, LinkFault, StepGrid(step_s, begin, end), self._episodes)
+        self._schedule = FaultSchedule(plan, LinkFault, StepGrid(step_s, begin, end), self._episodes)
         self._flows: dict[str, _Flow] = {}
-        self.counts: Counter[str] = Counter(dict.fromkeys(self._windows.names, 0))
-        self.disturbs_samples = any(fault.samples for fault in self._windows.faults)
-        self.disturbs_commands = any(fault.commands for fault in self._windows.faults)
+        self.counts: Counter[str] = Counter(dict.fromkeys(self._schedule.names, 0))
+        self.disturbs_samples = any(fault.samples for fault in self._schedule.faults)
+        self.disturbs_commands = any(fault.commands for fault in self._schedule.faults)
 
     def reset(self, seed: int | None = None) -> None:
-        """A new episode; the same seed gives the same sequence of episodes. What is on its way stays so."""
-        self._windows.reset([0])
-        self._episodes.turn([0], [seed])
+        """Begin a new episode; equal seeds give equal sequences of episodes. Delayed messages are still delivered."""
+        self._schedule.reset([0])
+        self._episodes.advance([0], [seed])
         for flow in self._flows.values():
             flow.number = 0
 
     def move(self, step: int) -> None:
-        """The node is at this step (of slot 0) now: windows begin and end with simulated time.
+        """Set the current step of slot 0, on which the activity of faults depends.
 
-        Before it was told so, also after a reset, no fault is on.
+        No fault is active before the first call and after a reset.
         """
-        self._windows.move([step])
+        self._schedule.move([step])
 
     def drain_transitions(self) -> list[FaultTransition]:
-        """What began or ended since this was asked last."""
-        return self._windows.drain_transitions()
+        """Return the faults that became active or inactive since the last call."""
+        return self._schedule.drain_transitions()
 
     def outgoing(self, now_s: float) -> list[float]:
-        """Of a sample that is sent now, how many seconds later each copy of it comes.
+        """Return the delay in seconds of each copy of a sample that is sent now.
 
         Args:
-            now_s: of any clock that never goes back.
+            now_s: time of any monotonic clock.
 
         Returns:
-            `[0.0]` as a rule, `[]` if it is lost, two for a duplicate.
+            Usually `[0.0]`; `[]` for a lost sample, two delays for a duplicate.
         """
         return self._delays(_SAMPLES, now_s) if self.disturbs_samples else [0.0]
 
     def incoming(self, controller: str, now_s: float) -> list[float]:
-        """The same of a command of a controller that has claimed something."""
+        """Return the delays of the copies of a command from a controller with a claim; like `outgoing`."""
         return self._delays(controller, now_s) if self.disturbs_commands else [0.0]
 
     def _flow(self, name: str) -> _Flow:
@@ -98,35 +99,35 @@ class LinkFaults:
                         row,
                         fault,
                         RandomStream(
-                            self.plan.seed, (*self._windows.keys[row], *key), Distribution.UNIFORM, 1, self._episodes
+                            self.plan.seed, (*self._schedule.keys[row], *key), Distribution.UNIFORM, 1, self._episodes
                         ),
                     )
-                    for row, fault in enumerate(self._windows.faults)
+                    for row, fault in enumerate(self._schedule.faults)
                     if (fault.samples if name == _SAMPLES else any(fnmatchcase(name, p) for p in fault.commands))
                 ]
             )
         return flow
 
     def _hits(self, flow: _Flow) -> Iterator[tuple[Any, float]]:
-        """The faults that the next message of a flow meets, each with its number from 0 to 1."""
-        number = np.array([flow.number], np.int64)
+        """Yield the faults that affect the next message of a flow, each with its random number from 0 to 1."""
+        message = np.array([flow.number], np.int64)
         flow.number += 1
-        for row, fault, draws in flow.faults:
-            if self._windows.on[row, 0]:
-                drawn = float(draws.at(number)[0, 0])
-                if drawn < getattr(fault, "probability", 1.0):
-                    self.counts[self._windows.names[row]] += 1
-                    yield fault, drawn
+        for row, fault, stream in flow.faults:
+            if self._schedule.on[row, 0]:
+                number = float(stream.at(message)[0, 0])
+                if number < getattr(fault, "probability", 1.0):
+                    self.counts[self._schedule.names[row]] += 1
+                    yield fault, number
 
     def _delays(self, name: str, now_s: float) -> list[float]:
         flow = self._flow(name)
         delay_s, held_s, copies, lost = 0.0, 0.0, 1, False
-        for fault, drawn in self._hits(flow):
+        for fault, number in self._hits(flow):
             match fault:
                 case Latency():
                     delay_s += fault.delay_ms / 1000.0
                 case Jitter():
-                    delay_s += drawn * fault.jitter_ms / 1000.0
+                    delay_s += number * fault.jitter_ms / 1000.0
                 case Reorder():
                     held_s += fault.hold_ms / 1000.0
                 case Duplicate():
@@ -142,14 +143,14 @@ class LinkFaults:
         return [delay_s] * copies
 
     def state(self) -> dict[str, Any]:
-        """Where the faults stand, as plain data; messages on their way are not in it."""
+        """Return the state of the faults as built-in types, without delayed messages."""
         flows = {name: flow.number for name, flow in self._flows.items()}
-        return {"episode": self._episodes.keys[0], "windows": self._windows.state(0), "flows": flows}
+        return {"episode": self._episodes.keys[0], "windows": self._schedule.state(0), "flows": flows}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Goes back to where they stood, with the same plan; `counts` go on."""
+        """Restore a state of the same plan; `counts` continue."""
         self._episodes.put(0, state["episode"])
-        self._windows.restore(0, state["windows"])
+        self._schedule.restore(0, state["windows"])
         for flow in self._flows.values():
             flow.number = 0
         for name, number in state["flows"].items():

@@ -1,4 +1,4 @@
-"""The file of a fault plan."""
+"""Reading of fault plan files."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from topics.fault_plan import FaultPlan
 
 
 def read_plan(path: Path) -> FaultPlan:
-    """The plan in a YAML file.
+    """Read a fault plan from a YAML file.
 
     Raises:
-        InvalidConfig: no such file, no YAML, or no plan; names all that is wrong.
+        InvalidConfig: the file cannot be read, or is not a valid plan; the text lists all errors.
     """
     try:
         text = yaml12.read_text(path.expanduser())

@@ -1,4 +1,4 @@
-"""When faults are on: windows of steps and of the clock, and bursts that begin by chance."""
+"""Schedules of faults: windows of steps and of the clock, and random bursts."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ _NEVER = -1
 
 
 class Transition(StrEnum):
-    """What happened to a fault."""
+    """Whether a fault became active or inactive."""
 
     BEGAN = "began"
     ENDED = "ended"
 
 
 class FaultTransition(NamedTuple):
-    """A fault of a slot began or ended at a step; ended: it is not on there any more."""
+    """A fault in a slot that became active, or was no longer active, at a step."""
 
     turn: Transition
     fault: str
@@ -39,7 +39,7 @@ class FaultTransition(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class StepGrid:
-    """The samples of an episode: `step_s` apart since `begin` (sample 0) until `end`, where that is known."""
+    """The samples of an episode: every `step_s` from `begin` (sample 0) to `end`, if that is known."""
 
     step_s: float
     begin: datetime
@@ -52,14 +52,14 @@ class StepGrid:
 
     @property
     def week(self) -> int:
-        """Samples in a week: the clock repeats itself after them."""
+        """Number of samples in a week, after which clock times repeat."""
         return round(_WEEK_S / self.step_s)
 
     def _floor(self, elapsed_s: float) -> int:
         return math.floor(elapsed_s / self.step_s + 1e-9)
 
     def ceil(self, elapsed_s: float) -> int:
-        """The first step that is no earlier."""
+        """Return the first step at or after an elapsed time."""
         return math.ceil(elapsed_s / self.step_s - 1e-9)
 
     def __str__(self) -> str:
@@ -68,7 +68,7 @@ class StepGrid:
 
 
 def span(when: When, grid: StepGrid) -> tuple[int, int]:
-    """The first step of a window, and the one that is not in it any more."""
+    """Return the first step of a window and the first step after it."""
     year = grid.begin.year
     first = [0, when.from_step or 0, grid.ceil(when.from_s or 0.0)]
     end = [grid.last + 1]
@@ -84,7 +84,7 @@ def span(when: When, grid: StepGrid) -> tuple[int, int]:
 
 
 def clock(when: When, grid: StepGrid) -> NDArray[np.bool_] | None:
-    """Of each sample of the first week, whether hours and weekdays let the fault be on; None: all of them do."""
+    """Return for each sample of the first week whether it meets `hours` and `weekdays`; None if there are neither."""
     if when.hours is None and when.weekdays is None:
         return None
     monday = datetime.combine(grid.begin.date() - timedelta(grid.begin.weekday()), datetime.min.time())
@@ -101,45 +101,45 @@ def clock(when: When, grid: StepGrid) -> NDArray[np.bool_] | None:
 
 
 def check(name: str, when: When, grid: StepGrid) -> None:
-    """Raises `InvalidConfig` if the window holds no sample at all."""
+    """Raise `InvalidConfig` if no sample meets the conditions."""
     first, end = span(when, grid)
     on = clock(when, grid)
     if first < end and on is not None:
         steps = np.arange(first, min(end, first + grid.week)) % grid.week
         end = end if on[steps].any() else first
     if first >= end:
-        raise InvalidConfig(f"fault {name!r} is never on: no sample is in its window; samples are {grid}")
+        raise InvalidConfig(f"fault {name!r} is never active: no sample is in its window; samples are {grid}")
 
 
 class FaultSchedule:
-    """The faults of a plan that are of some kind, and whether each is on in each slot.
+    """The point faults or the link faults of a plan, and whether each is active in each slot.
 
-    A burst that begins where another ends goes on from it.
+    A burst that starts where another one ends continues it.
 
     Attributes:
-        names, keys, faults: of them, in the plan's order.
-        on: shape (faults, slots).
-        since: step at which it began, shape (faults, slots); -1 where it is off.
-        at: the steps of the last `move`, shape (slots,).
+        names, keys, faults: of the faults, in the plan's order.
+        on: whether each is active, of shape (faults, slots).
+        since: step of the onset, of shape (faults, slots); -1 where it is not active.
+        at: the steps of the last `move`, of shape (slots,).
 
     Raises:
-        InvalidConfig: windows without a sample; all of them.
+        InvalidConfig: faults that are active at no sample; the text names all of them.
     """
 
     def __init__(self, plan: FaultPlan, kind: type[AnyFault], grid: StepGrid, episodes: EpisodeKeys) -> None:
-        chosen = [
+        selected = [
             (name, fault_key(fault.name, position), fault)
             for position, (name, fault) in enumerate(zip(plan.names, plan.faults, strict=True))
             if isinstance(fault, kind)
         ]
-        self.names = [name for name, _, _ in chosen]
-        self.keys: list[Key] = [key for _, key, _ in chosen]
-        self.faults: list[Any] = [fault for _, _, fault in chosen]
-        gathered = ErrorCollector()
-        for name, _, fault in chosen:
-            gathered.collect(lambda name=name, fault=fault: check(name, fault.when, grid))  # type: ignore[misc]
-        gathered.raise_if_any()
-        whens = [fault.when for _, _, fault in chosen]
+        self.names = [name for name, _, _ in selected]
+        self.keys: list[Key] = [key for _, key, _ in selected]
+        self.faults: list[Any] = [fault for _, _, fault in selected]
+        errors = ErrorCollector()
+        for name, _, fault in selected:
+            errors.collect(lambda name=name, fault=fault: check(name, fault.when, grid))  # type: ignore[misc]
+        errors.raise_if_any()
+        whens = [fault.when for _, _, fault in selected]
         self._slots = len(episodes.keys)
         self._span = np.array([span(when, grid) for when in whens], np.int64).reshape(-1, 2).T[:, :, None]
         self._week = [(row, on) for row, when in enumerate(whens) if (on := clock(when, grid)) is not None]
@@ -153,16 +153,16 @@ class FaultSchedule:
             for row, when in enumerate(whens)
             if when.probability is not None
         ]
-        shape = (len(chosen), self._slots)
+        shape = (len(selected), self._slots)
         self.on = np.zeros(shape, np.bool_)
         self.since = np.full(shape, _NEVER, np.int64)
         self._until = np.zeros(shape, np.int64)
         self.at = np.full(self._slots, _NEVER, np.int64)
         self._steps: list[int] = []
-        self._told: list[FaultTransition] = []
+        self._transitions: list[FaultTransition] = []
 
     def move(self, steps: Sequence[int]) -> None:
-        """The slots are at these steps now; a slot may stay where it is."""
+        """Set the current step of each slot; a slot may stay at its step."""
         if steps == self._steps:
             return
         self._steps = [*steps]
@@ -171,10 +171,10 @@ class FaultSchedule:
         on = (first <= at) & (at < end)
         for row, week in self._week:
             on[row] &= week[at % len(week)]
-        for row, probability, lasts, draws in self._bursts:
+        for row, probability, duration, stream in self._bursts:
             until = np.where(on[row], self._until[row], 0)
-            begins = on[row] & (at >= until) & (draws.at(at)[:, 0] < probability)
-            self._until[row] = until = np.where(begins, at + lasts, until)
+            starts = on[row] & (at >= until) & (stream.at(at)[:, 0] < probability)
+            self._until[row] = until = np.where(starts, at + duration, until)
             on[row] &= at < until
         changed = on != self.on
         if changed.any():
@@ -182,33 +182,33 @@ class FaultSchedule:
             self.on = on
             for row, slot in np.argwhere(changed).tolist():
                 turn = Transition.BEGAN if on[row, slot] else Transition.ENDED
-                self._told.append(FaultTransition(turn, self.names[row], slot, self._steps[slot]))
+                self._transitions.append(FaultTransition(turn, self.names[row], slot, self._steps[slot]))
 
     def drain_transitions(self) -> list[FaultTransition]:
-        """What began or ended since this was asked last."""
-        told, self._told = self._told, []
-        return told
+        """Return the faults that became active or inactive since the last call."""
+        transitions, self._transitions = self._transitions, []
+        return transitions
 
     def reset(self, slots: Sequence[int]) -> None:
-        """New episodes: whatever is on ends with the former one."""
+        """Begin new episodes in some slots; active faults end with the previous episode."""
         for row, slot in np.argwhere(self.on).tolist():
             if slot in slots:
-                self._told.append(FaultTransition(Transition.ENDED, self.names[row], slot, int(self.at[slot])))
-        self._forget(slots)
+                self._transitions.append(FaultTransition(Transition.ENDED, self.names[row], slot, int(self.at[slot])))
+        self._clear(slots)
 
-    def _forget(self, slots: Sequence[int]) -> None:
+    def _clear(self, slots: Sequence[int]) -> None:
         self._steps = []
         for slot in slots:
             self.on[:, slot], self.since[:, slot], self._until[:, slot], self.at[slot] = False, _NEVER, 0, _NEVER
 
     def state(self, slot: int) -> tuple[int, list[int], list[int]]:
-        """Where a slot stands: its step, and of each fault since when and, in a burst, until when it is on."""
+        """Return the state of a slot: its step, and of each fault its onset and the end of its burst."""
         return int(self.at[slot]), self.since[:, slot].tolist(), self._until[:, slot].tolist()
 
     def restore(self, slot: int, state: tuple[int, list[int], list[int]]) -> None:
-        """Has a slot stand there again; nothing is told of it."""
+        """Restore the state of a slot, without transitions."""
         step, since, until = state
-        self._forget([slot])
-        self._told = [told for told in self._told if told.slot != slot]
+        self._clear([slot])
+        self._transitions = [transition for transition in self._transitions if transition.slot != slot]
         self.at[slot], self.since[:, slot], self._until[:, slot] = step, since, until
         self.on[:, slot] = self.since[:, slot] != _NEVER

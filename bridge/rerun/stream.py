@@ -1,8 +1,8 @@
 """Samples of the bus as live plots in Rerun.
 
-A stream hears what nodes say in batches, through a ring, so it can be as slow as it likes: a node never waits for it.
-Each episode has an entity of its own, `/{node}/episode_0000/{quantity}`, one vector of scalars a step, over two
-timelines: `simulated` (the building's local standard time) and `step`.
+A stream subscribes to the nodes' batches through a ring buffer; nodes never wait for it. Each episode has entities of
+its own, `/{node}/episode_0000/{quantity}`, with one vector of scalars per step on two timelines: `simulated` (the
+building's local standard time) and `step`.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from topics.messages import Batch, Event, EventKind, Manifest, Meter, Sample, Se
 RING = 65536
 PERIOD_S = 0.1
 LEGEND = 6
-"""Plots of more series than this begin with their legend hidden."""
+"""Largest number of series in a plot with a visible legend."""
 
 _TITLES = {
     "degC": "temperature (degC)",
@@ -38,63 +38,63 @@ _TITLES = {
     "J": "energy of the timestep (J)",
 }
 _SETPOINTS = "setpoints"
-_GRAVE = (EventKind.FAILED, EventKind.REJECTED, EventKind.LATE, EventKind.ACCEPTED_LATE, EventKind.WARNING)
+_WARNINGS = (EventKind.FAILED, EventKind.REJECTED, EventKind.LATE, EventKind.ACCEPTED_LATE, EventKind.WARNING)
 
 
 @dataclass(slots=True)
 class _Quantity:
-    """The points of one unit: one plot."""
+    """A plot: the points with one unit, or the actuators."""
 
     path: str
     title: str
     names: list[str]
-    places: list[int]
-    of_actuators: bool = False
+    columns: list[int]
+    is_actuators: bool = False
 
 
 @dataclass(slots=True)
 class _Node:
-    """What the stream knows of one node."""
+    """State of one node in the stream."""
 
     manifest: Manifest
     quantities: list[_Quantity]
     episode: int = -1
     step: int = -1
-    asked: tuple[int, int] | None = None  # the place of a sample that was asked for; batches may still have older ones
+    queried: tuple[int, int] | None = None  # episode and step of a queried sample; later batches may have older ones
     samples: list[Sample] = field(default_factory=list)
 
 
 def _quantities(manifest: Manifest) -> list[_Quantity]:
-    """One plot a unit, the sensors and meters of it in manifest order; the actuators in one of their own."""
-    found: dict[str, _Quantity] = {}
+    """One plot per unit, with its sensors and meters in manifest order, and one plot of all actuators."""
+    by_unit: dict[str, _Quantity] = {}
     points: tuple[Sensor | Meter, ...] = (*manifest.sensors, *manifest.meters)
-    for place, point in enumerate(points):
-        quantity = found.setdefault(
+    for column, point in enumerate(points):
+        quantity = by_unit.setdefault(
             point.unit, _Quantity(keys.safe_name(point.unit), _TITLES.get(point.unit, point.unit), [], [])
         )
         quantity.names.append(point.name)
-        quantity.places.append(place)
-    if "1" in found:
-        found["1"].title, found["1"].path = "occupants and other counts", "count"
-    plots = list(found.values())
+        quantity.columns.append(column)
+    if "1" in by_unit:
+        by_unit["1"].title, by_unit["1"].path = "occupants and other counts", "count"
+    plots = list(by_unit.values())
     if manifest.actuators:
-        names, places = [a.name for a in manifest.actuators], list(range(len(manifest.actuators)))
-        plots.append(_Quantity(_SETPOINTS, "actuators, as applied", names, places, of_actuators=True))
+        names, columns = [a.name for a in manifest.actuators], list(range(len(manifest.actuators)))
+        plots.append(_Quantity(_SETPOINTS, "actuators, as applied", names, columns, is_actuators=True))
     return plots
 
 
 class RerunStream:
-    """Listens to a node, or to all, and logs to a Rerun recording.
+    """Logs the samples and events of one node, or of all, to a Rerun recording.
 
     Args:
         session: an open Zenoh session.
         node: a node's name, or `*`.
-        sinks: where the recording goes: `rr.FileSink`, `rr.GrpcSink`.
+        sinks: sinks of the recording: `rr.FileSink`, `rr.GrpcSink`.
 
     Attributes:
-        samples: how many were logged.
-        missed: steps that were lost on their way here, or overwritten in the ring before they could be logged.
-        left: whether a node that was listened to has gone.
+        samples: number of logged samples.
+        missed: number of samples that were lost in transit, or overwritten in the ring buffer.
+        left: whether a node has disconnected.
     """
 
     def __init__(self, session: zenoh.Session, node: str, sinks: Iterable[Any]) -> None:
@@ -104,8 +104,8 @@ class RerunStream:
         self._session = session
         self._nodes: dict[str, _Node] = {}
         self._all = node == "*"
-        self._came: dict[str, float] = {}  # nodes that have sent no sample yet, and since when they are there
-        self._passed_over: set[str] = set()  # branches, which come and go by the hundred, unless one is asked for
+        self._pending_nodes: dict[str, float] = {}  # nodes without a sample yet, and when they connected
+        self._ignored: set[str] = set()  # branches, of which there may be hundreds, unless one is named
         self._close = ExitStack()
         self.recording = rr.RecordingStream("zenostat")
         self.recording.set_sinks(*sinks)
@@ -117,7 +117,7 @@ class RerunStream:
             session.liveliness().declare_subscriber(keys.NODE_TOKEN.at(node, name="*"), RingChannel(256), history=True)
         )
         self._close.callback(self._finish)
-        self.samples += self._catch_up(node)  # asked for, since a new liveliness subscriber knows nothing yet
+        self.samples += self._catch_up(node)  # a new liveliness subscriber does not know the nodes yet
 
     def __enter__(self) -> RerunStream:
         return self
@@ -126,33 +126,33 @@ class RerunStream:
         self.close()
 
     def close(self) -> None:
-        """Logs what is still in the ring and ends the recording; twice is fine."""
+        """Log the remaining messages and end the recording; idempotent."""
         self._close.close()
 
     def run(self, until: Callable[[], bool]) -> None:
-        """Logs batches until told to stop."""
+        """Log batches until `until` returns true."""
         while not until():
             time.sleep(PERIOD_S)
             self.pump()
 
     def _finish(self) -> None:
-        time.sleep(2 * PERIOD_S)  # for the batches that nodes are gathering
+        time.sleep(2 * PERIOD_S)  # for the batches that nodes have not sent yet
         self.pump()
 
     def pump(self) -> int:
-        """Logs what has come in since the last time; returns the number of samples."""
+        """Log the messages received since the last call; return the number of samples."""
         messages = []
         while (message := self._inbox.try_recv()) is not None:
             messages.append(message)
-        self._look_around()
-        took = sum(map(self._take, messages)) + self._ask_silent()
+        self._poll_presence()
+        count = sum(map(self._receive_batch, messages)) + self._query_pending()
         for node in self._nodes.values():
             self._log(node)
-        self.samples += took
-        return took
+        self.samples += count
+        return count
 
-    def _look_around(self) -> None:
-        """Notes nodes that have come and those that have gone."""
+    def _poll_presence(self) -> None:
+        """Process nodes' connections and disconnections."""
         while (token := self._tokens.try_recv()) is not None:
             if token.kind == zenoh.SampleKind.DELETE:
                 self.left = True
@@ -161,32 +161,32 @@ class RerunStream:
             name = keys.node_of(key)
             known = self._nodes.get(name)
             if known is not None and known.manifest.instance != keys.last_chunk(key):
-                self._log(known)  # it has started again, and counts from nought
+                self._log(known)  # the node was restarted, and its steps start from 0
                 del self._nodes[name]
-            self._came.setdefault(name, time.monotonic())
+            self._pending_nodes.setdefault(name, time.monotonic())
 
-    def _ask_silent(self) -> int:
-        """Takes the sample that nodes stand at which have come and have sent none."""
-        took, now_s = 0, time.monotonic()
-        for name, since_s in [*self._came.items()]:
-            if name in self._nodes or name in self._passed_over:
-                del self._came[name]
-            elif now_s - since_s > 3 * PERIOD_S:  # no batch comes
-                del self._came[name]
-                took += self._catch_up(name)
-        return took
+    def _query_pending(self) -> int:
+        """Query the samples of nodes that have connected and sent no batch."""
+        count, now_s = 0, time.monotonic()
+        for name, since_s in [*self._pending_nodes.items()]:
+            if name in self._nodes or name in self._ignored:
+                del self._pending_nodes[name]
+            elif now_s - since_s > 3 * PERIOD_S:
+                del self._pending_nodes[name]
+                count += self._catch_up(name)
+        return count
 
     def _catch_up(self, name: str) -> int:
-        """Takes the sample that a node, or each (`*`), stands at."""
-        took = 0
+        """Query the current sample of a node, or of all (`*`)."""
+        count = 0
         for reply in self._session.get(keys.SAMPLE.at(name), target=zenoh.QueryTarget.ALL):
             if reply.ok is not None:
-                who = keys.node_of(str(reply.ok.key_expr))
-                took += self._take_sample(who, codec.decode(Sample, reply.ok.payload.to_bytes()), asked=True)
-        return took
+                node = keys.node_of(str(reply.ok.key_expr))
+                count += self._receive_sample(node, codec.decode(Sample, reply.ok.payload.to_bytes()), queried=True)
+        return count
 
-    def _take(self, message: zenoh.Sample) -> int:
-        name, took = keys.node_of(str(message.key_expr)), 0
+    def _receive_batch(self, message: zenoh.Sample) -> int:
+        name, count = keys.node_of(str(message.key_expr)), 0
         try:
             batch = codec.decode(Batch, message.payload.to_bytes(), str(message.encoding))
         except BadMessage as error:
@@ -194,61 +194,62 @@ class RerunStream:
             return 0
         for sent in batch.messages:
             try:
-                took += self._take_one(name, sent.topic, sent.payload)
+                count += self._receive_message(name, sent.topic, sent.payload)
             except BadMessage as error:
                 self._log_unreadable(name, error)
-        return took
+        return count
 
-    def _take_one(self, name: str, topic: str, payload: bytes) -> int:
+    def _receive_message(self, name: str, topic: str, payload: bytes) -> int:
         if topic == keys.SAMPLE.key:
-            return self._take_sample(name, codec.decode(Sample, payload))
+            return self._receive_sample(name, codec.decode(Sample, payload))
         if topic == keys.MANIFEST.key:
-            self._meet(codec.decode(Manifest, payload))
+            self._register_node(codec.decode(Manifest, payload))
         elif topic == keys.EVENT.key:
             self._log_event(name, codec.decode(Event, payload))
         return 0
 
-    def _take_sample(self, name: str, sample: Sample, *, asked: bool = False) -> int:
-        if name in self._passed_over:
+    def _receive_sample(self, name: str, sample: Sample, *, queried: bool = False) -> int:
+        if name in self._ignored:
             return 0
-        node = self._nodes.get(name) or self._ask(name)
+        node = self._nodes.get(name) or self._query_manifest(name)
         if node is None:
-            return 0  # a branch, or it has gone before it could be asked what its values mean
-        place = (sample.episode[0], sample.step[0])
-        if asked:
-            node.asked = place
-        elif node.asked is not None:
-            if place <= node.asked:
-                return 0  # of before it was asked for, or that one again
-            node.asked = None
+            return 0  # a branch, or a node that disconnected before its manifest was queried
+        position = (sample.episode[0], sample.step[0])
+        if queried:
+            node.queried = position
+        elif node.queried is not None:
+            if position <= node.queried:
+                return 0  # not newer than the queried sample
+            node.queried = None
         if sample.episode[0] != node.episode:
             self._log(node)
             node.episode, node.step = sample.episode[0], -1
             self._begin_episode(node)
         elif sample.step[0] <= node.step:
-            return 0  # heard, and asked for as well
+            return 0  # both received and queried
         else:
             self.missed += sample.step[0] - node.step - 1
         node.step = sample.step[0]
         node.samples.append(sample)
         return 1
 
-    def _ask(self, name: str) -> _Node | None:
+    def _query_manifest(self, name: str) -> _Node | None:
         for reply in self._session.get(keys.MANIFEST.at(name)):
             if reply.ok is not None:
-                return self._meet(codec.decode(Manifest, reply.ok.payload.to_bytes(), str(reply.ok.encoding)))
+                manifest = codec.decode(Manifest, reply.ok.payload.to_bytes(), str(reply.ok.encoding))
+                return self._register_node(manifest)
         return None
 
-    def _meet(self, manifest: Manifest) -> _Node | None:
+    def _register_node(self, manifest: Manifest) -> _Node | None:
         if self._all and manifest.branch_of:
-            self._passed_over.add(manifest.node)
+            self._ignored.add(manifest.node)
             return None
         known = self._nodes.get(manifest.node)
         if known is None:
             known = self._nodes[manifest.node] = _Node(manifest, _quantities(manifest))
         else:
             self._log(known)
-            known.manifest, known.quantities, known.asked = manifest, _quantities(manifest), None
+            known.manifest, known.quantities, known.queried = manifest, _quantities(manifest), None
         return known
 
     def _entity(self, node: _Node, quantity: _Quantity) -> str:
@@ -260,7 +261,7 @@ class RerunStream:
         self.recording.send_blueprint(self._blueprint())
 
     def _blueprint(self) -> rrb.Blueprint:
-        """The latest episode of each node, a plot a quantity, over the whole run period."""
+        """Return a layout with the latest episode of each node: one plot per quantity, over the whole run period."""
         tabs = []
         for node in self._nodes.values():
             axis = rrb.TimeAxis(
@@ -280,7 +281,7 @@ class RerunStream:
         return rrb.Blueprint(layout, rrb.TimePanel(state="collapsed", timeline="simulated"), collapse_panels=True)
 
     def _log(self, node: _Node) -> None:
-        """One batch: a column of vectors a plot."""
+        """Log the collected samples of a node: a column of vectors per plot."""
         samples, node.samples = node.samples, []
         if not samples:
             return
@@ -289,7 +290,7 @@ class RerunStream:
         values = _rows(b"".join(s.values for s in samples), len(samples))
         effective = _rows(b"".join(s.effective for s in samples), len(samples))
         for quantity in node.quantities:
-            table = (effective if quantity.of_actuators else values)[:, quantity.places]
+            table = (effective if quantity.is_actuators else values)[:, quantity.columns]
             columns = rr.Scalars.columns(scalars=table.ravel()).partition([table.shape[1]] * len(samples))
             rr.send_columns(self._entity(node, quantity), [simulated, step], columns, recording=self.recording)
 
@@ -297,10 +298,10 @@ class RerunStream:
         self.recording.log(f"{name}/events", rr.TextLog(f"unreadable message: {error}", level="WARN"))
 
     def _log_event(self, name: str, event: Event) -> None:
-        grave = event.kind in _GRAVE
+        level = "WARN" if event.kind in _WARNINGS else "INFO"
         text = f"{event.kind}: {event.text}" + (f" ({event.source})" if event.source else "")
         self.recording.set_time("step", sequence=event.step)
-        self.recording.log(f"{name}/events", rr.TextLog(text, level="WARN" if grave else "INFO"))
+        self.recording.log(f"{name}/events", rr.TextLog(text, level=level))
 
 
 def _rows(raw: bytes, count: int) -> NDArray[np.float64]:

@@ -1,4 +1,4 @@
-"""The `rerun` program: viewers, and a picture of a recording."""
+"""The `rerun` program: viewers and screenshots of recordings."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ from pathlib import Path
 
 from topics.errors import InvalidConfig
 
-NO_VULKAN = "a picture takes a Vulkan driver, and none was found; on Debian: apt install mesa-vulkan-drivers libvulkan1"
+NO_VULKAN = "a picture needs a Vulkan driver, and none was found; on Debian: apt install mesa-vulkan-drivers libvulkan1"
 _DRIVERS = ("/usr/share/vulkan/icd.d", "/usr/local/share/vulkan/icd.d", "/etc/vulkan/icd.d")
-"""Where the Vulkan loader looks for drivers, besides the files that its environment variables name."""
+"""Where the Vulkan loader searches for drivers, besides its environment variables."""
 
 _START_S = 20.0
-_SETTLE_S = 1.5  # `open` answers before all plots are drawn, and the viewer does not say when they are
+_SETTLE_S = 1.5  # `open` returns before all plots are drawn, and the viewer does not report when they are
 
 
 def program() -> str:
-    """Path of the `rerun` program: the binary itself, not the script of that name, whose end it would outlive."""
-    found = importlib.util.find_spec("rerun_cli")
-    folders = found.submodule_search_locations if found else None
+    """Return the path of the `rerun` binary; it would outlive the Python script of the same name."""
+    spec = importlib.util.find_spec("rerun_cli")
+    folders = spec.submodule_search_locations if spec else None
     if not folders:
         raise InvalidConfig("the rerun program is not installed: pip install rerun-sdk")
     return str(Path(folders[0]) / "rerun")
 
 
 def has_vulkan() -> bool:
-    """Return whether there is a Vulkan loader and a driver for it, as far as one can know without trying."""
+    """Return whether a Vulkan loader and a driver are installed, as far as their files show."""
     try:
         ctypes.CDLL("libvulkan.so.1")
     except OSError:
@@ -61,9 +61,9 @@ def _free_port() -> int:
 
 @contextmanager
 def _serving(port: int, *options: str) -> Iterator[None]:
-    """Runs the program on loopback while it is needed; `InvalidConfig` if it ends before it listens."""
+    """Run the program on loopback within this context; `InvalidConfig` if it ends before it listens."""
     command = [program(), "--bind", "127.0.0.1", "--port", str(port), *options]
-    # A viewer makes a folder of temporary files, and leaves it there when it is told to end.
+    # A viewer does not remove its temporary folder when it is terminated.
     with tempfile.TemporaryDirectory(prefix="zenostat-") as folder:
         server = subprocess.Popen(
             command,
@@ -83,7 +83,7 @@ def _serving(port: int, *options: str) -> Iterator[None]:
 
 @contextmanager
 def web_viewer() -> Iterator[tuple[str, str]]:
-    """Serves the viewer as a page on loopback: (address of the page, address for the recording)."""
+    """Serve the viewer as a web page on loopback; yield the page's address and the recording's address."""
     grpc, web = _free_port(), _free_port()
     with _serving(grpc, "--serve-web", "--web-viewer-port", str(web)):
         url = f"rerun+http://127.0.0.1:{grpc}/proxy"
@@ -103,7 +103,7 @@ def _wait_for_port(server: subprocess.Popen[bytes], port: int) -> None:
 
 
 def screenshot(recording: Path, picture: Path) -> bool:
-    """Draws a recording into a PNG of 1920 x 1080 without a screen; false where there is no Vulkan driver."""
+    """Render a recording as a PNG of 1920 x 1080 without a display; return False without a Vulkan driver."""
     from rerun.experimental import ViewerClient
 
     port = _free_port()
@@ -113,6 +113,6 @@ def screenshot(recording: Path, picture: Path) -> bool:
             viewer.open(str(recording.absolute()))
             time.sleep(_SETTLE_S)
             viewer.save_screenshot(str(picture.absolute()))
-    except (InvalidConfig, ConnectionError):  # it ends at start, sometimes after it listens
+    except (InvalidConfig, ConnectionError):  # without a driver it ends at its start, sometimes after it listens
         return False
     return picture.exists()

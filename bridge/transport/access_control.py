@@ -1,8 +1,8 @@
-"""Who may say what on a closed bus: Zenoh's access control, made of the table of topics.
+"""Access control on a secured bus: Zenoh's configuration, generated from the table of topics.
 
-A node or router applies the rules to each of its links, in both directions, by the common name in the certificate at
-the other end. What no rule allows is dropped without a word. Nodes and routers trust each other: they pass on what
-others say, whom the first of them has checked already.
+A node or router applies the rules to each of its links, in both directions, by the common name in the peer's
+certificate. Zenoh silently drops everything that no rule allows. Nodes and routers trust each other: they forward
+messages of others, which the first of them has already checked.
 """
 
 from __future__ import annotations
@@ -17,26 +17,26 @@ from topics.keys import TOPICS, Delivery, Role, Topic
 
 
 class Direction(StrEnum):
-    """The direction of a message, as the node or router sees it."""
+    """Direction of a message from the point of view of the node or router."""
 
     IN = "ingress"
     OUT = "egress"
 
 
 class Permission(StrEnum):
-    """What a role may do with a topic."""
+    """An operation on a topic."""
 
     SEND = "send"
     HEAR = "hear"
     ASK = "ask"
     ANSWER = "answer"
-    SHOW = "show"  # a token of presence
-    SEE = "see"
+    SHOW = "show"  # declare a liveliness token
+    SEE = "see"  # observe liveliness tokens
 
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """Messages of these kinds with these keys may pass in this direction."""
+    """Allows these kinds of messages with these keys in this direction."""
 
     flow: Direction
     messages: tuple[str, ...]
@@ -54,10 +54,10 @@ ALL_MESSAGES = (
     "declare_liveliness_subscriber",
     "liveliness_query",
 )
-"""Every kind of message that Zenoh tells apart."""
+"""All kinds of messages that Zenoh's access control distinguishes."""
 
 ROLES = (Role.NODE, Role.CONTROLLER, Role.MONITOR)
-"""The roles that rules and certificates are made for."""
+"""The roles with rules and certificates."""
 
 _RULES: dict[Permission, tuple[tuple[Direction, tuple[str, ...]], ...]] = {
     Permission.SEND: ((Direction.IN, ("put",)), (Direction.OUT, ("declare_subscriber",))),
@@ -75,12 +75,12 @@ _RULES: dict[Permission, tuple[tuple[Direction, tuple[str, ...]], ...]] = {
 
 
 def common_name(role: Role) -> str:
-    """What stands in a role's certificates, and in the rules."""
+    """Return the common name of a role's certificates, to which the rules refer."""
     return f"zenostat-{role}"
 
 
 def may(role: Role, topic: Topic) -> tuple[Permission, ...]:
-    """What a role may do with a topic. A monitor only reads: it sends nothing, also where anyone else may."""
+    """Return the permissions of a role on a topic. Monitors only read, also where any other role may send."""
     if role is Role.NODE:
         return _node_may(topic)
     commands = role is Role.CONTROLLER and topic.sender is not Role.NODE
@@ -106,34 +106,33 @@ def _node_may(topic: Topic) -> tuple[Permission, ...]:
 
 
 def rules(role: Role) -> tuple[Rule, ...]:
-    """The rules for a link to a program of that role."""
+    """Return the rules for a link to a program with that role."""
     if role is Role.NODE:
-        everything = (*(topic.at("*", name="*") for topic in TOPICS), keys.stream("*"))
-        return tuple(Rule(flow, ALL_MESSAGES, everything) for flow in Direction)
-    found: list[Rule] = []
+        all_keys = (*(topic.at("*", name="*") for topic in TOPICS), keys.stream("*"))
+        return tuple(Rule(flow, ALL_MESSAGES, all_keys) for flow in Direction)
+    result: list[Rule] = []
     for kind, parts in _RULES.items():
         topics = [topic for topic in TOPICS if kind in may(role, topic)]
         for flow, messages in parts if topics else ():
-            found.append(
-                Rule(flow, messages, _keys(topics, listens="declare_subscriber" in messages and flow is Direction.IN))
-            )
-    return tuple(found)
+            subscribes = "declare_subscriber" in messages and flow is Direction.IN
+            result.append(Rule(flow, messages, _keys(topics, subscribes=subscribes)))
+    return tuple(result)
 
 
-def _keys(topics: Iterable[Topic], *, listens: bool) -> tuple[str, ...]:
-    found = [topic.at("*", name="*") for topic in topics]
-    return (*found, keys.stream("*")) if listens else tuple(found)
+def _keys(topics: Iterable[Topic], *, subscribes: bool) -> tuple[str, ...]:
+    expressions = [topic.at("*", name="*") for topic in topics]
+    return (*expressions, keys.stream("*")) if subscribes else tuple(expressions)
 
 
 def acl_config() -> dict[str, Any]:
-    """Zenoh's `access_control`: nothing is allowed but what the rules of the link's role allow."""
-    made = {role: [_zenoh(f"{role}-{i}", rule) for i, rule in enumerate(rules(role))] for role in ROLES}
+    """Return Zenoh's `access_control` settings, which deny everything that the rules do not allow."""
+    by_role = {role: [_zenoh(f"{role}-{i}", rule) for i, rule in enumerate(rules(role))] for role in ROLES}
     return {
         "enabled": True,
         "default_permission": "deny",
-        "rules": [rule for of_role in made.values() for rule in of_role],
+        "rules": [rule for role_rules in by_role.values() for rule in role_rules],
         "subjects": [{"id": role.value, "cert_common_names": [common_name(role)]} for role in ROLES],
-        "policies": [{"rules": [rule["id"] for rule in made[role]], "subjects": [role.value]} for role in ROLES],
+        "policies": [{"rules": [rule["id"] for rule in by_role[role]], "subjects": [role.value]} for role in ROLES],
     }
 
 

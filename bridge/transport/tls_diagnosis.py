@@ -1,4 +1,4 @@
-"""Why no session over TLS came about: Zenoh only tells of a timeout, so the handshake is made once more."""
+"""Diagnosis of failed TLS sessions: Zenoh only reports a timeout, so the handshake is repeated here."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ if TYPE_CHECKING:
 _TIMEOUT_S = 2.0
 
 
-def diagnose_tls(endpoint: str, shown: Identity) -> str:
-    """What failed at `tls/HOST:PORT`, and what would be right."""
+def diagnose_tls(endpoint: str, identity: Identity) -> str:
+    """Return the reason why a session with `tls/HOST:PORT` failed, and a remedy."""
     host, _, port = endpoint.partition("/")[2].rpartition(":")
     host = host.strip("[]")
-    context = ssl.create_default_context(cafile=str(shown.authority))
-    context.load_cert_chain(shown.certificate, shown.key)
+    context = ssl.create_default_context(cafile=str(identity.authority))
+    context.load_cert_chain(identity.certificate, identity.key)
     try:
         with (
             socket.create_connection((host, int(port)), _TIMEOUT_S) as link,
             context.wrap_socket(link, server_hostname=host) as secured,
         ):
-            secured.recv(1)  # who listens says only now whether it takes this side's certificate
+            secured.recv(1)  # with TLS 1.3, the server's verdict on this side's certificate arrives here
     except ssl.SSLCertVerificationError as error:
         return (
             f"the certificate at {endpoint} was refused: {error.verify_message}; is it a node's of the authority "
-            f"{shown.authority}, and is {host!r} among its hosts (zenostat keys show)?"
+            f"{identity.authority}, and is {host!r} among its hosts (zenostat keys show)?"
         )
     except ssl.SSLError as error:
         return (
             f"{endpoint} refused the session over TLS: {error.reason or error}; does it have keys, and of the same "
-            f"authority as {shown.certificate} (zenostat keys show)?"
+            f"authority as {identity.certificate} (zenostat keys show)?"
         )
     except TimeoutError:
         pass

@@ -1,6 +1,6 @@
-"""Waking a thread that waits for messages: by one that never leaves the process.
+"""Waking a thread that waits for messages, with a message that does not leave the process.
 
-Zenoh's handlers know no timeout, so whoever has news for such a thread puts a message that its subscriber matches.
+Receiving from Zenoh's handlers has no timeout. So other threads wake such a thread by a message to its subscriber.
 """
 
 from __future__ import annotations
@@ -12,22 +12,22 @@ from zenoh import Locality
 
 
 class Wake:
-    """Wakes the receiver of `key` in this session; any thread may call it, until it is closed."""
+    """Callable that wakes the receiver of `key` in this session, from any thread."""
 
     def __init__(self, session: zenoh.Session, key: str) -> None:
         self._session = session
         self.key = key
-        # A session must not be closed while another thread puts. Reentrant: a signal's handler wakes as well.
+        # A session must not be closed during a put of another thread. Reentrant: signal handlers wake as well.
         self._lock = threading.RLock()
         self._closed = False
 
     def __call__(self) -> None:
-        """Wakes the receiver; nothing once closed."""
+        """Wake the receiver; no effect after `close`."""
         with self._lock:
             if not self._closed:
                 self._session.put(self.key, b"", allowed_destination=Locality.SESSION_LOCAL)
 
     def close(self) -> None:
-        """No more; returns once nobody puts. Twice is fine."""
+        """Disable wake-ups, and wait for one in progress; idempotent."""
         with self._lock:
             self._closed = True

@@ -186,7 +186,7 @@ def test_a_snapshot_goes_on_with_the_same_numbers(before: int, n: int) -> None:
 
 
 def test_a_window_without_a_sample_is_refused() -> None:
-    with pytest.raises(InvalidConfig, match=r"'loss 1' is never on.*\n.*'latency 2' is never on") as error:
+    with pytest.raises(InvalidConfig, match=r"'loss 1' is never active.*\n.*'latency 2' is never active") as error:
         link(
             {**LOSS, "when": {"from_s": 10, "to_s": 20}},
             {"kind": "latency", "samples": True, "delay_ms": 1, "when": {"to_time": "2016-01-01"}},

@@ -133,7 +133,7 @@ def test_ctrl_c_in_a_controller_leaves_the_node_waiting(scratch):
         (["node", *DAY, "--steps-per-hour", "7"], ["7 does not divide the hour"]),
         (["node", *DAY, "--name", "my office"], ["'my office' is not valid in a topic", "'my_office'"]),
         (["node", *DAY, "--listen", "tcp/0.0.0.0:7447"], ["can be reached from other machines", "--expose"]),
-        (["node", *DAY, "--listen", "7447"], ["is no endpoint", "tcp/127.0.0.1:7447"]),
+        (["node", *DAY, "--listen", "7447"], ["is not an endpoint", "tcp/127.0.0.1:7447"]),
         (["run", "--node", "office", "--controller", "rb"], ["no controller 'rb'", "'rbc'"]),
         (["monitor", "--save", "nowhere/run.rrd"], ["there is no folder", "nowhere"]),
         (["monitor", "--screenshot", "run.jpg"], ["--screenshot run.jpg", "a file .png expected"]),

@@ -383,7 +383,7 @@ def test_a_port_that_a_node_has_taken(folder: Path) -> None:
 
 def test_a_socket_that_is_taken(folder: Path) -> None:
     with NodeProgram(folder / "one", **SMALL) as node:
-        with pytest.raises(AddressInUse, match="exists already; name another path"):
+        with pytest.raises(AddressInUse, match="already exists; name another path"):
             NodeProgram(folder / "two", **SMALL, name="other", listen=[node.endpoint])
         with agent_sdk.connect(node.endpoint, affinity="off") as bus:
             assert bus.nodes() == ["office"]

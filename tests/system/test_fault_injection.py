@@ -274,7 +274,7 @@ def test_faults_are_set_and_ended_while_it_runs(stage: Stage) -> None:
     [
         ({"kind": "bias", "points": "core_zn_air_temprature", "offset": 1.0}, "no sensor or meter .*core_zn_air_temp"),
         ({"kind": "stuck", "actuators": SETPOINT, "value": 99.0}, "cannot be stuck at 99"),
-        ({"kind": "drop", "points": "*", "when": {"from_step": 97}}, "is never on"),
+        ({"kind": "drop", "points": "*", "when": {"from_step": 97}}, "is never active"),
         ({"kind": "bios", "points": "*"}, "no kind 'bios'.*'bias'"),
         ({"kind": "noise", "points": "*", "sigma": -1.0}, "sigma.*greater than 0"),
     ],

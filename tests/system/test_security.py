@@ -501,14 +501,14 @@ def test_settings_that_cannot_be(pki: Path, given: dict[str, Any], said: str) ->
 def test_all_faults_are_told_at_once(tmp_path: Path) -> None:
     with pytest.raises(UsageError) as raised:
         open_session(listen=["tcp/0.0.0.0:1"], connect=["here"], keys=tmp_path / "none", role=Role.NODE)
-    for said in ("'here' is no endpoint", "write tls/0.0.0.0:1", "--expose", "zenostat keys init"):
+    for said in ("'here' is not an endpoint", "write tls/0.0.0.0:1", "--expose", "zenostat keys init"):
         assert said in str(raised.value)
 
 
 def test_tls_without_keys() -> None:
     with pytest.raises(InvalidConfig, match=r"tls/127\.0\.0\.1:1 needs keys: zenostat keys init"):
         open_session(connect=["tls/127.0.0.1:1"])
-    with pytest.raises(InvalidConfig, match="of which keys"):
+    with pytest.raises(InvalidConfig, match="needs the folder of its keys"):
         open_session(connect=["tcp/127.0.0.1:1"], certificate="x")
 
 
