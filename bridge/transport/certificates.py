@@ -1,9 +1,9 @@
-"""Certificates: who may speak on a closed bus.
+"""Certificates of a secured bus.
 
-A folder of keys holds an authority (`ca.pem`, `ca.key`) and, for each program, `NAME.pem` and `NAME.key`. The role
-stands in a certificate as its common name, `zenostat-controller`, where Zenoh's access control finds it; the
-program's own name stands beside it as the organisational unit. Only a node's certificate is one of a TLS server, so
-nobody else's can be listened with.
+A folder of keys contains an authority (`ca.pem`, `ca.key`) and, for each program, `NAME.pem` and `NAME.key`. A
+certificate's common name is the role, such as `zenostat-controller`, which Zenoh's access control uses; its
+organizational unit is the program's name. Only node certificates are valid for TLS servers, so no other program can
+listen.
 """
 
 from __future__ import annotations
@@ -35,21 +35,21 @@ from topics.keys import Role, check_name
 AUTHORITY = "ca"
 DAYS = 365
 MAX_DAYS = 3650
-"""How long an authority is good, and so the most for a certificate of a new one."""
+"""Validity of an authority, and so the longest validity of its certificates."""
 
 _LOCAL = ("localhost", "127.0.0.1", "::1")
-_BACKDATED = timedelta(hours=1)  # clocks of two machines differ
+_BACKDATED = timedelta(hours=1)  # the clocks of machines differ
 
 
 @dataclass(frozen=True, slots=True)
 class Certificate:
-    """One certificate of a folder.
+    """A certificate in a folder.
 
     Attributes:
         name: of its files.
-        role: None is the authority itself.
-        expires: the end of its validity, UTC.
-        hosts: under which names and addresses a node may be reached.
+        role: None for the authority itself.
+        expires: end of its validity, UTC.
+        hosts: names and addresses of a node's machine.
         fault: why it cannot be used; empty if it can.
     """
 
@@ -62,7 +62,7 @@ class Certificate:
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """The files that a program shows on the bus, checked."""
+    """Validated files that a program presents on the bus."""
 
     authority: Path
     certificate: Path
@@ -70,70 +70,70 @@ class Identity:
 
 
 def make(folder: Path, *, hosts: Sequence[str] = (), days: int = DAYS, force: bool = False) -> list[Certificate]:
-    """Makes an authority and a certificate for each role.
+    """Create an authority and a certificate for each role.
 
     Args:
-        folder: made if it is not there.
+        folder: the folder, which is created if it does not exist.
         hosts: names and addresses of the node's machine, besides those of the loopback.
-        days: validity of the certificates; the authority's is ten years.
-        force: overwrite. Certificates of the former authority are worthless then.
+        days: validity of the certificates; the authority is valid for ten years.
+        force: overwrite existing files. Certificates of the previous authority become invalid.
 
     Raises:
-        InvalidConfig: files that are there already, a host that is none, days out of range.
+        InvalidConfig: existing files, an invalid host, days out of range.
     """
-    faults = ErrorCollector()
-    names = faults.collect(lambda: _hosts(hosts))
-    faults.collect(lambda: _days(days, MAX_DAYS))
+    errors = ErrorCollector()
+    names = errors.collect(lambda: _hosts(hosts))
+    errors.collect(lambda: _check_days(days, MAX_DAYS))
     if not force:
-        faults.collect(lambda: _refuse_existing(folder, [AUTHORITY, *ROLES]))
-    faults.raise_if_any()
-    key = ec.generate_private_key(ec.SECP256R1())
-    authority = _authority(key)
-    made = [(AUTHORITY, authority, key)]
+        errors.collect(lambda: _refuse_existing(folder, [AUTHORITY, *ROLES]))
+    errors.raise_if_any()
+    authority_key = ec.generate_private_key(ec.SECP256R1())
+    authority = _authority(authority_key)
+    created = [(AUTHORITY, authority, authority_key)]
     for role in ROLES:
-        own = ec.generate_private_key(ec.SECP256R1())
-        made.append((role, _issued(authority, key, own, role, role, names or (), days), own))
+        key = ec.generate_private_key(ec.SECP256R1())
+        created.append((role, _issued(authority, authority_key, key, role, role, names or (), days), key))
     _in_folder(folder, lambda: folder.mkdir(mode=0o700, parents=True, exist_ok=True))
-    for name, certificate, own in made:
-        _write(folder, name, certificate, own)
+    for name, certificate, key in created:
+        _write(folder, name, certificate, key)
     return show(folder)
 
 
 def add(
     folder: Path, role: Role, name: str, *, hosts: Sequence[str] = (), days: int = DAYS, force: bool = False
 ) -> Certificate:
-    """Makes another certificate of the folder's authority.
+    """Create another certificate of the folder's authority.
 
     Raises:
-        InvalidConfig: no authority there, or one whose key others may read, a name that is taken, hosts for a role that
-            does not listen, days that outlast the authority.
+        InvalidConfig: no authority, or one whose key other users can read, a name that is in use, hosts for a role that
+            does not listen, days beyond the authority's validity.
     """
     authority = _read(folder / f"{AUTHORITY}.pem")
-    key = _read_key(folder / f"{AUTHORITY}.key")
-    left = (authority.not_valid_after_utc - datetime.now(UTC)).days
-    faults = ErrorCollector()
-    faults.collect(lambda: _check_private(folder / f"{AUTHORITY}.key"))
-    faults.collect(lambda: _check_name(name))
-    names = faults.collect(lambda: _hosts(hosts)) if role is Role.NODE else ()
-    faults.collect(lambda: _days(days, left))
+    authority_key = _read_key(folder / f"{AUTHORITY}.key")
+    max_days = (authority.not_valid_after_utc - datetime.now(UTC)).days
+    errors = ErrorCollector()
+    errors.collect(lambda: _check_private(folder / f"{AUTHORITY}.key"))
+    errors.collect(lambda: _check_name(name))
+    names = errors.collect(lambda: _hosts(hosts)) if role is Role.NODE else ()
+    errors.collect(lambda: _check_days(days, max_days))
     if role not in ROLES:
-        faults.errors.append(InvalidConfig(f"there are no certificates for {role!r}; name one of {', '.join(ROLES)}"))
+        errors.errors.append(InvalidConfig(f"there are no certificates for {role!r}; name one of {', '.join(ROLES)}"))
     elif hosts and role is not Role.NODE:
-        faults.errors.append(InvalidConfig(f"a {role} does not listen; hosts are for a node's certificate"))
+        errors.errors.append(InvalidConfig(f"a {role} does not listen; hosts are for a node's certificate"))
     if not force:
-        faults.collect(lambda: _refuse_existing(folder, [name]))
-    faults.raise_if_any()
-    own = ec.generate_private_key(ec.SECP256R1())
-    made = _issued(authority, key, own, role, name, names or (), days)
-    _write(folder, name, made, own)
-    return _described(name, made, authority)
+        errors.collect(lambda: _refuse_existing(folder, [name]))
+    errors.raise_if_any()
+    key = ec.generate_private_key(ec.SECP256R1())
+    certificate = _issued(authority, authority_key, key, role, name, names or (), days)
+    _write(folder, name, certificate, key)
+    return _described(name, certificate, authority)
 
 
 def show(folder: Path) -> list[Certificate]:
-    """The certificates of a folder: the authority, then by role and name; one whose key others may read has a fault."""
+    """Return the certificates of a folder: authority first, then by role and name."""
     authority = _read(folder / f"{AUTHORITY}.pem")
-    found = [_shown(path, authority) for path in sorted(folder.glob("*.pem"))]
-    return sorted(found, key=lambda one: (-1 if one.role is None else ROLES.index(one.role), one.name))
+    certificates = [_shown(path, authority) for path in sorted(folder.glob("*.pem"))]
+    return sorted(certificates, key=lambda c: (-1 if c.role is None else ROLES.index(c.role), c.name))
 
 
 def _shown(path: Path, authority: x509.Certificate) -> Certificate:
@@ -143,42 +143,42 @@ def _shown(path: Path, authority: x509.Certificate) -> Certificate:
 
 
 def identity(folder: Path, role: Role, name: str | None = None) -> Identity:
-    """The files of the role's certificate, or of `name`'s, checked.
+    """Validate the role's certificate, or the one called `name`, and return its files.
 
     Raises:
-        InvalidConfig: no such folder or file, an expired certificate, one of another authority or role, a key that is
-            not its own or that others may read; all faults at once.
-        UnknownName: no certificate of that name.
+        InvalidConfig: no such folder or file, an expired certificate, one of another authority or role, a key that does
+            not match or that other users can read; the text lists all errors.
+        UnknownName: there is no certificate of that name.
     """
     name = name or role.value
     authority = _read(folder / f"{AUTHORITY}.pem")
     path, key = folder / f"{name}.pem", folder / f"{name}.key"
     if not path.exists():
-        known = [one.name for one in show(folder) if one.role is role]
+        known = [certificate.name for certificate in show(folder) if certificate.role is role]
         raise UnknownName(
             f"no certificate {name!r} in {folder}; {did_you_mean(name, known)}. "
-            f"Make it with: zenostat keys add {role} {name}"
+            f"Create it with: zenostat keys add {role} {name}"
         )
     certificate = _read(path)
-    faults = ErrorCollector()
+    errors = ErrorCollector()
     described = _described(name, certificate, authority)
     if described.fault:
-        faults.errors.append(InvalidConfig(f"{path}: {described.fault}"))
+        errors.errors.append(InvalidConfig(f"{path}: {described.fault}"))
     if described.role is not role:
-        faults.errors.append(InvalidConfig(f"{path} is of the role {described.role or 'authority'}; {role} expected"))
-    faults.collect(lambda: _check_key(key, certificate))
-    faults.raise_if_any()
+        errors.errors.append(InvalidConfig(f"{path} is of the role {described.role or 'authority'}; {role} expected"))
+    errors.collect(lambda: _check_key(key, certificate))
+    errors.raise_if_any()
     return Identity(folder / f"{AUTHORITY}.pem", path, key)
 
 
-# Making
+# Creation
 
 
 def _authority(key: ec.EllipticCurvePrivateKey) -> x509.Certificate:
     name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "zenostat-authority")])
     usage = _usage(signs_certificates=True)
     return (
-        _begun(name, name, key.public_key(), MAX_DAYS)
+        _builder(name, name, key.public_key(), MAX_DAYS)
         .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
         .add_extension(usage, critical=True)
         .sign(key, hashes.SHA256())
@@ -197,13 +197,13 @@ def _issued(
     subject = x509.Name(
         [
             x509.NameAttribute(NameOID.COMMON_NAME, common_name(role)),
-            x509.NameAttribute(NameOID.ORGANIZATIONAL_UNIT_NAME, name[:64]),  # the most that X.509 allows
+            x509.NameAttribute(NameOID.ORGANIZATIONAL_UNIT_NAME, name[:64]),  # the maximum of X.509
         ]
     )
     listens = role is Role.NODE
     uses = [ExtendedKeyUsageOID.CLIENT_AUTH] + [ExtendedKeyUsageOID.SERVER_AUTH] * listens
     builder = (
-        _begun(subject, authority.subject, key.public_key(), days)
+        _builder(subject, authority.subject, key.public_key(), days)
         .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
         .add_extension(_usage(signs_certificates=False), critical=True)
         .add_extension(x509.ExtendedKeyUsage(uses), critical=False)
@@ -217,7 +217,9 @@ def _issued(
     return builder.sign(authority_key, hashes.SHA256())
 
 
-def _begun(subject: x509.Name, issuer: x509.Name, key: ec.EllipticCurvePublicKey, days: int) -> x509.CertificateBuilder:
+def _builder(
+    subject: x509.Name, issuer: x509.Name, key: ec.EllipticCurvePublicKey, days: int
+) -> x509.CertificateBuilder:
     now = datetime.now(UTC)
     return (
         x509.CertificateBuilder()
@@ -246,11 +248,11 @@ def _usage(*, signs_certificates: bool) -> x509.KeyUsage:
 
 
 def _hosts(hosts: Sequence[str]) -> tuple[x509.GeneralName, ...]:
-    faults = ErrorCollector()
-    named = dict.fromkeys((*_LOCAL, *hosts))
-    found = [faults.collect(lambda host=host: _host(host)) for host in named]  # type: ignore[misc]
-    faults.raise_if_any()
-    return tuple(one for one in found if one is not None)
+    errors = ErrorCollector()
+    unique = dict.fromkeys((*_LOCAL, *hosts))
+    names = [errors.collect(lambda host=host: _host(host)) for host in unique]  # type: ignore[misc]
+    errors.raise_if_any()
+    return tuple(name for name in names if name is not None)
 
 
 def _host(host: str) -> x509.GeneralName:
@@ -260,7 +262,7 @@ def _host(host: str) -> x509.GeneralName:
         pass
     labels = host.split(".")
     if not host.isascii() or not all(_is_label(label) for label in labels) or labels[-1].isdigit():
-        raise InvalidConfig(f"{host!r} is no host; write a name (lab.example.org) or an address (192.168.1.20)")
+        raise InvalidConfig(f"{host!r} is not a host; write a name (lab.example.org) or an address (192.168.1.20)")
     return x509.DNSName(host)
 
 
@@ -268,24 +270,27 @@ def _is_label(text: str) -> bool:
     return 0 < len(text) < 64 and text.replace("-", "a").isalnum() and not text.startswith("-")
 
 
-def _days(days: int, most: int) -> None:
-    if not 1 <= days <= most:
-        raise InvalidConfig(f"{days} days of validity; 1 to {most} expected, since the authority is good for so long")
+def _check_days(days: int, max_days: int) -> None:
+    if not 1 <= days <= max_days:
+        raise InvalidConfig(f"{days} days of validity; 1 to {max_days} expected, the validity of the authority")
 
 
 def _check_name(name: str) -> None:
     check_name(name, "the certificate's name")
     if name == AUTHORITY:
-        raise InvalidConfig(f"{name!r} is the authority; name the certificate else")
+        raise InvalidConfig(f"{name!r} is the name of the authority; choose another name")
 
 
 # Files
 
 
 def _refuse_existing(folder: Path, names: Sequence[str]) -> None:
-    there = [f"{name}.{kind}" for name in names for kind in ("pem", "key") if (folder / f"{name}.{kind}").exists()]
-    if there:
-        raise InvalidConfig(f"{folder} has {', '.join(there)} already; name another folder or name, or use --force")
+    files = [f"{name}.{kind}" for name in names for kind in ("pem", "key")]
+    existing = [file for file in files if (folder / file).exists()]
+    if existing:
+        raise InvalidConfig(
+            f"{folder} already has {', '.join(existing)}; choose another folder or name, or use --force"
+        )
 
 
 def _write(folder: Path, name: str, certificate: x509.Certificate, key: ec.EllipticCurvePrivateKey) -> None:
@@ -298,14 +303,14 @@ def _write(folder: Path, name: str, certificate: x509.Certificate, key: ec.Ellip
 
 
 def _write_file(path: Path, data: bytes, mode: int) -> None:
-    path.unlink(missing_ok=True)  # never into a file that others may read, nor through a link
+    path.unlink(missing_ok=True)  # never write into a file that others can read, nor through a link
     with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as file:
         file.write(data)
 
 
-def _in_folder(folder: Path, do: Callable[[], None]) -> None:
+def _in_folder(folder: Path, function: Callable[[], None]) -> None:
     try:
-        do()
+        function()
     except OSError as error:
         raise InvalidConfig(f"cannot write to {folder}: {error.strerror}") from None
 
@@ -315,32 +320,32 @@ def _read(path: Path) -> x509.Certificate:
         return x509.load_pem_x509_certificate(path.read_bytes())
     except OSError:
         raise InvalidConfig(
-            f"there is no {path}; make a folder of keys with: zenostat keys init {path.parent}"
+            f"there is no {path}; create a folder of keys with: zenostat keys init {path.parent}"
         ) from None
     except ValueError:
-        raise InvalidConfig(f"{path} is no certificate (PEM)") from None
+        raise InvalidConfig(f"{path} is not a certificate (PEM)") from None
 
 
 def _read_key(path: Path) -> ec.EllipticCurvePrivateKey:
     try:
         key = load_pem_private_key(path.read_bytes(), None)
     except FileNotFoundError:
-        raise InvalidConfig(f"there is no {path}; it is on the machine where the keys were made") from None
+        raise InvalidConfig(f"there is no {path}; it is on the machine where the keys were created") from None
     except OSError as error:
         raise InvalidConfig(f"cannot read {path}: {error.strerror}") from None
     except (ValueError, TypeError):
-        raise InvalidConfig(f"{path} is no private key without a password (PEM)") from None
+        raise InvalidConfig(f"{path} is not a private key without a password (PEM)") from None
     if not isinstance(key, ec.EllipticCurvePrivateKey):
-        raise InvalidConfig(f"{path} is no key that zenostat keys has made")
+        raise InvalidConfig(f"{path} was not created by zenostat keys")
     return key
 
 
-# Checking
+# Validation
 
 
 def _check_key(path: Path, certificate: x509.Certificate) -> None:
     if _read_key(path).public_key() != certificate.public_key():
-        raise InvalidConfig(f"{path} is not the key of the certificate beside it")
+        raise InvalidConfig(f"{path} does not match the certificate next to it")
     _check_private(path)
 
 
@@ -350,18 +355,18 @@ def _check_private(key: Path) -> None:
 
 
 def _open_to_others(key: Path) -> str:
-    """What is wrong with the mode of a key's file; empty if nothing is, or there is none."""
+    """Return an error if other users can read a key's file; otherwise, or if it does not exist, an empty text."""
     if key.exists() and key.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO):
-        return f"can be read by others; make it yours alone: chmod 600 {key}"
+        return f"can be read by other users; restrict its permissions: chmod 600 {key}"
     return ""
 
 
 def _described(name: str, certificate: x509.Certificate, authority: x509.Certificate) -> Certificate:
-    said = [str(one.value) for one in certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)]
-    role = next((role for role in ROLES if said == [common_name(role)]), None)
+    common_names = [str(name.value) for name in certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)]
+    role = next((role for role in ROLES if common_names == [common_name(role)]), None)
     try:
         alternative = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
-        hosts = tuple(str(one.value) for one in alternative)
+        hosts = tuple(str(name.value) for name in alternative)
     except x509.ExtensionNotFound:
         hosts = ()
     return Certificate(name, role, certificate.not_valid_after_utc, hosts, _fault(certificate, authority))
@@ -370,11 +375,11 @@ def _described(name: str, certificate: x509.Certificate, authority: x509.Certifi
 def _fault(certificate: x509.Certificate, authority: x509.Certificate) -> str:
     now = datetime.now(UTC)
     if certificate.not_valid_after_utc < now:
-        return f"expired on {certificate.not_valid_after_utc:%Y-%m-%d}; make it anew with: zenostat keys add --force"
+        return f"expired on {certificate.not_valid_after_utc:%Y-%m-%d}; renew it with: zenostat keys add --force"
     if certificate.not_valid_before_utc > now:
         return f"not valid before {certificate.not_valid_before_utc:%Y-%m-%d %H:%M} UTC; is this machine's clock right?"
     try:
         certificate.verify_directly_issued_by(authority)
     except (ValueError, TypeError, InvalidSignature):
-        return "of another authority than ca.pem beside it; use a folder whose files were made together"
+        return "of another authority than ca.pem next to it; use a folder whose files were created together"
     return ""

@@ -78,9 +78,9 @@ def test_each_certificate_has_a_key_of_its_own(made: Path) -> None:
 
 def test_nothing_is_overwritten_unless_it_is_forced(made: Path) -> None:
     before = {path: path.read_bytes() for path in made.iterdir()}
-    with pytest.raises(InvalidConfig, match=r"has ca\.pem, ca\.key, node\.pem.* already.*--force"):
+    with pytest.raises(InvalidConfig, match=r"already has ca\.pem, ca\.key, node\.pem.*--force"):
         make(made)
-    with pytest.raises(InvalidConfig, match=r"monitor\.pem, monitor\.key already"):
+    with pytest.raises(InvalidConfig, match=r"already has monitor\.pem, monitor\.key"):
         add(made, Role.MONITOR, "monitor")
     assert {path: path.read_bytes() for path in made.iterdir()} == before
     make(made, force=True)
@@ -105,7 +105,7 @@ def test_certificates_of_a_former_authority_are_named(made: Path) -> None:
 def test_all_faults_of_a_call_are_told_at_once(tmp_path: Path) -> None:
     with pytest.raises(InvalidConfig) as raised:
         make(tmp_path / "keys", hosts=["a b", "-x.org", "300.1.1.1"], days=0)
-    for said in ("'a b' is no host", "'-x.org' is no host", "'300.1.1.1' is no host", "1 to 3650"):
+    for said in ("'a b' is not a host", "'-x.org' is not a host", "'300.1.1.1' is not a host", "1 to 3650"):
         assert said in str(raised.value)
     assert not (tmp_path / "keys").exists()
 
@@ -113,7 +113,7 @@ def test_all_faults_of_a_call_are_told_at_once(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("role", "name", "given", "said"),
     [
-        (Role.CONTROLLER, "ca", {}, "is the authority"),
+        (Role.CONTROLLER, "ca", {}, "is the name of the authority"),
         (Role.CONTROLLER, "../x", {}, "is not valid in a topic"),
         (Role.CONTROLLER, "x", {"hosts": ["h.org"]}, "does not listen"),
         (Role.ANYONE, "x", {}, "name one of node, controller, monitor"),
@@ -129,7 +129,7 @@ def test_what_cannot_be_added_is_refused(made: Path, role: Role, name: str, give
 
 def test_adding_needs_the_authority_s_key(made: Path) -> None:
     (made / "ca.key").unlink()
-    with pytest.raises(InvalidConfig, match=r"ca\.key; it is on the machine where the keys were made"):
+    with pytest.raises(InvalidConfig, match=r"ca\.key; it is on the machine where the keys were created"):
         add(made, Role.CONTROLLER, "second")
 
 
@@ -170,7 +170,7 @@ def test_all_faults_of_a_certificate_are_told_at_once(made: Path, tmp_path: Path
     shutil.copy(made / "node.key", made / "mine.key")
     with pytest.raises(InvalidConfig) as raised:
         identity(made, Role.CONTROLLER, "mine")
-    for said in ("another authority", "is of the role monitor; controller expected", "not the key of the certificate"):
+    for said in ("another authority", "is of the role monitor; controller expected", "does not match the certificate"):
         assert said in str(raised.value)
 
 
@@ -184,16 +184,18 @@ def test_a_key_that_others_may_read(made: Path) -> None:
 def test_an_authority_whose_key_others_may_read_is_named_and_makes_no_certificate(made: Path, mode: int) -> None:
     (made / "ca.key").chmod(mode)
     faults = {one.name: one.fault for one in show(made)}
-    assert faults.pop("ca") == f"ca.key can be read by others; make it yours alone: chmod 600 {made}/ca.key"
+    assert faults.pop("ca") == f"ca.key can be read by other users; restrict its permissions: chmod 600 {made}/ca.key"
     assert set(faults.values()) == {""}
-    with pytest.raises(InvalidConfig, match=r"ca\.key can be read by others; make it yours alone: chmod 600"):
+    with pytest.raises(InvalidConfig, match=r"ca\.key can be read by other users; restrict its permissions: chmod 600"):
         add(made, Role.CONTROLLER, "annex")
     assert not (made / "annex.pem").exists()
     (made / "ca.key").chmod(0o600)
     assert add(made, Role.CONTROLLER, "annex").fault == ""
 
 
-@pytest.mark.parametrize(("name", "said"), [("monitor.pem", "is no certificate"), ("monitor.key", "is no private key")])
+@pytest.mark.parametrize(
+    ("name", "said"), [("monitor.pem", "is not a certificate"), ("monitor.key", "is not a private key")]
+)
 def test_a_file_of_something_else(made: Path, name: str, said: str) -> None:
     (made / name).write_text("hello")
     with pytest.raises(InvalidConfig, match=said):

@@ -161,5 +161,5 @@ def test_listening_beyond_this_machine_must_be_asked_for(endpoint: str) -> None:
 def test_the_path_of_a_unix_socket_is_not_taken_over(tmp_path: Path) -> None:
     path = tmp_path / "bus"
     path.write_text("")
-    with pytest.raises(AddressInUse, match="exists already"):
+    with pytest.raises(AddressInUse, match="already exists"):
         open_session(listen=[f"unixsock-stream/{path}"])
