@@ -130,7 +130,8 @@ def select_points(
     wanted_actuators = default_actuators(available) if actuators is None else actuators
     duplicates = set(wanted_sensors) & set(wanted_meters)
     if duplicates:
-        errors.found.append(InvalidConfig(f"names used for both a sensor and a meter: {', '.join(sorted(duplicates))}"))
+        duplicate_names = ", ".join(sorted(duplicates))
+        errors.errors.append(InvalidConfig(f"names used for both a sensor and a meter: {duplicate_names}"))
     selected_sensors = _each(wanted_sensors, lambda n, s: _sensor(available, n, s), errors)
     selected_meters = _each(wanted_meters, lambda n, s: _meter(available, n, s), errors)
     selected_actuators = _each(wanted_actuators, lambda n, s: _actuator(building, available, n, s), errors)
@@ -151,7 +152,7 @@ def _each(wanted: Mapping[str, S], find: Callable[[str, S], T], errors: ErrorCol
         try:
             points.append(find(check_name(name, "the point name"), spec))
         except UsageError as error:
-            errors.found.append(error)
+            errors.errors.append(error)
     return points
 
 

@@ -218,7 +218,7 @@ def read_scenario(
         invalid = {detail["loc"][0] if detail["loc"] else None for detail in error.errors(include_url=False)}
     if errors is None or None in invalid:  # None: an error of several fields together
         raise config_error
-    errors.found.append(config_error)
+    errors.errors.append(config_error)
     valid = {name: value for name, value in fields.items() if name not in invalid}
     return Scenario.model_validate({"building": "", "weather": ("",), **valid})
 
