@@ -1,4 +1,4 @@
-"""`zenostat read`: what a running node's points are now."""
+"""`zenostat read`: the present values of a node's points."""
 
 from __future__ import annotations
 
@@ -22,9 +22,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One point at one sample; `value` is None where EnergyPlus does not tell.
+    """One point at one sample.
 
-    `value_source` is who set an actuator, empty for the building's own control; None for what is no actuator.
+    `value` is None where EnergyPlus does not report it. `value_source` names who set an actuator: empty for baseline
+    control, None for sensors and meters.
     """
 
     kind: str
@@ -37,17 +38,17 @@ class Row:
 
 
 def read(
-    node: Annotated[str, typer.Argument(help="The node's name.")],
-    points: Annotated[list[str] | None, typer.Argument(help="Names of points; all if left out.")] = None,
-    slot: Annotated[int, typer.Option(min=0, help="Which engine of a node that has several.")] = 0,
+    node: Annotated[str, typer.Argument(help="Name of the node.")],
+    points: Annotated[list[str] | None, typer.Argument(help="Names of points. Default: all.")] = None,
+    slot: Annotated[int, typer.Option(min=0, help="Slot of a node with several engines.")] = 0,
     connect: Connect = None,
     keys: Keys = None,
     certificate: CertificateName = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """Shows the latest sample of a node: values with units, what each actuator really was and who set it.
+    """Show the latest sample of a node: values with units, and each actuator's effective value and source.
 
-    With keys, as a monitor.
+    With keys, it uses the monitor role.
 
     Example: `zenostat read office core_zn_air_temperature core_zn_cooling_setpoint`
     """
@@ -57,62 +58,70 @@ def read(
     with connect_bus(connect, keys=keys, role=Role.MONITOR, certificate=certificate) as bus:
         sample = bus.read(node, slot=slot)
     check_points(sample.manifest, points or [])
-    found = rows(sample, points or [])
+    listed = rows(sample, points or [])
     if as_json:
-        show_json({"node": node, **where(sample), "points": [asdict(row) for row in found]})
+        show_json({"node": node, **sample_id(sample), "points": [asdict(row) for row in listed]})
         return
-    columns = ("kind", "name", "value", "unit", "low", "high", "ruled by")
+    columns = ("kind", "name", "value", "unit", "low", "high", "value source")
     title = f"{node} at {sample.time}: sample {sample.step} of episode {sample.episode}"
     show(
         title,
         columns,
-        [_cells(row) for row in found],
+        [_cells(row) for row in listed],
         right=("value", "low", "high"),
-        wrap=("name", "ruled by"),
+        wrap=("name", "value source"),
     )
 
 
 def check_points(manifest: Manifest, names: Sequence[str]) -> None:
-    """Raises `UnknownName` for all names that the node does not have, with near ones."""
+    """Check that the node has all named points.
+
+    Raises:
+        UnknownName: it lacks some; the text suggests similar names for each.
+    """
     known = [*manifest.names, *(a.name for a in manifest.actuators)]
     unknown = [f"node {manifest.node!r} has no point {n!r}; {did_you_mean(n, known)}" for n in names if n not in known]
     if unknown:
         raise UnknownName("\n".join(unknown))
 
 
-def where(sample: SampleView) -> dict[str, Any]:
-    """Which sample it is, for JSON."""
+def sample_id(sample: SampleView) -> dict[str, Any]:
+    """Return episode, step and time of a sample, for JSON."""
     return {"episode": sample.episode, "step": sample.step, "time": sample.time.isoformat()}
 
 
 def rows(sample: SampleView, names: Sequence[str]) -> list[Row]:
-    """The named points of a sample, or all: sensors, meters, actuators, each in the manifest's order."""
-    manifest, wanted = sample.manifest, set(names)
+    """Return the named points of a sample, or all: sensors, meters, actuators, each in the manifest's order."""
+    manifest, selected = sample.manifest, set(names)
     points: list[tuple[str, Sensor | Meter]] = [("sensor", sensor) for sensor in manifest.sensors]
     points += [("meter", meter) for meter in manifest.meters]
-    found = [
+    listed = [
         Row(kind, point.name, number(value), point.unit, point.low, point.high)
         for (kind, point), value in zip(points, sample.values.tolist(), strict=True)
     ]
     sources, effective = sample.value_source, sample.effective.tolist()
-    found += [
+    listed += [
         Row("actuator", a.name, number(value), a.unit, a.low, a.high, sources[a.name])
         for a, value in zip(manifest.actuators, effective, strict=True)
     ]
-    return [row for row in found if not wanted or row.name in wanted]
+    return [row for row in listed if not selected or row.name in selected]
 
 
 def number(value: float) -> float | None:
-    """None for NaN: EnergyPlus does not tell."""
+    """Replace NaN, which stands for a value that EnergyPlus does not report, by None."""
     return None if math.isnan(value) else value
 
 
-def shown(value: float | None) -> str:
-    """A value for people: six figures; a dash where there is none."""
+def format_value(value: float | None) -> str:
+    """Format a value with six significant digits; None as a dash."""
     return "-" if value is None else f"{value:.6g}"
 
 
 def _cells(row: Row) -> tuple[str, ...]:
     low, high = ("" if bound is None else f"{bound:g}" for bound in (row.low, row.high))
-    source_index = "" if row.value_source is None else row.value_source or "the building"
-    return row.kind, row.name, shown(row.value), row.unit, low, high, source_index
+    return row.kind, row.name, format_value(row.value), row.unit, low, high, format_source(row)
+
+
+def format_source(row: Row) -> str:
+    """Format the value source; empty for sensors and meters."""
+    return "" if row.value_source is None else row.value_source or "baseline control"

@@ -1,4 +1,4 @@
-"""`zenostat watch`: a running node's points as they change."""
+"""`zenostat watch`: a live table of a node's points."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rich.live import Live
 from bridge.transport.session import default_endpoint
 from cli.console import err, out
 from cli.options import CertificateName, Connect, Keys
-from cli.read import Row, check_points, shown, where
+from cli.read import Row, check_points, format_source, format_value, sample_id
 from cli.read import rows as rows_of
 from cli.tables import fitted
 from topics.errors import NodeLost
@@ -26,23 +26,22 @@ if TYPE_CHECKING:
     from agent_sdk import Bus
     from agent_sdk.bus.sample import SampleView
 
-_A_SECOND = 10
-"""How often the table is drawn."""
+_REFRESHES_PER_SECOND = 10
 
 
 def watch(
-    node: Annotated[str, typer.Argument(help="The node's name.")],
-    points: Annotated[list[str] | None, typer.Argument(help="Names of points; all if left out.")] = None,
-    steps: Annotated[int | None, typer.Option(min=1, help="End after so many samples.")] = None,
-    slot: Annotated[int, typer.Option(min=0, help="Which engine of a node that has several.")] = 0,
+    node: Annotated[str, typer.Argument(help="Name of the node.")],
+    points: Annotated[list[str] | None, typer.Argument(help="Names of points. Default: all.")] = None,
+    steps: Annotated[int | None, typer.Option(min=1, help="Stop after this many samples.")] = None,
+    slot: Annotated[int, typer.Option(min=0, help="Slot of a node with several engines.")] = 0,
     connect: Connect = None,
     keys: Keys = None,
     certificate: CertificateName = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print a line of JSON a sample.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one line of JSON per sample.")] = False,
 ) -> None:
-    """Shows a node's points as they change, from the present sample on, until Ctrl-C or the node's end.
+    """Show a node's points as they change, with their extremes, until Ctrl-C or until the node stops.
 
-    With keys, as a monitor.
+    With keys, it uses the monitor role.
 
     Example: `zenostat watch office core_zn_air_temperature core_zn_cooling_setpoint`
     """
@@ -54,68 +53,67 @@ def watch(
     try:
         with connect_bus(connect, keys=keys, role=Role.MONITOR, certificate=certificate) as bus:
             check_points(bus.manifest(node), names)
-            drawn = Live(console=out, get_renderable=table.drawn, refresh_per_second=_A_SECOND)
-            with nullcontext() if as_json else drawn:
+            live = Live(console=out, get_renderable=table.render, refresh_per_second=_REFRESHES_PER_SECOND)
+            with nullcontext() if as_json else live:
                 for sample in islice(_samples(bus, node, slot), steps):
                     if as_json:
-                        _say(sample, names)
+                        _print_json(sample, names)
                     else:
-                        table.take(sample, names)
-    except NodeLost as lost:
-        err.print(str(lost), markup=False)
-    except KeyboardInterrupt:  # the way to end it
+                        table.update(sample, names)
+    except NodeLost as error:
+        err.print(str(error), markup=False)
+    except KeyboardInterrupt:  # the usual way to stop
         return
 
 
 def _samples(bus: Bus, node: str, slot: int) -> Iterator[SampleView]:
-    """The present sample, and all that come; each once."""
-    with bus.listen(node) as coming:
+    """Yield the latest sample and all that follow, each once."""
+    with bus.listen(node) as stream:
         latest = bus.read(node, slot=slot)
         yield latest
-        for sample in coming:
+        for sample in stream:
             sample.slot = slot
             if (sample.episode, sample.step) > (latest.episode, latest.step):
                 latest = sample
                 yield sample
 
 
-def _say(sample: SampleView, names: Sequence[str]) -> None:
-    """One line of JSON."""
-    found = rows_of(sample, names)
+def _print_json(sample: SampleView, names: Sequence[str]) -> None:
+    listed = rows_of(sample, names)
     line = {
-        **where(sample),
-        "points": {row.name: row.value for row in found if row.value_source is None},
-        "actuators": {row.name: row.value for row in found if row.value_source is not None},
+        **sample_id(sample),
+        "points": {row.name: row.value for row in listed if row.value_source is None},
+        "actuators": {row.name: row.value for row in listed if row.value_source is not None},
     }
     sys.stdout.write(json.dumps(line) + "\n")
     sys.stdout.flush()
 
 
 class _Extremes:
-    """The latest values, and the smallest and largest since it began."""
+    """Table of the latest values, and the smallest and largest since the command started."""
 
     def __init__(self) -> None:
         self._title = ""
         self._lines: list[tuple[Row, float | None, float | None]] = []
 
-    def take(self, sample: SampleView, names: Sequence[str]) -> None:
-        found = rows_of(sample, names)
-        before = [(low, high) for _, low, high in self._lines] or [(None, None)] * len(found)
+    def update(self, sample: SampleView, names: Sequence[str]) -> None:
+        """Replace the values by those of a sample, and widen the extremes."""
+        listed = rows_of(sample, names)
+        extremes = [(low, high) for _, low, high in self._lines] or [(None, None)] * len(listed)
         self._title = f"{sample.manifest.node} at {sample.time}: sample {sample.step} of episode {sample.episode}"
-        self._lines = [(row, *_widened(row.value, low, high)) for row, (low, high) in zip(found, before, strict=True)]
+        self._lines = [(row, *_widen(row.value, low, high)) for row, (low, high) in zip(listed, extremes, strict=True)]
 
-    def drawn(self) -> RenderableType:
-        """As it is now; the thread that draws asks ten times a second."""
+    def render(self) -> RenderableType:
+        """Return the table; the thread of `rich.live.Live` calls this."""
         rows = []
         for row, low, high in self._lines:
-            source_index = "" if row.value_source is None else row.value_source or "the building"
-            rows.append((row.name, row.kind, row.unit, shown(row.value), shown(low), shown(high), source_index))
-        numbers = ("value", "min", "max")
-        columns = ("name", "kind", "unit", *numbers, "ruled by")
-        return fitted(columns, rows, out.width, title=self._title, right=numbers, wrap=("name", "ruled by"))
+            numbers = (format_value(row.value), format_value(low), format_value(high))
+            rows.append((row.name, row.kind, row.unit, *numbers, format_source(row)))
+        columns = ("name", "kind", "unit", "value", "min", "max", "value source")
+        return fitted(columns, rows, out.width, title=self._title, right=columns[3:6], wrap=("name", "value source"))
 
 
-def _widened(value: float | None, low: float | None, high: float | None) -> tuple[float | None, float | None]:
+def _widen(value: float | None, low: float | None, high: float | None) -> tuple[float | None, float | None]:
     if value is None:
         return low, high
     return (value if low is None else min(low, value)), (value if high is None else max(high, value))

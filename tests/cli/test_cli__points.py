@@ -81,7 +81,7 @@ def test_a_write_rules_until_it_is_released(node: NodeProgram, bus: agent_sdk.Bu
 
 
 def test_a_write_for_half_an_hour_rules_two_quarters(node: NodeProgram, bus: agent_sdk.Bus) -> None:
-    written = zenostat(node.endpoint, "write", "office", POINT, "26", "--for", "30min", "--source", "ann")
+    written = zenostat(node.endpoint, "write", "office", POINT, "26", "--duration", "30min", "--source", "ann")
     assert written.stdout == f"office: {POINT} = 26 degC at priority 8 for 30min\n"
     with bus.controller("office") as link:
         assert [who for _, who in sources(link, 4)] == ["ann", "ann", "", ""]
@@ -126,7 +126,7 @@ def test_what_the_node_refuses_ends_with_1_and_its_reason(node: NodeProgram, bus
         (["relinquish", "office", "core_zn_coling_setpoint"], 2, ["no actuator", f"near names: '{POINT}'"]),
         (["write", "office", POINT, "nan"], 2, [f"{POINT}: value"]),
         (["write", "office", POINT, "warm"], 2, ["Invalid value"]),
-        (["write", "office", POINT, "26", "--for", "2 weeks"], 2, ["--for 2 weeks", "90s, 15min, 2h, 1d"]),
+        (["write", "office", POINT, "26", "--duration", "2 weeks"], 2, ["--duration 2 weeks", "90s, 15min, 2h, 1d"]),
         (["write", "office", POINT, "26", "--priority", "17"], 2, ["Invalid value", "16"]),
         (["read", "office", "core_zn_air", "outdor_temperature"], 2, [f"'{AIR}'", "'outdoor_temperature'"]),
         (["read", "office", "--slot", "1"], 2, ["no slot 1", "0 to 0"]),
@@ -238,7 +238,7 @@ def test_read_shows_the_latest_sample(node: NodeProgram, bus: agent_sdk.Bus) -> 
         assert np.array_equal(effective, sample.effective, equal_nan=True)
         assert {row["name"]: row["value_source"] for row in kinds["actuator"]} == sample.value_source
         lines = zenostat(node.endpoint, "read", "office", AIR).stdout.splitlines()
-        assert lines[0].split() == ["kind", "name", "value", "unit", "low", "high", "ruled", "by"]
+        assert lines[0].split() == ["kind", "name", "value", "unit", "low", "high", "value", "source"]
         assert lines[1].split()[:4] == ["sensor", AIR, f"{sample[AIR]:.6g}", "degC"]
         assert len(lines) == 2
 
