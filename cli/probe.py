@@ -1,4 +1,4 @@
-"""`zenostat probe`: what each actuator of a scenario does to the building."""
+"""`zenostat probe`: how the points of a building respond to each actuator of a scenario."""
 
 from __future__ import annotations
 
@@ -18,67 +18,79 @@ if TYPE_CHECKING:
     from agent_sdk.evaluation.probe import ProbeReport, Progress
     from agent_sdk.evaluation.probe_effects import Effect
 
-_MOST = 5
-"""Points of an actuator that the table shows; `--json` has all."""
+_MAX_POINTS = 5
+"""Points for each actuator in the table; `--json` has all."""
 
 
 def probe(
-    scenario: Annotated[str, typer.Argument(help="An id, as `zenostat scenarios` lists them, or a scenario file.")],
+    scenario: Annotated[str, typer.Argument(help="Scenario id (see `zenostat scenarios`) or scenario file.")],
     hours: Annotated[float, typer.Option(help="Simulated hours of each branch.")] = 3.0,
-    days: Annotated[int, typer.Option(min=1, help="Days that branches begin on, spread over the run period.")] = 4,
-    at: Annotated[list[float] | None, typer.Option(help="Hour of the day; repeated. Without: 7 and 15.")] = None,
+    days: Annotated[
+        int, typer.Option(min=1, help="Number of days, spread over the run period, on which branches start.")
+    ] = 4,
+    at: Annotated[
+        list[float] | None, typer.Option(help="Hour of the day at which branches start; repeatable. Default: 7 and 15.")
+    ] = None,
     points: Annotated[
-        list[str] | None, typer.Option(help="A sensor or meter to compare, or a pattern ('*temperature'); repeated.")
+        list[str] | None,
+        typer.Option(help="Sensor or meter to compare, or a pattern ('*temperature'); repeatable. Default: all."),
     ] = None,
     low: Annotated[
-        list[str] | None, typer.Option(metavar="NAME=VALUE", help="What an actuator is held at, in place of its bound.")
+        list[str] | None,
+        typer.Option(metavar="NAME=VALUE", help="Value to use instead of an actuator's lower bound; repeatable."),
     ] = None,
-    high: Annotated[list[str] | None, typer.Option(metavar="NAME=VALUE", help="The same at the other end.")] = None,
+    high: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=VALUE", help="Value to use instead of an actuator's upper bound; repeatable."),
+    ] = None,
     begin: Annotated[str | None, typer.Option(help="First day, MM-DD or YYYY-MM-DD.")] = None,
-    end: Annotated[str | None, typer.Option(help="Last day.")] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of the episode.")] = 0,
-    given: Annotated[
+    end: Annotated[str | None, typer.Option(help="Last day, MM-DD or YYYY-MM-DD.")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the episode.")] = 0,
+    overrides: Annotated[
         list[str] | None,
         typer.Option(
-            "--set", metavar="NAME=VALUE", help="A setting of the scenario (weather, control, ...); repeated."
+            "--set",
+            metavar="NAME=VALUE",
+            help="Override an argument of the scenario (weather, control, ...); repeatable.",
         ),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """Holds each actuator low and high for some hours in branches of the running building, and says what feels it.
+    """Hold each actuator low and high in branches of the running building, and list the points that respond.
 
     Example: `zenostat probe ref-small-office-USA_CO_Denver-continuous-v1 --begin 07-03 --end 07-07 --hours 2`
     """
-    faults = ErrorCollector()
-    sides = [faults.collect(lambda o=o, t=t: _numbers(o, t)) for o, t in (("--low", low), ("--high", high))]  # type: ignore[misc]
-    settings = faults.collect(lambda: read_parameters(given or [])) or {}
-    faults.raise_if_any()
-    settings |= {name: day for name, day in (("begin", begin), ("end", end)) if day is not None}
+    errors = ErrorCollector()
+    lows = errors.collect(lambda: _read_values("--low", low))
+    highs = errors.collect(lambda: _read_values("--high", high))
+    arguments = errors.collect(lambda: read_parameters(overrides or [])) or {}
+    errors.raise_if_any()
+    arguments |= {name: day for name, day in (("begin", begin), ("end", end)) if day is not None}
     from agent_sdk.evaluation.probe import probe as run
 
     with ExitStack() as stack:
         watch = None if as_json else _watcher(stack, scenario)
-        found = run(
-            scenario, hours=hours, days=days, at=at or (7, 15), points=points or (), low=sides[0], high=sides[1],
-            seed=seed, progress=watch, **settings,
+        report = run(
+            scenario, hours=hours, days=days, at=at or (7, 15), points=points or (), low=lows, high=highs, seed=seed,
+            progress=watch, **arguments,
         )  # fmt: skip
     if as_json:
-        show_json(_plain(found))
+        show_json(_as_json(report))
     else:
-        _show(found, scenario)
+        _show(report, scenario)
 
 
-def _numbers(option: str, given: Sequence[str] | None) -> dict[str, float]:
-    found: dict[str, float] = {}
-    for text in given or ():
+def _read_values(option: str, texts: Sequence[str] | None) -> dict[str, float]:
+    values: dict[str, float] = {}
+    for text in texts or ():
         name, _, value = text.partition("=")
         try:
-            found[name] = float(value)
+            values[name] = float(value)
         except ValueError:
             raise InvalidConfig(
-                f"{option} {text}: an actuator and a number expected, as {option} heating_setpoint=18"
+                f"{option} {text}: expected an actuator and a number, for example {option} heating_setpoint=18"
             ) from None
-    return found
+    return values
 
 
 def _watcher(stack: ExitStack, scenario: str) -> Progress:
@@ -92,30 +104,31 @@ def _watcher(stack: ExitStack, scenario: str) -> Progress:
     return watch
 
 
-def _plain(found: ProbeReport) -> dict[str, Any]:
-    """All of it, times as texts."""
-    manifest = found.manifest
-    effects = [asdict(effect) for effect in found.effects]
+def _as_json(report: ProbeReport) -> dict[str, Any]:
+    """Convert to JSON built-ins."""
+    manifest = report.manifest
+    effects = [asdict(effect) for effect in report.effects]
     for effect in effects:
-        for felt in effect["felt"]:
-            felt["time"] = felt["time"].isoformat()
+        for response in effect["responses"]:
+            response["time"] = response["time"].isoformat()
     return {
         "building": manifest.building,
         "weather": manifest.weather,
-        "times": [time.isoformat() for time in found.times],
-        "hours": found.hours,
+        "times": [time.isoformat() for time in report.times],
+        "hours": report.hours,
         "timestep_min": 60 / manifest.steps_per_hour,
         "actuators": effects,
     }
 
 
-def _show(found: ProbeReport, scenario: str) -> None:
-    columns = ("actuator", "held at", "first felt", "by", "difference", "of its range", "held", "after")
-    title = f"{scenario}: {len(found.times)} steps, held for {found.hours:g} h"
-    rows = [row for effect in found.effects for row in _rows(effect)]
-    show(title, columns, rows, right=("first felt", "difference", "of its range", "after"), wrap=("actuator", "by"))
-    for effect in found.effects:
-        for text in _texts(effect):
+def _show(report: ProbeReport, scenario: str) -> None:
+    numbers = ("first response", "difference", "share of range", "after")
+    columns = ("actuator", "held at", numbers[0], "point", *numbers[1:3], "branch", numbers[3])
+    title = f"{scenario}: each actuator held for {report.hours:g} h from {len(report.times)} samples"
+    rows = [row for effect in report.effects for row in _rows(effect)]
+    show(title, columns, rows, right=numbers, wrap=("actuator", "point"))
+    for effect in report.effects:
+        for text in _notes(effect):
             out.print(text, soft_wrap=True, markup=False)
 
 
@@ -123,12 +136,12 @@ def _rows(effect: Effect) -> Iterator[tuple[str, ...]]:
     unit = _unit(effect.unit)
     first = "never" if effect.first_min is None else f"{effect.first_min:g} min"
     head = (effect.actuator, f"{effect.low:.4g}, {effect.high:.4g}{unit}", first)
-    if not effect.felt:
-        yield (*head, "nothing", "", "", "", "")
-    for felt in effect.felt[:_MOST]:
-        difference = f"{felt.difference:,.4g}{_unit(felt.unit)}"
-        when = f"{felt.side}, {felt.time:%d %b %H:%M}"
-        yield (*head, felt.point, difference, f"{felt.share:.0%}", when, f"{felt.after_min:g} min")
+    if not effect.responses:
+        yield (*head, "none", "", "", "", "")
+    for response in effect.responses[:_MAX_POINTS]:
+        difference = f"{response.difference:,.4g}{_unit(response.unit)}"
+        branch = f"{response.side}, {response.time:%d %b %H:%M}"
+        yield (*head, response.point, difference, f"{response.share:.0%}", branch, f"{response.after_min:g} min")
         head = ("", "", "")
 
 
@@ -136,10 +149,10 @@ def _unit(unit: str) -> str:
     return "" if unit in ("", "1") else f" {unit}"
 
 
-def _texts(effect: Effect) -> Iterator[str]:
-    if not effect.felt:
-        exact = "to the last bit" if effect.identical else "beyond rounding"
-        yield f"{effect.actuator} has no effect on any point: nothing differs {exact} in any branch"
+def _notes(effect: Effect) -> Iterator[str]:
+    if not effect.responses:
+        exact = "exactly equal" if effect.identical else "equal up to rounding"
+        yield f"{effect.actuator} has no effect: all points are {exact} in all branches"
     if effect.pass_through:
-        yield f"{effect.actuator}: only repeated by {', '.join(effect.pass_through)}"
+        yield f"{effect.actuator}: only passed through by {', '.join(effect.pass_through)}"
     yield from (f"{effect.actuator}: {note}" for note in effect.notes)

@@ -1,4 +1,4 @@
-"""`zenostat run`: a controller in a process of its own."""
+"""`zenostat run`: run a controller in its own process."""
 
 from __future__ import annotations
 
@@ -27,48 +27,53 @@ _WORDS = {"true": True, "false": False}
 
 
 def run(
-    node: Annotated[str, typer.Option(help="The node's name.")],
+    node: Annotated[str, typer.Option(help="Name of the node.")],
     controller: Annotated[
         str,
         typer.Option(
-            help="building (its own control), rbc (rules on comfort bands), random, fixed, setback (by the clock), "
-            "incremental, pid; or a class of your own: path/to/file.py:MyController or package.module:MyController."
+            help="building (baseline control), rbc (rules on comfort bands), random, fixed, setback (by the clock), "
+            "incremental, pid; or your own class: path/to/file.py:MyController or package.module:MyController."
         ),
     ] = "rbc",
     parameters: Annotated[
-        list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="A parameter of the controller; repeated.")
+        list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Parameter of the controller; repeatable.")
     ] = None,
     seed: Annotated[
         int | None,
-        typer.Option(min=0, metavar="N", help="Of what the controller draws, and of the first episode begun here."),
+        typer.Option(
+            min=0, metavar="N", help="Seed of the controller, and of the first episode that this command starts."
+        ),
     ] = None,
     connect: Connect = None,
     keys: Keys = None,
     certificate: CertificateName = None,
     priority: Annotated[
-        int, typer.Option(min=1, max=16, metavar="1-16", help="Priority level; 1 is the highest.")
+        int, typer.Option(min=1, max=16, metavar="1-16", help="Priority of the commands; 1 is the highest.")
     ] = 10,
-    episodes: Annotated[int, typer.Option(min=1, metavar="N", help="How many episodes to control.")] = 1,
-    reset: Annotated[bool, typer.Option("--reset", help="Begin a new episode instead of joining.")] = False,
+    episodes: Annotated[int, typer.Option(min=1, metavar="N", help="Number of episodes to control.")] = 1,
+    reset: Annotated[
+        bool, typer.Option("--reset", help="Start a new episode instead of joining the running one.")
+    ] = False,
 ) -> None:
-    """Controls a node, from the sample that it stands at to the episode's end.
+    """Control a node, from its present sample to the end of the episode.
 
     Example: `zenostat run --node office --controller rbc --set margin=0.5`
     """
     from agent_sdk import connect as connect_bus
     from agent_sdk.controllers import Agent, load_controller, make_controller
 
-    made_by = load_controller(controller)
-    given = _seeded(made_by, read_parameters(parameters or []), seed, begins=reset or episodes > 1, name=controller)
+    factory = load_controller(controller)
+    starts_episode = reset or episodes > 1
+    arguments = _with_seed(factory, read_parameters(parameters or []), seed, starts_episode, controller)
     name = safe_name(controller.rpartition(":")[2])
     with connect_bus(connect or default_endpoint(keys), keys=keys, certificate=certificate) as bus:
-        agent = Agent(make_controller(made_by, bus.manifest(node), given))
+        agent = Agent(make_controller(factory, bus.manifest(node), arguments))
         results: dict[str, tuple[EpisodeMetrics, float]] = {}
         with bus.controller(node, name=name, priority=priority) as link, progress() as bars:
             for number in range(episodes):
                 if reset or number:
                     link.reset(seed=seed)
-                    seed = None  # the sequence that it began goes on
+                    seed = None  # later episodes continue the seed sequence
                 heading = controller if episodes == 1 else f"episode {number + 1}"
                 results[heading] = _episode(link, agent, bars)
     out.print(f"{node}: {episodes} episode{'s' if episodes > 1 else ''} controlled by {controller}")
@@ -76,46 +81,46 @@ def run(
 
 
 def _episode(link: ControllerLink, agent: Agent, bars: Progress) -> tuple[EpisodeMetrics, float]:
-    """Answer all samples to the episode's end, and show how far it is; its totals and its timesteps per second."""
+    """Answer all samples of one episode and show progress; return its metrics and its timesteps per second."""
     from agent_sdk.evaluation.metrics import MetricsAccumulator
 
     bar = bars.add_task(f"{link.manifest.node}: {link.name}", total=link.manifest.steps, rate="")
-    tally, rate = MetricsAccumulator(link.manifest), 0.0
+    metrics, rate = MetricsAccumulator(link.manifest), 0.0
     start, first, shown = time.monotonic(), None, 0.0
     for sample in link:
         if not sample.truncated:
             sample.send(agent.values(sample))
         if first is None:
             first = sample.step
-            tally.begin(sample)  # an earlier timestep was not this controller's
+            metrics.begin(sample)  # earlier timesteps were not under this controller
         else:
-            tally.add(sample)
+            metrics.add(sample)
         now = time.monotonic()
         if now - shown > 0.1 or sample.truncated:
             shown = now
             rate = (sample.step - first) / max(now - start, 1e-9)
             bars.update(bar, completed=sample.step, rate=f"{rate:,.0f} steps/s")
-    return tally.result(), rate
+    return metrics.result(), rate
 
 
-def read_parameters(given: Sequence[str]) -> dict[str, Any]:
-    """`name=value` texts by name; a value is a number, true or false where it reads as one, else a text.
+def read_parameters(texts: Sequence[str]) -> dict[str, Any]:
+    """Parse texts of the form `name=value`; a value is read as a Boolean or a number if possible, else as a string.
 
     Raises:
-        InvalidConfig: another form, or a name that stands twice.
+        InvalidConfig: another form, or a name occurs twice.
     """
-    found: dict[str, Any] = {}
-    for text in given:
+    parameters: dict[str, Any] = {}
+    for text in texts:
         name, equals, value = text.partition("=")
         if not equals or not name:
-            raise InvalidConfig(f"--set {text}: a name and a value expected, as --set margin=0.5")
-        if name in found:
-            raise InvalidConfig(f"--set {name} stands twice: {found[name]} and {value}")
-        found[name] = _read(value)
-    return found
+            raise InvalidConfig(f"--set {text}: expected a name and a value, for example --set margin=0.5")
+        if name in parameters:
+            raise InvalidConfig(f"--set {name} occurs twice: {parameters[name]} and {value}")
+        parameters[name] = _read_value(value)
+    return parameters
 
 
-def _read(text: str) -> bool | float | str:
+def _read_value(text: str) -> bool | float | str:
     if text.casefold() in _WORDS:
         return _WORDS[text.casefold()]
     for kind in (int, float):
@@ -126,18 +131,18 @@ def _read(text: str) -> bool | float | str:
     return text
 
 
-def _seeded(
-    made_by: Callable[..., Any], given: dict[str, Any], seed: int | None, *, begins: bool, name: str
+def _with_seed(
+    factory: Callable[..., Any], parameters: dict[str, Any], seed: int | None, starts_episode: bool, name: str
 ) -> dict[str, Any]:
-    """The parameters with the seed, where the controller takes one."""
+    """Add the seed to the parameters of a controller that has one."""
     if seed is None:
-        return given
-    if "seed" in inspect.signature(made_by).parameters:
-        if "seed" in given:
-            raise InvalidConfig(f"--seed {seed} and --set seed={given['seed']}: leave one of them out")
-        return {**given, "seed": seed}
-    if not begins:
+        return parameters
+    if "seed" in inspect.signature(factory).parameters:
+        if "seed" in parameters:
+            raise InvalidConfig(f"--seed {seed} conflicts with --set seed={parameters['seed']}; use one of them")
+        return {**parameters, "seed": seed}
+    if not starts_episode:
         raise InvalidConfig(
-            f"--seed {seed} rules nothing: {name} draws nothing and joins a running episode; add --reset"
+            f"--seed {seed} has no effect: {name} is not random and joins a running episode; add --reset"
         )
-    return given
+    return parameters

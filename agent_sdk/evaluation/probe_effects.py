@@ -78,7 +78,7 @@ class Effect:
         actuator: its name.
         unit: its unit.
         low, high: the least and greatest value that it was held at.
-        felt: points that differ beyond rounding, what moves most in its own range first; none: it has no effect.
+        responses: points that differ beyond rounding, what moves most in its own range first; none: it has no effect.
         first_min: the end of the first timestep at which one of them differs, simulated minutes after the branch's
             begin; the soonest of all branches. None if there are none.
         identical: no point but `pass_through` differs in any bit, in any branch.
@@ -91,7 +91,7 @@ class Effect:
     unit: str
     low: float
     high: float
-    felt: tuple[PointResponse, ...]
+    responses: tuple[PointResponse, ...]
     first_min: float | None
     identical: bool
     pass_through: tuple[str, ...]
@@ -149,7 +149,7 @@ def effect_of(
         unit=actuator.unit,
         low=min(one.value for one in held),
         high=max(one.value for one in held),
-        felt=tuple(sorted(felt, key=lambda one: (-one.share, one.point))),
+        responses=tuple(sorted(felt, key=lambda one: (-one.share, one.point))),
         first_min=(min(firsts) + 1) * minutes if firsts else None,
         identical=not any(_unlike(one)[:, counted].any() for one in held),
         pass_through=tuple(manifest.names[i] for i in echoes),

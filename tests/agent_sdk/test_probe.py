@@ -58,7 +58,12 @@ def test_the_one_zone_data_centre_does_not_feel_its_only_action(begin: str, scra
     packs.sinergym()
     found = probe("smalldatacenter-hot-continuous-v1", days=1, begin=begin, end=begin, affinity="off")
     (effect,) = found.effects
-    assert (effect.actuator, effect.felt, effect.first_min, effect.identical) == ("cooling_setpoint", (), None, True)
+    assert (effect.actuator, effect.responses, effect.first_min, effect.identical) == (
+        "cooling_setpoint",
+        (),
+        None,
+        True,
+    )
     assert effect.pass_through == ("cooling_setpoint",)
     assert effect.tracked  # the schedule was what it was told to be: it is the building that does not care
     assert any("FlowControlWithApproachTemperatures" in note for note in effect.notes)
@@ -68,13 +73,13 @@ def test_the_two_zone_data_centre_does(scratch: Path) -> None:
     packs.sinergym()
     found = probe("datacenter_dx-hot-continuous-v1", days=1, begin="07-03", end="07-03", affinity="off")
     (effect,) = found.effects
-    assert {"west_zone_air_temperature", "HVAC_electricity_demand_rate"} <= {felt.point for felt in effect.felt}
+    assert {"west_zone_air_temperature", "HVAC_electricity_demand_rate"} <= {felt.point for felt in effect.responses}
     assert effect.pass_through == ("cooling_setpoint",)
 
 
 def test_a_cooling_setpoint_is_felt_by_its_zone_and_the_meter_and_by_nothing_that_is_given(office: ProbeReport) -> None:
     cooling, _ = office.effects
-    felt = {one.point: one for one in cooling.felt}
+    felt = {one.point: one for one in cooling.responses}
     assert set(felt) == {"core_air", "electricity"}  # neither weather nor people
     assert 2.0 < felt["core_air"].difference <= 29.0 - 22.5
     assert 0.0 < felt["core_air"].share <= 1.0
@@ -86,7 +91,7 @@ def test_a_cooling_setpoint_is_felt_by_its_zone_and_the_meter_and_by_nothing_tha
 
 def test_a_heating_setpoint_far_below_a_summer_s_day_changes_nothing(office: ProbeReport) -> None:
     _, heating = office.effects
-    assert (heating.felt, heating.identical, heating.pass_through) == ((), True, ())
+    assert (heating.responses, heating.identical, heating.pass_through) == ((), True, ())
 
 
 @pytest.mark.slow
@@ -105,7 +110,7 @@ def test_branching_is_only_a_shortcut(scratch: Path) -> None:
     assert not apart["low"][:step].any()
     assert not apart["high"][:step].any()
     found = probe(OFFICE, hours=2, days=1, at=(15,))
-    felt = {one.point: one for one in found.effects[0].felt}
+    felt = {one.point: one for one in found.effects[0].responses}
     assert found.times == (datetime(2017, 7, 3, 15),)
     for place, name in ((0, "core_air"), (4, "electricity")):
         one, by_side = felt[name], {side: of[step:, place] for side, of in apart.items()}
@@ -122,7 +127,7 @@ def test_a_branch_that_energyplus_gives_up_in_is_a_note(scratch: Path) -> None:
     assert [
         note for note in heating.notes if note.startswith("EnergyPlus gave up in 1 of the branches that held it high")
     ]
-    assert cooling.felt
+    assert cooling.responses
     assert cooling.notes == ()
 
 
@@ -160,7 +165,7 @@ def test_a_mistake(given: dict[str, Any], says: str, scratch: Path) -> None:
 
 def test_only_the_points_that_are_asked_for_count(scratch: Path) -> None:
     found = probe(OFFICE, hours=1, days=1, at=(15,), points=["core_*", "outdoor"])
-    assert [felt.point for felt in found.effects[0].felt] == ["core_air"]
+    assert [felt.point for felt in found.effects[0].responses] == ["core_air"]
     with pytest.raises(UnknownName, match="no sensor or meter 'air'"):
         probe(OFFICE, points=["air"])
 
@@ -229,23 +234,23 @@ def test_the_share_is_of_the_range_and_the_first_felt_is_the_end_of_its_timestep
     alone = [[22.0, 24.0, 0.0, 5.0], [20.0, 24.0, 0.0, 5.0], [21.0, 24.0, 0.0, 5.0]]
     points = [[22.0, 30.0, 0.0, 5.0], [20.5, 30.0, 0.0, 5.0], [24.0, 30.0, 0.0, 6.0]]
     effect = _effect(points, alone)
-    air, used = sorted(effect.felt, key=lambda felt: felt.point)
+    air, used = sorted(effect.responses, key=lambda felt: felt.point)
     assert (air.difference, air.share, air.after_min) == (3.0, 3.0 / 4.0, 45.0)
     assert (used.difference, used.share, used.after_min) == (1.0, 1.0, 45.0)
-    assert [felt.point for felt in effect.felt] == ["used", "air"]
+    assert [felt.point for felt in effect.responses] == ["used", "air"]
     assert effect.first_min == 30.0
     assert effect.pass_through == ("asked",)
 
 
 def test_rounding_is_no_effect_and_not_identical() -> None:
     effect = _effect([[22.0 * (1 + 1e-12), 30.0, 0.0, 5.0]], [[22.0, 24.0, 0.0, 5.0]])
-    assert (effect.felt, effect.first_min, effect.identical) == ((), None, False)
+    assert (effect.responses, effect.first_min, effect.identical) == ((), None, False)
 
 
 def test_a_load_that_is_what_it_was_set_to_is_an_effect() -> None:
     """Only variables that say what is asked for are echoes: power that repeats the command is real."""
     effect = _effect([[22.0, 30.0, 30.0, 5.0]], [[22.0, 24.0, 0.0, 5.0]])
-    assert [felt.point for felt in effect.felt] == ["lamp"]
+    assert [felt.point for felt in effect.responses] == ["lamp"]
 
 
 def test_a_warning_of_the_node_stands_with_its_actuator() -> None:
@@ -273,7 +278,7 @@ def test_the_command_tells_json_and_a_table(scratch: Path) -> None:
     assert (said["times"], said["hours"], said["timestep_min"]) == (["2017-07-03T15:00:00"], 0.5, 10.0)
     by_name = {effect["actuator"]: effect for effect in said["actuators"]}
     cooling = by_name["core_zn_cooling_setpoint"]
-    assert "core_zn_air_temperature" in {felt["point"] for felt in cooling["felt"]}
+    assert "core_zn_air_temperature" in {felt["point"] for felt in cooling["responses"]}
     shown = _probe(SCENARIO, *zones, "--points", "core_*", cwd=scratch)
     assert shown.returncode == 0, shown.stderr
     assert re.search(r"core_zn_cooling_setpoint +22\.5, 30 degC +10 min +core_zn_air_temperature", shown.stdout)
@@ -283,7 +288,7 @@ def test_the_command_tells_json_and_a_table(scratch: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["--low", "core", "--set", "x"], "--low core: an actuator and a number expected"),
+        (["--low", "core", "--set", "x"], "--low core: expected an actuator and a number"),
         (["--set", "colour=red"], "colour: no settings of a scenario"),
         (["--points", "roof"], "no sensor or meter 'roof'"),
     ],

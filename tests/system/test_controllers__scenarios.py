@@ -175,12 +175,12 @@ def test_zenostat_run_with_parameters_seeds_and_classes_of_anybodys(scratch: Pat
         (["--controller", "pid", "--set", "setpoint=21"], "pid takes one sensor: name it by sensor=...;"),
         (["--controller", "pid"], "PIDController needs setpoint: --set setpoint=..."),
         (["--controller", "rbc", "--set", "margin"], "--set margin: a name and a value expected"),
-        (["--controller", "rbc", "--set", "margin=1", "--set", "margin=2"], "--set margin stands twice: 1 and 2"),
+        (["--controller", "rbc", "--set", "margin=1", "--set", "margin=2"], "--set margin occurs twice: 1 and 2"),
         (
             ["--controller", "rbc", "--seed", "1"],
-            "--seed 1 rules nothing: rbc draws nothing and joins a running episode",
+            "--seed 1 has no effect: rbc is not random and joins a running episode",
         ),
-        (["--controller", "random", "--seed", "1", "--set", "seed=2"], "leave one of them out"),
+        (["--controller", "random", "--seed", "1", "--set", "seed=2"], "use one of them"),
         (["--controller", "mine.py:Mine"], "there is no file"),
     ],
 )
