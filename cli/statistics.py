@@ -1,4 +1,4 @@
-"""How a node kept up, as a table."""
+"""Table of a node's latency statistics."""
 
 from __future__ import annotations
 
@@ -9,35 +9,35 @@ from rich.table import Table
 from topics.messages import ControllerStatus, LatencySummary, Statistics
 
 
-def table(statistics: Statistics, controllers: Sequence[ControllerStatus]) -> Table:
-    """Durations in milliseconds, the messages that changed nothing, and what came too late; see docs/time.md."""
-    made = Table("", *(one for one in ("times", "median (ms)", "p99 (ms)", "max (ms)")), caption=_counts(statistics))
-    made.columns[0].overflow = "fold"  # a controller's name stands whole
-    for column in made.columns[1:]:
+def statistics_table(statistics: Statistics, controllers: Sequence[ControllerStatus]) -> Table:
+    """Return a table of durations in milliseconds, with message and overrun counts below it; see docs/time.md."""
+    table = Table("", "count", "median (ms)", "p99 (ms)", "max (ms)", caption=_counts(statistics))
+    table.columns[0].overflow = "fold"  # never truncate a controller's name
+    for column in table.columns[1:]:
         column.justify = "right"
-    for name, spread in (("step", statistics.step), ("cycle", statistics.cycle)):
-        made.add_row(name, *_cells(spread))
+    for name, latency in (("step", statistics.step), ("cycle", statistics.cycle)):
+        table.add_row(name, *_cells(latency))
     for controller in controllers:
-        made.add_row(f"response of {controller.controller}", *_cells(controller.response))
-    return made
+        table.add_row(f"response of {controller.controller}", *_cells(controller.response))
+    return table
 
 
-def _cells(spread: LatencySummary) -> tuple[str, ...]:
-    return str(spread.count), *milliseconds(spread)
+def _cells(latency: LatencySummary) -> tuple[str, ...]:
+    return str(latency.count), *milliseconds(latency)
 
 
-def milliseconds(spread: LatencySummary) -> tuple[str, str, str]:
-    """Median, 99th percentile and maximum, to three digits; dashes where nothing was counted."""
-    if not spread.count:
+def milliseconds(latency: LatencySummary) -> tuple[str, str, str]:
+    """Format median, 99th percentile and maximum with three digits; dashes if there is no measurement."""
+    if not latency.count:
         return "-", "-", "-"
-    median, high, most = (
-        f"{ms:.3g}" if ms < 999.5 else f"{ms:,.0f}" for ms in (spread.median_ms, spread.p99_ms, spread.max_ms)
+    median, p99, maximum = (
+        f"{ms:.3g}" if ms < 999.5 else f"{ms:,.0f}" for ms in (latency.median_ms, latency.p99_ms, latency.max_ms)
     )
-    return median, high, most
+    return median, p99, maximum
 
 
 def _counts(statistics: Statistics) -> str:
     names = ("late", "rejected", "duplicate", "rate_limited", "missed", "overruns")
-    behind = f" ({statistics.max_lag_s:.3g} s behind at worst)" if statistics.overruns else ""
-    taken = f", {statistics.accepted_late} accepted late" if statistics.accepted_late else ""
-    return ", ".join(f"{getattr(statistics, name)} {name.replace('_', ' ')}" for name in names) + behind + taken
+    lag = f" (at most {statistics.max_lag_s:.3g} s behind)" if statistics.overruns else ""
+    late = f", {statistics.accepted_late} accepted late" if statistics.accepted_late else ""
+    return ", ".join(f"{getattr(statistics, name)} {name.replace('_', ' ')}" for name in names) + lag + late

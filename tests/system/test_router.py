@@ -312,4 +312,4 @@ def test_the_command_of_a_node_that_does_not_listen() -> None:
     assert "one to connect to" in bare.stderr
     both = subprocess.run([*ZENOSTAT, *words, "--listen", "tcp/127.0.0.1:1"], capture_output=True, text=True)
     assert both.returncode == 2
-    assert "give one of them" in both.stderr
+    assert "use one of them" in both.stderr
