@@ -1,4 +1,4 @@
-"""`zenostat status`: who is on the bus, in which state."""
+"""`zenostat status`: the nodes and controllers on a bus, with their state."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def status(
     keys: Keys = None,
     certificate: CertificateName = None,
 ) -> None:
-    """Lists the nodes and controllers of a bus; with keys, as a monitor.
+    """List the nodes and controllers on a bus. With keys, it uses the monitor role.
 
     Example: `zenostat status`
     """
@@ -29,7 +29,7 @@ def status(
     with connect_bus(connect, keys=keys, role=Role.MONITOR, certificate=certificate) as bus:
         nodes = []
         for name in bus.nodes():
-            with suppress(NodeNotFound):  # branches come and go
+            with suppress(NodeNotFound):  # a branch may end meanwhile
                 nodes.append(bus.status(name, memory=True))
     if not nodes:
         out.print(f"no nodes on {connect}")
@@ -43,30 +43,30 @@ def status(
 
 
 def _print_node(node: Status) -> None:
-    """A node's state, a line each."""
-    shared = f"node {_mb(node.node_rss_bytes)}, engines {_mb(node.engine_rss_bytes)}"
+    """Print a node's state as a table of two columns."""
+    memory = f"node {_mb(node.node_rss_bytes)}, engines {_mb(node.engine_rss_bytes)}"
     messages = f"{node.accepted} accepted, {node.rejected} rejected, {node.late} late, {node.duplicate} duplicate"
-    messages += f", {node.statistics.rate_limited} passed over" if node.statistics.rate_limited else ""
+    messages += f", {node.statistics.rate_limited} rate limited" if node.statistics.rate_limited else ""
     rows = {
         "state": f"{node.state} ({_pace(node)})",
-        "without a controller": _policy(node),
+        "fallback policy": _policy(node),
         "building": f"{node.building}, {node.weather}",
         "episode": f"{node.episode[0]}, step {node.step[0]} of {node.steps}",
         "simulated time": node.time[0],
         "commands": messages,
-        "memory": f"{shared}, of which {_mb(node.engine_private_bytes)} shared with no other",
+        "memory": f"{memory}, of which {_mb(node.engine_private_bytes)} private",
     }
     show("", ("node", node.node), list(rows.items()), wrap=(node.node,))
 
 
 def _pace(node: Status) -> str:
-    said = f"{node.mode}, {node.speed:g} times the wall clock" if node.mode is Mode.PACED else str(node.mode)
-    return f"{said}, paused" if node.paused else said
+    pace = f"{node.mode}, {node.speed:g} times the wall clock" if node.mode is Mode.PACED else str(node.mode)
+    return f"{pace}, paused" if node.paused else pace
 
 
 def _policy(node: Status) -> str:
     missed = node.statistics.missed
-    return f"{node.policy}; timesteps that went on without one: {missed}" if missed else str(node.policy)
+    return f"{node.policy}; applied in {missed} timesteps" if missed else str(node.policy)
 
 
 def _mb(size: int) -> str:
@@ -74,7 +74,7 @@ def _mb(size: int) -> str:
 
 
 def _print_forks(nodes: list[Status]) -> None:
-    """Snapshots and branches, with the memory by which they differ."""
+    """Print snapshots and branches with the memory that they do not share."""
     rows = []
     for node in nodes:
         for kind, forks in (("snapshot", node.snapshots), ("branch", node.branches)):
@@ -82,35 +82,32 @@ def _print_forks(nodes: list[Status]) -> None:
                 cells = (str(fork.step), str(fork.engines), fork.owner, _mb(fork.private_bytes))
                 rows.append((f"{kind} {fork.name}", node.node, *cells))
     if rows:
-        columns = ("fork", "of", "step", "engines", "owner", "memory of its own")
-        show("", columns, rows, right=("step", "engines", "memory of its own"), wrap=("fork", "of", "owner"))
+        columns = ("name", "node", "step", "engines", "owner", "private memory")
+        show("", columns, rows, right=("step", "engines", "private memory"), wrap=("name", "node", "owner"))
 
 
 def _print_controllers(nodes: list[Status]) -> None:
-    """Who controls what; what came of their messages; how fast they answer (ms)."""
-    who, did = [], []
+    """Print two tables of controllers: their claims and states, and their message counts and response times."""
+    claims, statistics = [], []
     for node in nodes:
         for c in node.controllers:
-            who.append((c.controller, node.node, str(c.priority), str(c.actuators), _yes(c.required), _presence(c)))
+            required = "yes" if c.required else "no"
+            claims.append((c.controller, node.node, str(c.priority), str(c.actuators), required, _state(c)))
             counts = (c.accepted, c.late, c.rejected, c.duplicate, c.missed)
-            did.append((c.controller, *map(str, counts), *milliseconds(c.response)))
-    if not who:
+            statistics.append((c.controller, *map(str, counts), *milliseconds(c.response)))
+    if not claims:
         if nodes:
             out.print("no controllers")
         return
-    columns = ("controller", "node", "priority", "actuators", "required", "is")
-    show("", columns, who, right=("priority", "actuators"), wrap=("controller", "node", "is"))
-    counted = ("accepted", "late", "rejected", "duplicate", "missed", "median\n(ms)", "p99\n(ms)", "max\n(ms)")
-    show("", ("controller", *counted), did, right=counted, wrap=("controller",))
+    columns = ("controller", "node", "priority", "actuators", "required", "state")
+    show("", columns, claims, right=("priority", "actuators"), wrap=("controller", "node", "state"))
+    headings = ("accepted", "late", "rejected", "duplicate", "missed", "median\n(ms)", "p99\n(ms)", "max\n(ms)")
+    show("", ("controller", *headings), statistics, right=headings, wrap=("controller",))
 
 
-def _yes(holds: bool) -> str:
-    return "yes" if holds else "no"
-
-
-def _presence(controller: ControllerStatus) -> str:
+def _state(controller: ControllerStatus) -> str:
     if controller.bypassed:
-        return "gone, waived"
+        return "bypassed"
     if not controller.connected:
-        return "gone"
+        return "disconnected"
     return "unresponsive" if controller.unresponsive else "connected"

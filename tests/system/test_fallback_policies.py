@@ -378,11 +378,9 @@ def test_the_command_line_says_what_the_policy_is_and_whom_it_met(scratch: Path)
     finally:
         node.send_signal(signal.SIGINT)
         node.communicate(timeout=60)
-    assert row(said, "without a controller") == [
-        ["without a controller", "hold; timesteps that went on without one: 1"]
-    ]
+    assert row(said, "fallback policy") == [["fallback policy", "hold; applied in 1 timesteps"]]
     claims, counts = row(said, name)
-    assert claims[1:] == ["office", "10", "3", "yes", "gone, waived"]
+    assert claims[1:] == ["office", "10", "3", "yes", "bypassed"]
     assert counts[1:] == ["0", "0", "0", "0", "1", "-", "-", "-"]
     claims, counts = row(said, north.name)
     assert claims[1:] == ["office", "10", "2", "yes", "connected"]
