@@ -1,1 +1,1 @@
-"""The front door: the `zenostat` command, one file a subcommand, nothing but calls into the rooms."""
+"""The `zenostat` command: one module for each subcommand, each a thin layer over the other packages."""

@@ -1,4 +1,4 @@
-"""`zenostat asyncapi`: what travels on the bus, for programs in other languages."""
+"""`zenostat asyncapi`: the bus contract, for programs in other languages."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from topics.errors import InvalidConfig
 
 
 def asyncapi(
-    output: Annotated[Path | None, typer.Option(help="Write it into this file.")] = None,
+    output: Annotated[Path | None, typer.Option(help="Write to this file instead of standard output.")] = None,
 ) -> None:
-    """Prints the contract of the bus as an AsyncAPI 3.0 document (YAML).
+    """Print the bus contract as an AsyncAPI 3.0 document (YAML).
 
     Example: `zenostat asyncapi --output asyncapi.yaml`
     """
@@ -26,5 +26,5 @@ def asyncapi(
         sys.stdout.write(text)
         return
     if not output.absolute().parent.is_dir():
-        raise InvalidConfig(f"there is no folder {output.absolute().parent} to write {output.name} into")
+        raise InvalidConfig(f"cannot write {output.name}: there is no folder {output.absolute().parent}")
     output.write_text(text, encoding="utf-8")

@@ -1,4 +1,4 @@
-"""`zenostat buildings`: the buildings that can be named, and what they are."""
+"""`zenostat buildings`: a table of the available buildings."""
 
 from __future__ import annotations
 
@@ -34,46 +34,46 @@ COLUMNS = (
 
 def buildings(
     building: Annotated[
-        list[str] | None, typer.Argument(help="Short names, paths to an IDF or epJSON, or parts of names; all if none.")
+        list[str] | None, typer.Argument(help="Short names, IDF or epJSON files, or parts of names. Default: all.")
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """Lists buildings: floor area, conditioned part of it, HVAC, fuels, own EMS programs, timesteps an hour.
+    """List buildings with floor area, conditioned area, zones, HVAC, fuels, EMS programs and timesteps per hour.
 
     Example: `zenostat buildings office-medium hospital`
     """
     from models import catalog
 
     entries = [catalog.find_building(name) for name in building] if building else list(catalog.buildings())
-    facts = _facts(entries)
+    summaries = _summaries(entries)
     if as_json:
-        show_json([{"name": entry.name} | asdict(found) for entry, found in zip(entries, facts, strict=True)])
+        show_json([{"name": entry.name} | asdict(summary) for entry, summary in zip(entries, summaries, strict=True)])
         return
-    rows = [_cells(entry.name, found) for entry, found in zip(entries, facts, strict=True)]
+    rows = [_cells(entry.name, summary) for entry, summary in zip(entries, summaries, strict=True)]
     numbers = [name for name in COLUMNS if name not in ("building", "HVAC", "fuels")]
     title = f"{len(rows)} building" + ("s" if len(rows) > 1 else "")
     show(title, COLUMNS, rows, right=numbers, wrap=("building", "fuels", "HVAC"))
 
 
-def _facts(entries: Sequence[Entry]) -> list[BuildingSummary]:
-    """The facts of each, converted side by side where they must be: the work is in child processes."""
+def _summaries(entries: Sequence[Entry]) -> list[BuildingSummary]:
+    """Summarize all buildings in parallel; threads suffice, since conversions run in child processes."""
     from models.building.summary import listed_summaries
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        found = pool.map(listed_summaries, entries)
-        bar = track(found, "reading models", len(entries), console=err, transient=True, disable=not err.is_terminal)
+        summaries = pool.map(listed_summaries, entries)
+        bar = track(summaries, "reading models", len(entries), console=err, transient=True, disable=not err.is_terminal)
         return list(bar)
 
 
-def _cells(name: str, facts: BuildingSummary) -> tuple[str, ...]:
+def _cells(name: str, summary: BuildingSummary) -> tuple[str, ...]:
     return (
         name,
-        f"{facts.floor_area_m2:,.0f}",
-        f"{facts.conditioned_area_m2:,.0f}",
-        str(facts.zones),
-        str(facts.conditioned_zones),
-        str(facts.ems_programs),
-        str(facts.steps_per_hour),
-        ", ".join(facts.fuels),
-        facts.hvac,
+        f"{summary.floor_area_m2:,.0f}",
+        f"{summary.conditioned_area_m2:,.0f}",
+        str(summary.zones),
+        str(summary.conditioned_zones),
+        str(summary.ems_programs),
+        str(summary.steps_per_hour),
+        ", ".join(summary.fuels),
+        summary.hvac,
     )

@@ -1,4 +1,4 @@
-"""All commands, in groups."""
+"""The `zenostat` application: all commands, grouped by heading."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ from topics import VERSION
 _GROUPS: dict[str, tuple[Callable[..., None] | typer.Typer, ...]] = {
     "Simulate and control": (demo.demo, node.node, run.run, evaluate.evaluate, probe.probe),
     "Watch a bus": (status.status, monitor.monitor, watch.watch, read.read),
-    "Act on a running node": (
+    "Operate a running node": (
         write.write, write.relinquish, lifecycle.reset, pace.pause, pace.resume, pace.step, pace.pace, pace.faults,
         lifecycle.stop,
     ),
-    "Choose what is simulated": (scenarios, buildings.buildings, weathers.weathers, points.points, data_packs.app),
-    "Connect others": (keys.app, router.router, gateway.app, asyncapi.asyncapi),
+    "Choose what to simulate": (scenarios, buildings.buildings, weathers.weathers, points.points, data_packs.app),
+    "Connect other programs": (keys.app, router.router, gateway.app, asyncapi.asyncapi),
 }  # fmt: skip
-"""The commands by the heading under which `--help` lists them, in its order."""
+"""Commands by the heading under which `--help` lists them, in this order."""
 
 _SUBCOMMANDS = {
     id(scenarios): "scenarios",
@@ -54,7 +54,7 @@ _SUBCOMMANDS = {
 
 
 class _Ordered(typer.core.TyperGroup):
-    """Lists commands in the order of `_GROUPS`; typer would list groups of commands last."""
+    """List commands in the order of `_GROUPS`; typer would list command groups last."""
 
     def list_commands(self, ctx: Any) -> list[str]:  # noqa: ARG002
         return [_name(command) for commands in _GROUPS.values() for command in commands]
@@ -71,7 +71,7 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode="markdown",
-    help="Put a real EnergyPlus building on a Zenoh bus, control it from other processes, watch it live.",
+    help="Run an EnergyPlus building on a Zenoh bus, control it from other processes and watch it live.",
 )
 for heading, commands in _GROUPS.items():
     for command in commands:
@@ -82,12 +82,16 @@ for heading, commands in _GROUPS.items():
             app.command(rich_help_panel=heading, context_settings=negative)(command)
 
 
-def _version(wanted: bool) -> None:
-    if wanted:
+def _version(is_set: bool) -> None:
+    if is_set:
         typer.echo(f"zenostat {VERSION}")
         raise typer.Exit
 
 
 @app.callback()
-def _root(version: bool = typer.Option(False, "--version", callback=_version, is_eager=True)) -> None:
+def _root(
+    version: bool = typer.Option(
+        False, "--version", callback=_version, is_eager=True, help="Print the version and exit."
+    ),
+) -> None:
     """Zenostat."""

@@ -1,4 +1,4 @@
-"""What the commands print with."""
+"""Consoles, progress bars and signals shared by the commands."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ out = Console(highlight=False)
 err = Console(stderr=True, highlight=False)
 
 
-def say_error(text: str) -> None:
-    """One error, as plain text: names in brackets are not markup."""
+def print_error(text: str) -> None:
+    """Print an error as plain text: names in brackets are not markup."""
     err.print("error:", style="bold red", end=" ")
     err.print(text, markup=False, soft_wrap=True)
 
 
 @contextmanager
 def progress() -> Iterator[Progress]:
-    """Progress bars over timesteps, with their rate, in a terminal; an error of ours takes them away."""
+    """Show progress bars over timesteps, with their rate, in a terminal; a `ZenostatError` removes them."""
     bars = Progress(
         TextColumn("{task.description}"),
         BarColumn(),
@@ -40,7 +40,7 @@ def progress() -> Iterator[Progress]:
     try:
         yield bars
     except ZenostatError:
-        bars.live.transient, stop = True, bars.live.stop  # `bars.stop` ends with a line of its own
+        bars.live.transient, stop = True, bars.live.stop  # `bars.stop` prints an empty line
         raise
     finally:
         stop()
@@ -48,7 +48,7 @@ def progress() -> Iterator[Progress]:
 
 @contextmanager
 def until_signal() -> Iterator[threading.Event]:
-    """An event that Ctrl-C and SIGTERM set, for commands that end in good order."""
+    """An event that Ctrl-C and SIGTERM set, for commands that shut down cleanly."""
     stop = threading.Event()
     with override_signals(lambda *_: stop.set(), *TERMINATION_SIGNALS):
         yield stop

@@ -1,4 +1,4 @@
-"""`zenostat data-packs`: buildings, weather and scenarios that can be added."""
+"""`zenostat data-packs`: installable sets of buildings, weather files and scenarios."""
 
 from __future__ import annotations
 
@@ -8,16 +8,14 @@ import typer
 
 from cli.console import err, out
 from cli.tables import show
-from models import data_packs as store
+from models import data_packs
 
 app = typer.Typer(add_completion=False, rich_markup_mode="markdown")
 
-_EXAMPLE = "Example: `zenostat data-packs add sinergym`"
 
-
-@app.callback(invoke_without_command=True, epilog=_EXAMPLE)
-def packs(context: typer.Context) -> None:
-    """Lists, adds and removes data packs: buildings, weather and scenarios of others. No code of theirs is run.
+@app.callback(invoke_without_command=True)
+def data_packs_command(context: typer.Context) -> None:
+    """List, add and remove data packs: third-party buildings, weather files and scenarios. No code from a pack runs.
 
     Example: `zenostat data-packs add sinergym`
     """
@@ -27,40 +25,42 @@ def packs(context: typer.Context) -> None:
 
 @app.command("list")
 def list_packs() -> None:
-    """Lists the data packs, where they are and what is in them.
+    """List the data packs with their contents and, if installed, their folder.
 
     Example: `zenostat data-packs list`
     """
     rows = []
-    for pack in store.PACKS.values():
-        where = str(store.folder(pack.name)) if store.is_installed(pack.name) else "not added"
-        rows.append((pack.name, pack.version, pack.licence, where, _what(pack)))
-    show("", ("name", "version", "licence", "where", "what"), rows, wrap=("where", "what"))
+    for pack in data_packs.PACKS.values():
+        folder = str(data_packs.folder(pack.name)) if data_packs.is_installed(pack.name) else "not installed"
+        rows.append((pack.name, pack.version, pack.licence, folder, _contents(pack)))
+    show("", ("name", "version", "license", "folder", "contents"), rows, wrap=("folder", "contents"))
 
 
 @app.command()
-def add(name: Annotated[str, typer.Argument(help="The pack's name.", metavar="NAME")]) -> None:
-    """Fetches a data pack with pip, checks its hash and unzips it. Once is enough.
+def add(name: Annotated[str, typer.Argument(help="Name of the pack.", metavar="NAME")]) -> None:
+    """Download a data pack with pip, verify its hash and unpack it.
 
     Example: `zenostat data-packs add sinergym`
     """
-    pack = store.find_pack(name)
-    if store.is_installed(name):
-        out.print(f"{name} {pack.version} is there already: {store.folder(name)}", markup=False, soft_wrap=True)
+    pack = data_packs.find_pack(name)
+    if data_packs.is_installed(name):
+        out.print(
+            f"{name} {pack.version} is already installed in {data_packs.folder(name)}", markup=False, soft_wrap=True
+        )
         return
     with err.status(f"adding {name}") as status:
-        folder = store.add(name, report=status.update)
-    out.print(f"{name} {pack.version} added: {_what(pack)}; in {folder}", markup=False, soft_wrap=True)
+        folder = data_packs.add(name, say=status.update)
+    out.print(f"{name} {pack.version} installed in {folder}: {_contents(pack)}", markup=False, soft_wrap=True)
 
 
 @app.command()
-def remove(name: Annotated[str, typer.Argument(help="The pack's name.", metavar="NAME")]) -> None:
-    """Removes a data pack.
+def remove(name: Annotated[str, typer.Argument(help="Name of the pack.", metavar="NAME")]) -> None:
+    """Remove a data pack.
 
     Example: `zenostat data-packs remove sinergym`
     """
-    out.print(f"{name} removed" if store.remove(name) else f"{name} was not added")
+    out.print(f"{name} removed" if data_packs.remove(name) else f"{name} was not installed")
 
 
-def _what(pack: store.Pack) -> str:
-    return f"{len(pack.buildings)} buildings, {len(pack.weathers)} weathers, {pack.scenarios} scenarios"
+def _contents(pack: data_packs.Pack) -> str:
+    return f"{len(pack.buildings)} buildings, {len(pack.weathers)} weather files, {pack.scenarios} scenarios"

@@ -1,4 +1,4 @@
-"""`zenostat demo`: a week of a building, with its own control and with rules, in separate processes."""
+"""`zenostat demo`: a week under baseline control and under a rule-based controller, in separate processes."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ ZENOSTAT = [sys.executable, "-P", "-m", "cli.main"]
 
 
 def demo(
-    folder: Annotated[Path, typer.Option(help="Where the recording and the picture go.")] = Path("demo"),
-    building: Annotated[str, typer.Option(help="Short name of a building.")] = "office-medium",
-    weather: Annotated[str, typer.Option(help="Short name of a weather.")] = "USA_CO_Denver",
-    begin: Annotated[str, typer.Option(help="First day.")] = "07-01",
-    end: Annotated[str, typer.Option(help="Last day.")] = "07-07",
+    folder: Annotated[Path, typer.Option(help="Output folder for the recording and the screenshot.")] = Path("demo"),
+    building: Annotated[str, typer.Option(help="Short name of the building.")] = "office-medium",
+    weather: Annotated[str, typer.Option(help="Short name of the weather file.")] = "USA_CO_Denver",
+    begin: Annotated[str, typer.Option(help="First day, MM-DD.")] = "07-01",
+    end: Annotated[str, typer.Option(help="Last day, MM-DD.")] = "07-07",
 ) -> None:
-    """Runs a node, a controller and a monitor as processes of their own and compares the controllers.
+    """Run a node, a controller and a monitor in separate processes, and compare two controllers.
 
     Example: `zenostat demo --begin 01-08 --end 01-14`
     """
@@ -40,27 +40,26 @@ def demo(
     from bridge.runtime.affinity import Affinity
 
     folder.mkdir(parents=True, exist_ok=True)
-    recording, picture = folder / "run.rrd", folder / "run.png"
+    recording, screenshot = folder / "run.rrd", folder / "run.png"
     results: dict[str, tuple[EpisodeMetrics, float]] = {}
     with ExitStack() as stack, progress() as bars:
         settings = {"building": building, "weather": weather, "begin": begin, "end": end, "name": NODE}
         with out.status("starting the node"):
-            own = LocalNode(settings, Affinity.SEPARATE_CORES)
-        stack.callback(own.close)
-        watcher = _start(
-            "monitor", "--connect", own.endpoint, "--save", recording, "--screenshot", picture, "--once", wait=True
-        )
-        stack.callback(watcher.terminate)
-        bus = stack.enter_context(connect(own.endpoint, core=own.core))
-        for controller, title in (("building", "the building's own control"), ("rbc", "rules on comfort bands")):
-            results[title] = _episode(bus, own.endpoint, controller, title, bars)
+            local_node = LocalNode(settings, Affinity.SEPARATE_CORES)
+        stack.callback(local_node.close)
+        outputs = ("--save", recording, "--screenshot", screenshot)
+        monitor = _start("monitor", "--connect", local_node.endpoint, *outputs, "--once", wait=True)
+        stack.callback(monitor.terminate)
+        bus = stack.enter_context(connect(local_node.endpoint, core=local_node.core))
+        for controller, title in (("building", "baseline control"), ("rbc", "rule-based control")):
+            results[title] = _episode(bus, local_node.endpoint, controller, title, bars)
         bus.stop(NODE)
-        own.close()
-        said = _rest(watcher)
+        local_node.close()
+        monitor_lines = _remaining_lines(monitor)
     show_results(results, f"{building}, {weather}, {begin} to {end}")
-    for line in said:
+    for line in monitor_lines:
         out.print(f"monitor: {line}", markup=False, soft_wrap=True)
-    out.print(f"recording: {recording}" + (f", picture: {picture}" if picture.exists() else ""))
+    out.print(f"recording: {recording}" + (f", screenshot: {screenshot}" if screenshot.exists() else ""))
 
 
 def _start(*arguments: object, wait: bool = False) -> subprocess.Popen[str]:
@@ -69,30 +68,30 @@ def _start(*arguments: object, wait: bool = False) -> subprocess.Popen[str]:
     )
     if wait and process.stdout is not None:
         for line in process.stdout:
-            if "Ctrl-C ends it" in line:  # it listens
+            if "Ctrl-C" in line:  # connected
                 break
             out.print(line.rstrip(), markup=False, soft_wrap=True)
     return process
 
 
-def _rest(process: subprocess.Popen[str]) -> list[str]:
-    said, _ = process.communicate(timeout=120)
-    return [line.strip() for line in said.splitlines() if line.strip()]
+def _remaining_lines(process: subprocess.Popen[str]) -> list[str]:
+    output, _ = process.communicate(timeout=120)
+    return [line.strip() for line in output.splitlines() if line.strip()]
 
 
 def _episode(bus: Bus, endpoint: str, controller: str, title: str, bars: Progress) -> tuple[EpisodeMetrics, float]:
-    """One episode under one controller in a process of its own; its totals and its timesteps per second."""
+    """Run one episode with a controller in its own process; return its metrics and its timesteps per second."""
     from agent_sdk.evaluation.metrics import MetricsAccumulator
 
     manifest = bus.manifest(NODE)
-    tally, bar = MetricsAccumulator(manifest), bars.add_task(title, total=manifest.steps, rate="")
+    metrics, bar = MetricsAccumulator(manifest), bars.add_task(title, total=manifest.steps, rate="")
     start = 0.0
     with bus.listen(NODE) as samples:
         process = _start("run", "--node", NODE, "--controller", controller, "--connect", endpoint)
         for sample in samples:
             if sample.step == 1:
                 start = time.monotonic()
-            tally.add(sample)
+            metrics.add(sample)
             if sample.step % 24 == 0 or sample.truncated:
                 rate = (sample.step - 1) / max(time.monotonic() - start, 1e-9) if sample.step > 1 else 0.0
                 bars.update(bar, completed=sample.step, rate=f"{rate:,.0f} steps/s")
@@ -100,4 +99,4 @@ def _episode(bus: Bus, endpoint: str, controller: str, title: str, bars: Progres
                 break
     steps_per_s = (manifest.steps - 1) / (time.monotonic() - start)
     process.communicate(timeout=60)
-    return tally.result(), steps_per_s
+    return metrics.result(), steps_per_s

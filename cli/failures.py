@@ -1,4 +1,4 @@
-"""What a command says when it fails: a sentence, and the frames of the user's own code if it is that that failed."""
+"""Report why a command failed: one sentence, and the frames of the user's own code if that code raised."""
 
 from __future__ import annotations
 
@@ -6,41 +6,41 @@ import sysconfig
 import traceback
 from pathlib import Path
 
-from cli.console import err, say_error
+from cli.console import err, print_error
 from topics.errors import UsageError, ZenostatError
 
 _ROOT = Path(__file__).resolve().parent.parent
 _PACKAGES = ("agent_sdk", "bridge", "cli", "eplus_node", "models", "topics")
-_FOREIGN = (*(_ROOT / name for name in _PACKAGES), Path(sysconfig.get_path("stdlib")))
+_NOT_USER_CODE = (*(_ROOT / name for name in _PACKAGES), Path(sysconfig.get_path("stdlib")))
 
 
-def say_failure(error: Exception) -> int:
-    """Print an error that ended a command, and return the exit code.
+def print_failure(error: Exception) -> int:
+    """Print the error that ended a command, and return the exit code.
 
     Raises:
-        Exception: the error itself, if it is neither one of Zenostat's nor of code of the user's.
+        Exception: the error itself, if it is not a `ZenostatError` and the user's code did not raise it.
     """
-    own = user_frames(error)
-    if own:
+    frames = user_frames(error)
+    if frames:
         err.print("Traceback (most recent call last):", markup=False)
-        err.print("".join(traceback.format_list(own)).rstrip(), markup=False, soft_wrap=True)
+        err.print("".join(traceback.format_list(frames)).rstrip(), markup=False, soft_wrap=True)
     if isinstance(error, ZenostatError):
-        say_error(str(error))
+        print_error(str(error))
         return 2 if isinstance(error, UsageError) else 1
-    if not own:
+    if not frames:
         raise error
-    last = own[-1]
-    say_error(f"{Path(last.filename).name}, line {last.lineno}: {type(error).__name__}: {error}")
+    last = frames[-1]
+    print_error(f"{Path(last.filename).name}, line {last.lineno}: {type(error).__name__}: {error}")
     return 1
 
 
 def user_frames(error: BaseException) -> list[traceback.FrameSummary]:
-    """Return the frames of code that is neither Zenostat's, nor the standard library's, nor an installed library's."""
-    return [frame for frame in traceback.extract_tb(error.__traceback__) if _is_users(frame.filename)]
+    """Return the frames of the user's code: not Zenostat, the standard library or an installed package."""
+    return [frame for frame in traceback.extract_tb(error.__traceback__) if _is_user_code(frame.filename)]
 
 
-def _is_users(filename: str) -> bool:
+def _is_user_code(filename: str) -> bool:
     path = Path(filename)
     if filename.startswith("<") or "site-packages" in path.parts or "dist-packages" in path.parts:
         return False
-    return not any(path.absolute().is_relative_to(folder) for folder in _FOREIGN) and path.suffix == ".py"
+    return not any(path.absolute().is_relative_to(folder) for folder in _NOT_USER_CODE) and path.suffix == ".py"

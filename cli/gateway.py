@@ -1,4 +1,4 @@
-"""`zenostat gateway`: clients of other protocols join a bus."""
+"""`zenostat gateway`: access to a bus for clients of other protocols."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from topics.keys import Role
 app = typer.Typer(add_completion=False, rich_markup_mode="markdown", no_args_is_help=True)
 
 
-@app.callback(epilog="Example: `zenostat gateway zeromq --node office`")
+@app.callback()
 def gateway() -> None:
-    """Let clients of other protocols use the nodes of a bus.
+    """Give clients of other protocols access to the nodes of a bus.
 
     Example: `zenostat gateway zeromq --node office`
     """
@@ -31,13 +31,17 @@ def zeromq(
     connect: Connect = None,
     keys: Keys = None,
     certificate: CertificateName = None,
-    node: Annotated[str, typer.Option(help="Only this node; all by default.")] = "*",
-    publish: Annotated[str, typer.Option(help="Where samples, events and manifests go out.")] = "tcp://127.0.0.1:5556",
-    command: Annotated[str, typer.Option(help="Where requests come in.")] = "tcp://127.0.0.1:5557",
-    lease: Annotated[float, typer.Option(help="Seconds after which a peer without a heartbeat is gone.")] = 10.0,
-    expose: Annotated[bool, typer.Option("--expose", help="Allow endpoints beyond this machine.")] = False,
+    node: Annotated[str, typer.Option(help="Serve only this node. Default: all.")] = "*",
+    publish: Annotated[
+        str, typer.Option(help="Address that publishes samples, events and manifests.")
+    ] = "tcp://127.0.0.1:5556",
+    command: Annotated[str, typer.Option(help="Address that receives requests.")] = "tcp://127.0.0.1:5557",
+    lease: Annotated[
+        float, typer.Option(help="Seconds without a heartbeat after which a client counts as disconnected.")
+    ] = 10.0,
+    expose: Annotated[bool, typer.Option("--expose", help="Allow addresses reachable from other machines.")] = False,
 ) -> None:
-    """Joins programs that speak only ZeroMQ to a bus, until Ctrl-C; with keys, as a controller.
+    """Run a ZeroMQ gateway until Ctrl-C. With keys, it uses the controller role.
 
     Example: `zenostat gateway zeromq --node office`
     """
@@ -52,9 +56,9 @@ def zeromq(
         Gateway(session, node, publish=publish, command=command, lease_s=lease, expose=expose) as running,
         override_signals(lambda *_: running.stop(), *TERMINATION_SIGNALS),
     ):
-        of = "all nodes" if node == "*" else node
-        where = f"samples on {running.publish}, requests to {running.command}"
-        out.print(f"ready: {of} of {connect}: {where}; Ctrl-C ends it", soft_wrap=True)
+        served = "all nodes" if node == "*" else f"node {node}"
+        addresses = f"samples on {running.publish}, requests on {running.command}"
+        out.print(f"ready: {served} of {connect}; {addresses}; press Ctrl-C to stop", soft_wrap=True)
         running.run()
     counts = running.counts
-    out.print(f"{counts.samples} samples, {counts.requests} requests, {counts.denied} of them denied")
+    out.print(f"{counts.samples} samples, {counts.requests} requests, {counts.denied} of them rejected")

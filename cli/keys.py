@@ -1,4 +1,4 @@
-"""`zenostat keys`: certificates for a bus that is closed to strangers."""
+"""`zenostat keys`: certificates for a secured bus."""
 
 from __future__ import annotations
 
@@ -18,37 +18,36 @@ if TYPE_CHECKING:
 app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode="markdown",
-    help="Keys: who may speak on a bus, and as what. See docs/security.md.",
+    help="Create and list certificates for a secured bus, each with a role. See docs/security.md.",
 )
 
 FOLDER = Path("zenostat-keys")
 
 Hosts = Annotated[
     list[str] | None,
-    typer.Option("--host", help="Name or address of a node's machine, besides those of the loopback; repeated."),
+    typer.Option("--host", help="Host name or address of the node's machine, besides loopback; repeatable."),
 ]
-Days = Annotated[int, typer.Option(help="Days of validity, 1 to 3650.")]
-Force = Annotated[bool, typer.Option("--force", help="Overwrite.")]
+Days = Annotated[int, typer.Option(help="Validity in days, 1 to 3650.")]
+Force = Annotated[bool, typer.Option("--force", help="Overwrite existing files.")]
 
 
 @app.command()
 def init(
-    folder: Annotated[Path, typer.Argument(help="Where the files go.")] = FOLDER,
+    folder: Annotated[Path, typer.Argument(help="Output folder.")] = FOLDER,
     host: Hosts = None,
     days: Days = 365,
     force: Force = False,
 ) -> None:
-    """Makes an authority, and a certificate for a node, a controller and a monitor.
+    """Create a certificate authority, and certificates for a node, a controller and a monitor.
 
     Example: `zenostat keys init --host lab.example.org --host 192.168.1.20`
     """
     from bridge.transport.certificates import AUTHORITY, make
 
-    made = make(folder, hosts=host or (), days=days, force=force)
-    out.print(_table(made))
+    out.print(_table(make(folder, hosts=host or (), days=days, force=force)))
     out.print(
-        f"In {folder}. A program needs {AUTHORITY}.pem, and its own .pem and .key; {AUTHORITY}.key stays here: "
-        "whoever has it can make certificates.",
+        f"Written to {folder}. Each program needs {AUTHORITY}.pem and its own .pem and .key. "
+        f"Keep {AUTHORITY}.key private: it can sign new certificates.",
         markup=False,
     )
 
@@ -56,13 +55,13 @@ def init(
 @app.command()
 def add(
     role: Annotated[str, typer.Argument(help="node, controller or monitor.")],
-    name: Annotated[str, typer.Argument(help="Of the program or person; the files are named so.")],
-    folder: Annotated[Path, typer.Option(help="Where the authority is.")] = FOLDER,
+    name: Annotated[str, typer.Argument(help="Name of the program or person, also used for the files.")],
+    folder: Annotated[Path, typer.Option(help="Folder of the certificate authority.")] = FOLDER,
     host: Hosts = None,
     days: Days = 365,
     force: Force = False,
 ) -> None:
-    """Makes another certificate of the same authority: a second controller, a router.
+    """Create another certificate of the same authority, for example for a second controller or a router.
 
     Example: `zenostat keys add controller annex`
     """
@@ -75,8 +74,8 @@ def add(
 
 
 @app.command()
-def show(folder: Annotated[Path, typer.Argument(help="Where the files are.")] = FOLDER) -> None:
-    """Lists certificates: role, name, expiry.
+def show(folder: Annotated[Path, typer.Argument(help="Folder of the certificates.")] = FOLDER) -> None:
+    """List certificates with role, name, expiry, hosts and state.
 
     Example: `zenostat keys show`
     """
@@ -87,7 +86,13 @@ def show(folder: Annotated[Path, typer.Argument(help="Where the files are.")] = 
 
 def _table(certificates: list[Certificate]) -> Table:
     table = Table("role", "name", "expires (UTC)", "hosts", "state")
-    for one in certificates:
-        expires = f"{one.expires:%Y-%m-%d %H:%M}"
-        table.add_row(one.role or "authority", one.name, expires, ", ".join(one.hosts), one.fault or "good")
+    for certificate in certificates:
+        expires = f"{certificate.expires:%Y-%m-%d %H:%M}"
+        table.add_row(
+            certificate.role or "authority",
+            certificate.name,
+            expires,
+            ", ".join(certificate.hosts),
+            certificate.fault or "good",
+        )
     return table

@@ -1,4 +1,4 @@
-"""`zenostat reset` and `zenostat stop`: the beginning of an episode and the end of a node, by hand."""
+"""`zenostat reset` and `zenostat stop`: start an episode or stop a node by hand."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from topics.errors import NodeLost
 
 def reset(
     node: Node,
-    seed: Annotated[int | None, typer.Option(min=0, metavar="N", help="Of the weather that is drawn.")] = None,
+    seed: Annotated[int | None, typer.Option(min=0, metavar="N", help="Seed of the weather.")] = None,
     connect: Connect = None,
     keys: Keys = None,
     certificate: CertificateName = None,
 ) -> None:
-    """Starts a new episode of a node; a controller of the present one is told so.
+    """Start a new episode on a node; connected controllers are notified.
 
     Example: `zenostat reset office --seed 1`
     """
@@ -29,14 +29,14 @@ def reset(
 
     with connect_bus(connect or default_endpoint(keys), keys=keys, certificate=certificate) as bus:
         steps = bus.manifest(node).steps
-        accepted = bus.reset(node, Reset(controller=person(), seed=seed))
-    weathers = ", ".join(dict.fromkeys(begun.weather for begun in accepted.episode_starts))
-    text = f"{node}: episode {accepted.episode[0]}, {steps} timesteps, {weathers}"
+        ack = bus.reset(node, Reset(controller=person(), seed=seed))
+    weathers = ", ".join(dict.fromkeys(start.weather for start in ack.episode_starts))
+    text = f"{node}: episode {ack.episode[0]}, {steps} timesteps, {weathers}"
     out.print(text, markup=False, soft_wrap=True)
 
 
 def stop(node: Node, connect: Connect = None, keys: Keys = None, certificate: CertificateName = None) -> None:
-    """Ends a node, and waits until it has left the bus.
+    """Stop a node, and wait until it has left the bus.
 
     Example: `zenostat stop office`
     """

@@ -1,4 +1,4 @@
-"""The `zenostat` program: light to import, so that signals are handled before anything heavy is."""
+"""Entry point of `zenostat`; imports little, so that signal handlers are installed before slow imports."""
 
 from __future__ import annotations
 
@@ -9,25 +9,25 @@ from typing import NoReturn
 
 
 def main() -> NoReturn:
-    """Run the command line: 2 for a mistake in the call, 1 for what went wrong on the way, 128 and the signal."""
+    """Run the command line; exit codes: 2 for a usage error, 1 for a runtime error, 128 + the signal's number."""
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda number, _: os._exit(128 + number))  # nothing has been started yet
+        signal.signal(number, lambda number, _: os._exit(128 + number))  # nothing to clean up yet
     from cli.commands import app
-    from cli.failures import say_failure
+    from cli.failures import print_failure
 
     code: int | str | None = 0
     try:
         signal.signal(signal.SIGINT, signal.default_int_handler)
-        signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))  # what runs is ended in good order
+        signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))  # lets `with` blocks clean up
         app()
     except KeyboardInterrupt:
         code = 130
-    except SystemExit as end:
-        code = end.code
+    except SystemExit as exit_:
+        code = exit_.code
     except Exception as error:
-        code = say_failure(error)
+        code = print_failure(error)
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_IGN)  # all is closed; a signal would only change the exit code
+        signal.signal(number, signal.SIG_IGN)  # everything is closed; a signal would only change the exit code
     sys.exit(code)
 
 

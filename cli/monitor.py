@@ -24,18 +24,19 @@ _PAUSE_S = 0.2
 
 
 def monitor(
-    node: Annotated[str, typer.Option(help="Only this node; all by default.")] = "*",
+    node: Annotated[str, typer.Option(help="Show only this node. Default: all.")] = "*",
     connect: Annotated[
-        str | None, typer.Option(help="Endpoint of the bus; it may come later.", show_default=DEFAULT_ENDPOINT)
+        str | None,
+        typer.Option(help="Endpoint of the bus; waits until it is available.", show_default=DEFAULT_ENDPOINT),
     ] = None,
     keys: Keys = None,
     certificate: CertificateName = None,
-    save: Annotated[Path | None, typer.Option(help="Write a recording (.rrd).")] = None,
-    screenshot: Annotated[Path | None, typer.Option(help="Write a picture (.png) at the end.")] = None,
+    save: Annotated[Path | None, typer.Option(help="Write a recording to FILE.rrd.")] = None,
+    screenshot: Annotated[Path | None, typer.Option(help="Write a screenshot to FILE.png at the end.")] = None,
     web: Annotated[bool, typer.Option("--web", help="Serve the viewer as a web page on this machine.")] = False,
-    once: Annotated[bool, typer.Option("--once", help="End when a node that was seen has gone.")] = False,
+    once: Annotated[bool, typer.Option("--once", help="Stop when a monitored node leaves the bus.")] = False,
 ) -> None:
-    """Streams the bus to Rerun until Ctrl-C: a viewer if there is a display, a web page, a file, a picture.
+    """Stream the bus to Rerun until Ctrl-C: to the viewer, a web page, a recording or a screenshot.
 
     Example: `zenostat monitor --save run.rrd --screenshot run.png`
     """
@@ -46,7 +47,7 @@ def monitor(
     from bridge.transport.session import open_session
 
     if screenshot is not None and screenshot.suffix != ".png":
-        raise InvalidConfig(f"--screenshot {screenshot}: a file .png expected, as --screenshot run.png")
+        raise InvalidConfig(f"--screenshot {screenshot}: expected a .png file, for example --screenshot run.png")
     if screenshot is not None and not has_vulkan():
         err.print(f"warning: {NO_VULKAN}", style="yellow", soft_wrap=True)
     connect = connect or default_endpoint(keys)
@@ -56,47 +57,51 @@ def monitor(
             recording = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="zenostat-"))) / "run.rrd"
         sinks = _sinks(stack, recording, web)
         stop = stack.enter_context(until_signal())
-        if not _there(connect, stop, keys=keys, role=Role.MONITOR, certificate=certificate):
+        if not _wait_for_bus(connect, stop, keys=keys, role=Role.MONITOR, certificate=certificate):
             return
         session = stack.enter_context(
             open_session(connect=[connect], wait=True, keys=keys, role=Role.MONITOR, certificate=certificate)
         )
         affinity.lower_priority()
         with RerunStream(session, node, sinks) as stream:
-            out.print(f"connected to {connect}{_awaited(session, node)}; Ctrl-C ends it", soft_wrap=True, markup=False)
+            out.print(
+                f"connected to {connect}{_missing_note(session, node)}; press Ctrl-C to stop",
+                soft_wrap=True,
+                markup=False,
+            )
             stream.run(until=lambda: stop.is_set() or (once and stream.left))
         out.print(f"{stream.samples} samples logged, {stream.missed} missed" + (f", in {save}" if save else ""))
         if save is not None:
-            out.print(f"open it again: {how_to_open(save)}", soft_wrap=True, markup=False)
+            out.print(f"open the recording with: {how_to_open(save)}", soft_wrap=True, markup=False)
         if screenshot is not None and recording is not None and not draw(recording, screenshot):
-            err.print(f"no picture was made; {NO_VULKAN}", soft_wrap=True)
+            err.print(f"no screenshot was written; {NO_VULKAN}", soft_wrap=True)
 
 
-def _awaited(session: zenoh.Session, node: str) -> str:
-    """What is to be said of a node, or of all, if there is none yet."""
+def _missing_note(session: zenoh.Session, node: str) -> str:
+    """Describe what the monitor waits for; empty if the node, or any node for `*`, is on the bus."""
     from topics.keys import MANIFEST, node_of
 
-    there = sorted({node_of(str(reply.ok.key_expr)) for reply in session.get(MANIFEST.at("*")) if reply.ok})
-    if node in there or (node == "*" and there):
+    nodes = sorted({node_of(str(reply.ok.key_expr)) for reply in session.get(MANIFEST.at("*")) if reply.ok})
+    if node in nodes or (node == "*" and nodes):
         return ""
     if node == "*":
-        return ", where no node is yet; waiting for one"
-    return f", where no node {node!r} is; {did_you_mean(node, there)}; waiting for it"
+        return "; no node is on this bus yet; waiting for one"
+    return f"; no node {node!r} is on this bus; {did_you_mean(node, nodes)}; waiting for it"
 
 
-def _there(connect: str, stop: threading.Event, **who: Any) -> bool:
-    """Waits until somebody listens; False if it is told to stop before."""
+def _wait_for_bus(connect: str, stop: threading.Event, **credentials: Any) -> bool:
+    """Wait until the endpoint accepts connections; return False if `stop` is set first."""
     from bridge.transport.session import open_session
 
-    told = False
+    is_announced = False
     while not stop.is_set():
         try:
-            with open_session(connect=[connect], **who):
+            with open_session(connect=[connect], **credentials):
                 return True
         except NodeNotFound as error:
-            if not told:
-                out.print(f"{error}; waiting for it, Ctrl-C ends it", markup=False, soft_wrap=True)
-            told = True
+            if not is_announced:
+                out.print(f"{error}; waiting for it, press Ctrl-C to stop", markup=False, soft_wrap=True)
+            is_announced = True
             stop.wait(_PAUSE_S)
     return False
 
@@ -109,7 +114,7 @@ def _sinks(stack: ExitStack, recording: Path | None, web: bool) -> list[Any]:
     sinks: list[Any] = []
     if recording is not None:
         if not recording.absolute().parent.is_dir():
-            raise InvalidConfig(f"there is no folder {recording.absolute().parent} to write {recording.name} into")
+            raise InvalidConfig(f"cannot write {recording.name}: there is no folder {recording.absolute().parent}")
         sinks.append(rr.FileSink(str(recording)))
     if web:
         page, url = stack.enter_context(web_viewer())
@@ -118,7 +123,7 @@ def _sinks(stack: ExitStack, recording: Path | None, web: bool) -> list[Any]:
     if not sinks:
         if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
             raise InvalidConfig(
-                "there is no display for the viewer; use --web, --save FILE.rrd or --screenshot FILE.png"
+                "the viewer needs a display; without one, use --web, --save FILE.rrd or --screenshot FILE.png"
             )
         rr.spawn(connect=False, executable_path=program())
         sinks.append(rr.GrpcSink())

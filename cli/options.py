@@ -1,4 +1,4 @@
-"""Options that several commands have."""
+"""Options shared by several commands."""
 
 from __future__ import annotations
 
@@ -10,5 +10,7 @@ import typer
 from bridge.transport.session import DEFAULT_ENDPOINT
 
 Connect = Annotated[str | None, typer.Option(help="Endpoint of the bus.", show_default=DEFAULT_ENDPOINT)]
-Keys = Annotated[Path | None, typer.Option(help="Folder made by `zenostat keys init`: TLS, with rules for each role.")]
-CertificateName = Annotated[str | None, typer.Option(help="Certificate of another name than the role's.")]
+Keys = Annotated[
+    Path | None, typer.Option(help="Folder created by `zenostat keys init`: use TLS, with access rules per role.")
+]
+CertificateName = Annotated[str | None, typer.Option(help="Certificate name, if it differs from the role's.")]

@@ -1,4 +1,4 @@
-"""`zenostat points`: what EnergyPlus offers for a model."""
+"""`zenostat points`: the sensors, meters, actuators and internal variables of a model."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cli.console import err, say_error
+from cli.console import err, print_error
 from cli.tables import show, show_json
 from topics.errors import did_you_mean
 
@@ -28,13 +28,15 @@ class Kind(StrEnum):
 
 
 def points(
-    building: Annotated[str, typer.Argument(help="Short name, path to an IDF or epJSON, or part of a name.")],
-    kind: Annotated[Kind | None, typer.Option(help="Only this kind.")] = None,
-    match: Annotated[str, typer.Option(help="Only names, keys or places that contain this text.")] = "",
-    default: Annotated[bool, typer.Option("--default", help="Only those that a node has if none are named.")] = False,
+    building: Annotated[str, typer.Argument(help="Short name, IDF or epJSON file, or part of a name.")],
+    kind: Annotated[Kind | None, typer.Option(help="Show only this kind.")] = None,
+    match: Annotated[str, typer.Option(help="Show only points whose name, key or location contains this text.")] = "",
+    default: Annotated[
+        bool, typer.Option("--default", help="Show only the points that a node has by default.")
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """Lists a building's points with their units, bounds and places. The first time takes seconds.
+    """List a building's points with units, bounds and locations. The first call for a building takes seconds.
 
     Example: `zenostat points office-medium --kind actuator --match setpoint`
     """
@@ -43,15 +45,15 @@ def points(
     from models.points.discovery import discover
     from models.points.selection import listing
 
-    with err.status(f"asking EnergyPlus about {building}"):
+    with err.status(f"reading the points of {building} with EnergyPlus"):
         model = read_building(catalog.find_building(building))
-        found = discover(model, catalog.weathers()[0].path)
-    wanted = _default(found) if default else None
+        discovered = discover(model, catalog.weathers()[0].path)
+    selected = _default_keys(discovered) if default else None
     listed = [
         row
-        for row in listing(found, model)
+        for row in listing(discovered, model)
         if (kind is None or row.kind == kind)
-        and (wanted is None or (row.kind, row.name.casefold(), row.key.casefold()) in wanted)
+        and (selected is None or (row.kind, row.name.casefold(), row.key.casefold()) in selected)
     ]
     rows = _matching(listed, match, f"no {kind or 'point'} of {model.name}")
     if as_json:
@@ -67,29 +69,28 @@ def points(
     )
 
 
-def _default(found: PointCatalog) -> set[tuple[str, str, str]]:
-    """(kind, name, key), folded, of the points that a node has if none are named."""
+def _default_keys(discovered: PointCatalog) -> set[tuple[str, str, str]]:
+    """Return (kind, name, key), case-folded, of the points that a node has by default."""
     from models.points.selection import default_actuators, default_meters, default_sensors
 
-    wanted = {("sensor", *spec) for spec in default_sensors(found).values()}
-    wanted |= {("meter", name, "") for name in default_meters(found).values()}
-    wanted |= {("actuator", f"{a} / {b}", key) for a, b, key in default_actuators(found).values()}
-    return {(kind, name.casefold(), key.casefold()) for kind, name, key in wanted}
+    keys = {("sensor", *spec) for spec in default_sensors(discovered).values()}
+    keys |= {("meter", name, "") for name in default_meters(discovered).values()}
+    keys |= {("actuator", f"{a} / {b}", key) for a, b, key in default_actuators(discovered).values()}
+    return {(kind, name.casefold(), key.casefold()) for kind, name, key in keys}
 
 
-def _matching(listed: Sequence[PointListing], match: str, nothing: str) -> list[PointListing]:
-    """The rows that contain a text; where there are none, an error that begins with `nothing`, and the end."""
+def _matching(listed: Sequence[PointListing], match: str, prefix: str) -> list[PointListing]:
+    """Return the rows that contain `match`; if there are none, print an error that starts with `prefix` and exit."""
     text = match.casefold()
-    found = [row for row in listed if any(text in part.casefold() for part in _parts(row))]
-    if match and not found:
+    matching = [row for row in listed if any(text in part.casefold() for part in _parts(row))]
+    if match and not matching:
         names = [part for row in listed for part in _parts(row) if part]
-        say_error(f"{nothing} matches {match!r}; {did_you_mean(match, names)}")
+        print_error(f"{prefix} matches {match!r}; {did_you_mean(match, names)}")
         raise typer.Exit(1)
-    return found
+    return matching
 
 
 def _parts(row: PointListing) -> tuple[str, ...]:
-    """What `--match` looks at."""
     return row.name, row.key, row.where
 
 

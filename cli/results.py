@@ -1,4 +1,4 @@
-"""What episodes came to, as the table of `zenostat demo` and `zenostat run`."""
+"""Table of episode metrics that `zenostat demo` and `zenostat run` print."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ if TYPE_CHECKING:
 
 
 def show_results(results: Mapping[str, tuple[EpisodeMetrics, float]], title: str) -> None:
-    """Print energy, peak, comfort and timesteps a second; `results` has a column each, by its heading."""
+    """Print energy, peak power, comfort and timesteps per second, with one column for each key of `results`."""
     pairs = list(results.values())
     rows = {
         "electricity (kWh)": [_number(r.energy_kwh.get("electricity"), 0) for r, _ in pairs],
-        "  of it HVAC (kWh)": [_number(r.hvac_electricity_kwh, 0) for r, _ in pairs],
+        "  of which HVAC (kWh)": [_number(r.hvac_electricity_kwh, 0) for r, _ in pairs],
         "gas (kWh)": [_number(r.energy_kwh.get("natural_gas"), 0) for r, _ in pairs],
         "peak (kW)": [_number(r.peak_kw, 1) for r, _ in pairs],
         "outside comfort, occupied (K h)": [_number(r.occupied_outside_kh, 1) for r, _ in pairs],

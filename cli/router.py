@@ -1,4 +1,4 @@
-"""`zenostat router`: a meeting point for nodes and controllers."""
+"""`zenostat router`: a Zenoh router between nodes and controllers."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from cli.options import CertificateName, Keys
 
 def router(
     listen: Annotated[
-        list[str] | None, typer.Option(help="Endpoint to listen on; repeated. The loopback's port 7447 by default.")
+        list[str] | None, typer.Option(help="Endpoint to listen on; repeatable. Default: port 7447 on loopback.")
     ] = None,
     connect: Annotated[
-        list[str] | None, typer.Option(help="Endpoint of another router, which may come later; repeated.")
+        list[str] | None, typer.Option(help="Endpoint of another router, which may start later; repeatable.")
     ] = None,
-    expose: Annotated[bool, typer.Option("--expose", help="Allow listening beyond this machine.")] = False,
+    expose: Annotated[bool, typer.Option("--expose", help="Allow connections from other machines.")] = False,
     keys: Keys = None,
     certificate: CertificateName = None,
 ) -> None:
-    """Runs a router until Ctrl-C: nodes and controllers connect to it, and need not reach each other.
+    """Run a router until Ctrl-C: nodes and controllers connect to it instead of to each other.
 
     Example: `zenostat router --listen tcp/127.0.0.1:7447`
     """
@@ -44,5 +44,5 @@ def router(
     ):
         if warning := exposure(endpoints, keys):
             err.print(f"warning: {warning}", style="yellow", markup=False)
-        out.print(f"router on {', '.join(endpoints)}; Ctrl-C ends it", markup=False)
+        out.print(f"router on {', '.join(endpoints)}; press Ctrl-C to stop", markup=False)
         stop.wait()

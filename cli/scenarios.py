@@ -1,4 +1,4 @@
-"""`zenostat scenarios`: what there is to be controlled, and scenario files."""
+"""`zenostat scenarios`: the available scenarios, and tools for scenario files."""
 
 from __future__ import annotations
 
@@ -18,16 +18,18 @@ if TYPE_CHECKING:
 
     from models.scenario.schema import Scenario
 
-scenarios = typer.Typer(help="Lists scenarios; shows, checks and describes scenario files.", no_args_is_help=False)
+scenarios = typer.Typer(
+    help="List scenarios; show and check scenario files, and print their schema.", no_args_is_help=False
+)
 
 
 @scenarios.callback(invoke_without_command=True)
 def listing(
     context: typer.Context,
-    match: Annotated[str, typer.Option(help="Only ids that contain this text.")] = "",
+    match: Annotated[str, typer.Option(help="Show only ids that contain this text.")] = "",
     as_json: Annotated[bool, typer.Option("--json", help="Print all ids as JSON.")] = False,
 ) -> None:
-    """Lists scenarios; each is an environment: `gym.make("zenostat/ID")`.
+    """List scenarios; each id is an environment: `gym.make("zenostat/ID")`.
 
     Example: `zenostat scenarios --match stochastic`
     """
@@ -35,29 +37,29 @@ def listing(
         return
     from topics.scenario_ids import bundled_ids, pack_ids
 
-    found = [name for name in (*pack_ids(), *bundled_ids()) if match.casefold() in name.casefold()]
+    ids = [name for name in (*pack_ids(), *bundled_ids()) if match.casefold() in name.casefold()]
     if as_json:
-        json.dump(found, sys.stdout, indent=1)
+        json.dump(ids, sys.stdout, indent=1)
         sys.stdout.write("\n")
         return
     if match:
-        packed = set(pack_ids())
-        rows = [(name, "pack sinergym" if name in packed else "bundled") for name in found]
-        show_table(f"{len(found):,} scenarios", ("id", "from"), rows, wrap=("id",))
+        from_pack = set(pack_ids())
+        rows = [(name, "pack sinergym" if name in from_pack else "bundled") for name in ids]
+        show_table(f"{len(ids):,} scenarios", ("id", "from"), rows, wrap=("id",))
         return
     columns = ("building", "weathers", "actions", "ids", "from")
-    show_table(f"{len(found):,} scenarios", columns, _families(), right=("ids",), wrap=columns[:3])
+    show_table(f"{len(ids):,} scenarios", columns, _families(), right=("ids",), wrap=columns[:3])
     if not out.is_terminal:
         return
     out.print(
-        "An id is BUILDING-WEATHER-ACTIONS-v1, or BUILDING-WEATHER-ACTIONS-stochastic-v1 with noise on the weather; "
-        'each is an environment, gym.make("zenostat/ID"). The ids themselves: zenostat scenarios --match TEXT',
+        "An id has the form BUILDING-WEATHER-ACTIONS-v1, or BUILDING-WEATHER-ACTIONS-stochastic-v1 with weather noise. "
+        'Each id is an environment: gym.make("zenostat/ID"). To list ids: zenostat scenarios --match TEXT',
         markup=False,
     )
 
 
 def _families() -> list[tuple[str, ...]]:
-    """A row for each building: its weathers, its kinds of actions, how many ids those make, and where they are from."""
+    """Return a row for each building: weathers, kinds of actions, number of ids, origin."""
     from topics.scenario_ids import BUILDINGS, DEMO, PACK_IDS, WEATHERS, bundled_ids, variants
 
     pack = "pack sinergym"
@@ -65,16 +67,16 @@ def _families() -> list[tuple[str, ...]]:
     for building, (weathers, forms) in PACK_IDS.items():
         count = len(weathers) * len(variants(building, "", forms))
         rows.append((building, ", ".join(weathers), ", ".join(forms), str(count), pack))
-    everything = (f"{len(BUILDINGS)}, see zenostat buildings", f"{len(WEATHERS)}, see zenostat weathers")
-    return [*rows, (*everything, "continuous, discrete", f"{len(bundled_ids()):,}", "bundled")]
+    bundled = (f"{len(BUILDINGS)}, see zenostat buildings", f"{len(WEATHERS)}, see zenostat weathers")
+    return [*rows, (*bundled, "continuous, discrete", f"{len(bundled_ids()):,}", "bundled")]
 
 
 @scenarios.command()
 def show(
-    scenario: Annotated[str, typer.Argument(help="Id, or a scenario file.")],
-    brief: Annotated[bool, typer.Option("--brief", help="Only what differs from the defaults.")] = False,
+    scenario: Annotated[str, typer.Argument(help="Scenario id or scenario file.")],
+    brief: Annotated[bool, typer.Option("--brief", help="Print only fields that differ from the deerrors.")] = False,
 ) -> None:
-    """Prints a scenario as a file that can be edited and simulated.
+    """Print a scenario as a file that can be edited and simulated.
 
     Example: `zenostat scenarios show office-medium-USA_CO_Denver-discrete-v1 > mine.yaml`
     """
@@ -84,31 +86,33 @@ def show(
 
     config = read_config({"scenario": scenario})
     if brief:
-        found = read_base(config)
-        assert found is not None
+        described = read_base(config)
+        assert described is not None
     else:
-        with err.status(f"asking EnergyPlus about {scenario}"):
+        with err.status(f"reading the points of {scenario} with EnergyPlus"):
             planned = plan(config)
-        found = _with_reward(expanded(planned.scenario, planned.building, planned.points, planned.task))
+        described = _with_reward_defaults(expanded(planned.scenario, planned.building, planned.points, planned.task))
     sys.stdout.write("# yaml-language-server: $schema=scenario.schema.json\n")
-    sys.stdout.write("# (made by `zenostat scenarios schema > scenario.schema.json`)\n")
-    sys.stdout.write(dump(found, defaults=not brief))
+    sys.stdout.write("# Create the schema with `zenostat scenarios schema > scenario.schema.json`.\n")
+    sys.stdout.write(dump(described, defaults=not brief))
 
 
-def _with_reward(scenario: Scenario) -> Scenario:
-    """The scenario with all parameters of its reward, those that have their defaults included."""
+def _with_reward_defaults(scenario: Scenario) -> Scenario:
+    """Return the scenario with all parameters of its reward, including deerrors."""
     from agent_sdk.rewards import REWARDS, read_reward
 
     if scenario.reward is None:
         return scenario
     reward = read_reward(scenario.reward)
-    whole = cast("BaseModel", reward).model_dump(mode="json") if isinstance(reward, tuple(REWARDS.values())) else {}
-    return scenario.model_copy(update={"reward": dict(scenario.reward) | whole})
+    parameters = (
+        cast("BaseModel", reward).model_dump(mode="json") if isinstance(reward, tuple(REWARDS.values())) else {}
+    )
+    return scenario.model_copy(update={"reward": dict(scenario.reward) | parameters})
 
 
 @scenarios.command()
-def check(file: Annotated[Path, typer.Argument(help="A scenario file.")]) -> None:
-    """Checks a scenario file, its building, weather and points; starts no simulation.
+def check(file: Annotated[Path, typer.Argument(help="Scenario file.")]) -> None:
+    """Check a scenario file with its building, weather and points, without simulating.
 
     Example: `zenostat scenarios check mine.yaml`
     """
@@ -116,16 +120,16 @@ def check(file: Annotated[Path, typer.Argument(help="A scenario file.")]) -> Non
     from eplus_node.config import plan, read_config
     from models.scenario.schema import load_scenario
 
-    faults = ErrorCollector()
+    errors = ErrorCollector()
     if not file.is_file():
         raise UnknownName(f"there is no file {file.absolute()}")
     with err.status(f"checking {file}"):
-        read = faults.collect(lambda: load_scenario(file))
-        reward = read.reward if read is not None else None
+        loaded = errors.collect(lambda: load_scenario(file))
+        reward = loaded.reward if loaded is not None else None
         if reward is not None:
-            faults.collect(lambda: read_reward(reward))
-        planned = faults.collect(lambda: plan(read_config({"scenario": str(file)}))) if read is not None else None
-    faults.raise_if_any()
+            errors.collect(lambda: read_reward(reward))
+        planned = errors.collect(lambda: plan(read_config({"scenario": str(file)}))) if loaded is not None else None
+    errors.raise_if_any()
     if planned is None:
         raise InvalidConfig(f"{file} could not be read")
     points = planned.points
@@ -139,7 +143,7 @@ def check(file: Annotated[Path, typer.Argument(help="A scenario file.")]) -> Non
 
 @scenarios.command()
 def schema() -> None:
-    """Prints the JSON schema of a scenario file, for editors that complete and check by it.
+    """Print the JSON schema of scenario files, for completion and validation in editors.
 
     Example: `zenostat scenarios schema > scenario.schema.json`
     """
@@ -148,20 +152,20 @@ def schema() -> None:
 
 
 def scenario_schema() -> dict[str, Any]:
-    """The schema with the rewards' parameters in it, which are another room's."""
+    """Return the schema of scenario files, including the rewards' parameters, which `agent_sdk` defines."""
     from agent_sdk.rewards import REWARDS
     from models.scenario.schema import Scenario
 
-    found = Scenario.model_json_schema()
-    kinds = []
-    for kind in REWARDS.values():
-        own = kind.model_json_schema(ref_template="#/$defs/{model}")
-        found["$defs"].update(own.pop("$defs", {}))
-        own["required"] = ["kind", *own.get("required", [])]
-        found["$defs"][kind.__name__] = own
-        kinds.append({"$ref": f"#/$defs/{kind.__name__}"})
-    found["properties"]["reward"] = {
-        "anyOf": [*kinds, {"type": "null"}],
-        "description": "What the agent is rewarded for; null: nothing.",
+    schema = Scenario.model_json_schema()
+    rewards = []
+    for reward in REWARDS.values():
+        reward_schema = reward.model_json_schema(ref_template="#/$defs/{model}")
+        schema["$defs"].update(reward_schema.pop("$defs", {}))
+        reward_schema["required"] = ["kind", *reward_schema.get("required", [])]
+        schema["$defs"][reward.__name__] = reward_schema
+        rewards.append({"$ref": f"#/$defs/{reward.__name__}"})
+    schema["properties"]["reward"] = {
+        "anyOf": [*rewards, {"type": "null"}],
+        "description": "Reward of the agent; null for none.",
     }
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **found}
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}

@@ -1,4 +1,4 @@
-"""Tables that fit the terminal without cutting anything; in a pipe, a line a row."""
+"""Tables that fit the terminal without truncation; in a pipe, one line per row."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from rich.text import Text
 
 from cli.console import out
 
-_LONG = 2000
-"""Rows from which on a drawn table takes seconds."""
+_MAX_RENDERED_ROWS = 2000
+"""Longer tables take seconds to render."""
 
 _GAP = 2
-"""Cells between two columns."""
+"""Spaces between two columns."""
 
 _MAX_PAD = 44
-"""In a pipe a longer cell is not padded for: one long name would push all other rows apart."""
+"""Maximum column width in a pipe: one longer cell does not widen all other rows."""
 
 _WORDS = re.compile(r"\S+\s*")
 _PARTS = re.compile(r"[^\s_./:-]*[_./:-]*\s*")
 
 
-def show_json(found: Sequence[dict[str, Any]] | dict[str, Any]) -> None:
-    """Print rows, or what holds them, as JSON."""
-    json.dump(found, sys.stdout, indent=1)
+def show_json(data: Sequence[dict[str, Any]] | dict[str, Any]) -> None:
+    """Print data as JSON."""
+    json.dump(data, sys.stdout, indent=1)
     sys.stdout.write("\n")
 
 
@@ -45,16 +45,16 @@ def show(
     right: Sequence[str] = (),
     wrap: Sequence[str] = (),
 ) -> None:
-    """Print a table; in a pipe, or where it is very long, a line a row, as wide as it needs.
+    """Print a table; in a pipe, or if it is very long, as one line per row of any width.
 
     Args:
-        title: stands above it.
-        columns: headings; they may have several lines.
-        rows: a cell for each column.
-        right: columns of numbers.
-        wrap: columns whose cells may take several lines of a table.
+        title: printed above the table.
+        columns: headings, which may have several lines.
+        rows: one cell for each column.
+        right: right-aligned columns.
+        wrap: columns whose cells may be wrapped to several lines.
     """
-    if not out.is_terminal or len(rows) > _LONG:
+    if not out.is_terminal or len(rows) > _MAX_RENDERED_ROWS:
         _show_lines([column.replace("\n", " ") for column in columns], rows, [name in right for name in columns])
     else:
         out.print(fitted(columns, rows, out.width, title=title, right=right, wrap=wrap))
@@ -69,11 +69,11 @@ def fitted(
     right: Sequence[str] = (),
     wrap: Sequence[str] = (),
 ) -> RenderableType:
-    """Return a table that is at most `width` wide, with every cell whole.
+    """Return a table that is at most `width` wide, with no cell truncated.
 
-    Where it does not fit, the `wrap` columns take several lines: between words, then also after `_`, `.`, `/`, `:`
-    and `-`. Where that is not enough, each row becomes a paragraph: the cell of its first `wrap` column, and
-    below it the others with their headings.
+    If it does not fit, the `wrap` columns are wrapped: between words, then also after `_`, `.`, `/`, `:` and `-`. If
+    that is not enough, each row becomes a paragraph: the cell of the first `wrap` column, and the others below it with
+    their headings.
     """
     for pattern in (_WORDS, _PARTS):
         widths = _widths(columns, rows, width, [name in wrap for name in columns], pattern)
@@ -85,21 +85,21 @@ def fitted(
 def _widths(
     columns: Sequence[str], rows: Sequence[Sequence[str]], width: int, wraps: Sequence[bool], pattern: re.Pattern[str]
 ) -> list[int] | None:
-    """The width of each column; None if they do not fit."""
+    """Return the width of each column; None if they do not fit."""
     cells = list(zip(columns, *rows, strict=True))
-    most = [max(cell_len(line) for cell in column for line in cell.split("\n")) for column in cells]
-    found = [
-        max(cell_len(part.rstrip()) for cell in column for part in _pieces(cell, pattern)) if may else natural
-        for column, natural, may in zip(cells, most, wraps, strict=True)
+    natural = [max(cell_len(line) for cell in column for line in cell.split("\n")) for column in cells]
+    widths = [
+        max(cell_len(part.rstrip()) for cell in column for part in _pieces(cell, pattern)) if wrap else full
+        for column, full, wrap in zip(cells, natural, wraps, strict=True)
     ]
-    spare = width - sum(found) - _GAP * (len(columns) - 1)
+    spare = width - sum(widths) - _GAP * (len(columns) - 1)
     if spare < 0:
         return None
-    while spare > 0 and found != most:  # a cell for each column that needs one, round by round
-        for i, natural in enumerate(most):
-            if found[i] < natural and spare > 0:
-                found[i], spare = found[i] + 1, spare - 1
-    return found
+    while spare > 0 and widths != natural:  # widen the wrapped columns in turn
+        for i, full in enumerate(natural):
+            if widths[i] < full and spare > 0:
+                widths[i], spare = widths[i] + 1, spare - 1
+    return widths
 
 
 def _pieces(cell: str, pattern: re.Pattern[str]) -> list[str]:
@@ -117,10 +117,10 @@ def _table(
     table = Table(
         title=escape(title) or None, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False
     )
-    table.padding = (0, _GAP - 1, 0, 0)  # the box adds one
+    table.padding = (0, _GAP - 1, 0, 0)  # the box style adds 1
     for name, width in zip(columns, widths, strict=True):
-        head = _wrapped(name, width, pattern)
-        table.add_column(escape(head), justify="right" if name in right else "left", width=width, no_wrap=True)
+        heading = _wrapped(name, width, pattern)
+        table.add_column(escape(heading), justify="right" if name in right else "left", width=width, no_wrap=True)
     for row in rows:
         table.add_row(*(escape(_wrapped(cell, width, pattern)) for cell, width in zip(row, widths, strict=True)))
     return table
@@ -141,23 +141,23 @@ def _lines(text: str, width: int, pattern: re.Pattern[str]) -> Iterator[str]:
 
 
 def _paragraphs(columns: Sequence[str], rows: Sequence[Sequence[str]], title: str, wrap: Sequence[str]) -> Group:
-    shown: list[RenderableType] = [Text(title, style="italic")] if title else []
-    heads = [column.replace("\n", " ") for column in columns]
-    lead = next((place for place, column in enumerate(columns) if column in wrap), 0)
+    parts: list[RenderableType] = [Text(title, style="italic")] if title else []
+    headings = [column.replace("\n", " ") for column in columns]
+    lead = next((index for index, column in enumerate(columns) if column in wrap), 0)
     for row in rows:
-        rest = list(zip(heads, row, strict=True))
-        shown.append(Text(rest.pop(lead)[1], style="bold", overflow="fold"))
+        rest = list(zip(headings, row, strict=True))
+        parts.append(Text(rest.pop(lead)[1], style="bold", overflow="fold"))
         text = Text(overflow="fold")
         for name, cell in rest:
             if cell:
                 text.append("; " if text else "").append(f"{name}: ", style="dim").append(cell.replace("\n", " "))
-        shown.append(Padding(text, (0, 0, 0, 2)))
-    return Group(*shown)
+        parts.append(Padding(text, (0, 0, 0, 2)))
+    return Group(*parts)
 
 
 def _show_lines(columns: Sequence[str], rows: Sequence[Sequence[str]], right: Sequence[bool]) -> None:
     widths = [min(max(map(len, cells)), _MAX_PAD) for cells in zip(columns, *rows, strict=True)]
     for row in (columns, *rows):
         cells = zip(row, widths, right, strict=True)
-        line = "  ".join(cell.rjust(width) if number else cell.ljust(width) for cell, width, number in cells)
+        line = "  ".join(cell.rjust(width) if is_right else cell.ljust(width) for cell, width, is_right in cells)
         sys.stdout.write(line.rstrip() + "\n")

@@ -1,4 +1,4 @@
-"""`zenostat weathers`: the weather files that can be named, and what they are."""
+"""`zenostat weathers`: a table of the available weather files."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ COLUMNS = (
 
 def weathers(
     weather: Annotated[
-        list[str] | None, typer.Argument(help="Short names, paths to an EPW, or parts of names; all if none.")
+        list[str] | None, typer.Argument(help="Short names, EPW files, or parts of names. Default: all.")
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """Lists weather files with their place, climate zone (ASHRAE 169), means and the days that they cover.
+    """List weather files with location, climate zone (ASHRAE 169), mean temperature and humidity, and days covered.
 
     Example: `zenostat weathers USA_CO_Denver USA_FL_Miami`
     """
@@ -40,11 +40,11 @@ def weathers(
     from models.weather.summary import weather_summary
 
     entries = [catalog.find_weather(name) for name in weather] if weather else list(catalog.weathers())
-    facts = [weather_summary(entry.path) for entry in entries]
+    summaries = [weather_summary(entry.path) for entry in entries]
     if as_json:
-        show_json([{"name": entry.name} | asdict(found) for entry, found in zip(entries, facts, strict=True)])
+        show_json([{"name": entry.name} | asdict(summary) for entry, summary in zip(entries, summaries, strict=True)])
         return
-    rows = [_cells(entry.name, found) for entry, found in zip(entries, facts, strict=True)]
+    rows = [_cells(entry.name, summary) for entry, summary in zip(entries, summaries, strict=True)]
     numbers = [name for name in COLUMNS if name not in ("weather", "place", "climate\nzone", "days", "years")]
     show(
         f"{len(rows)} weather file" + ("s" if len(rows) > 1 else ""),
@@ -55,17 +55,17 @@ def weathers(
     )
 
 
-def _cells(name: str, facts: WeatherSummary) -> tuple[str, ...]:
-    first, last = (f"{month:02}-{day:02}" for month, day in (facts.first, facts.last))
+def _cells(name: str, summary: WeatherSummary) -> tuple[str, ...]:
+    first, last = (f"{month:02}-{day:02}" for month, day in (summary.first, summary.last))
     return (
         name,
-        facts.place,
-        f"{facts.latitude_deg:.2f}",
-        f"{facts.longitude_deg:.2f}",
-        f"{facts.elevation_m:.0f}",
-        facts.climate_zone,
-        f"{facts.mean_temperature_degC:.1f}",
-        f"{facts.mean_humidity_pct:.0f}",
+        summary.place,
+        f"{summary.latitude_deg:.2f}",
+        f"{summary.longitude_deg:.2f}",
+        f"{summary.elevation_m:.0f}",
+        summary.climate_zone,
+        f"{summary.mean_temperature_degC:.1f}",
+        f"{summary.mean_humidity_pct:.0f}",
         f"{first} to {last}",
-        facts.years,
+        summary.years,
     )

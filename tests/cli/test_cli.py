@@ -72,7 +72,7 @@ def test_three_terminals(scratch):
             text=True,
             cwd=scratch,
         )
-        assert f"connected to {endpoint}; Ctrl-C" in monitor.stdout.readline()
+        assert f"connected to {endpoint}; press Ctrl-C" in monitor.stdout.readline()
         status = _plain(_zenostat("status", "--connect", endpoint).stdout)
         assert "waiting (lockstep)" in status
         assert "no controllers" in status
@@ -136,7 +136,7 @@ def test_ctrl_c_in_a_controller_leaves_the_node_waiting(scratch):
         (["node", *DAY, "--listen", "7447"], ["is not an endpoint", "tcp/127.0.0.1:7447"]),
         (["run", "--node", "office", "--controller", "rb"], ["no controller 'rb'", "'rbc'"]),
         (["monitor", "--save", "nowhere/run.rrd"], ["there is no folder", "nowhere"]),
-        (["monitor", "--screenshot", "run.jpg"], ["--screenshot run.jpg", "a file .png expected"]),
+        (["monitor", "--screenshot", "run.jpg"], ["--screenshot run.jpg", "expected a .png file"]),
     ],
 )
 def test_mistakes_in_the_call_are_named_before_anything_starts(scratch, arguments, words):

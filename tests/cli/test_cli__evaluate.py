@@ -82,12 +82,12 @@ def test_json_is_the_table_of_the_episodes_and_csv_the_same(scratch: Path) -> No
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["--controller", "rbc", "--out", "rows.txt"], "--out rows.txt: a table goes to a file .parquet or .csv"),
+        (["--controller", "rbc", "--out", "rows.txt"], "--out rows.txt: expected a .parquet or .csv file"),
         (["--controller", "rbc", "--out", "nowhere/rows.csv"], "there is no folder"),
         (["--controller", "rbcc"], "no controller 'rbcc'; near names: 'rbc'"),
         (["--controller", "rbc", "--controller", "rbc"], "the controller rbc stands twice"),
         (["--controller", "rbc", "--set", "mergin=1"], "none of the controllers takes the parameter 'mergin'"),
-        (["--controller", "rbc", "--set", "margin"], "--set margin: a name and a value expected"),
+        (["--controller", "rbc", "--set", "margin"], "--set margin: expected a name and a value"),
         (["--controller", "mine.py:Mine"], "there is no file"),
         (["--controller", "rbc", "--begin", "13-01"], "13-01"),
     ],

@@ -406,12 +406,12 @@ def test_the_command_lists_adds_and_removes(fake, cache, monkeypatch):
     for arguments in ([], ["list"]):
         _, *rows = runner.invoke(app, arguments).stdout.splitlines()
         assert [re.split(" {2,}", row) for row in rows] == [
-            ["sinergym", "3.12.2", "MIT", "not added", "9 buildings, 14 weathers, 109 scenarios"],
-            ["fake", "1.0", "MIT", "not added", "0 buildings, 0 weathers, 0 scenarios"],
+            ["sinergym", "3.12.2", "MIT", "not installed", "9 buildings, 14 weather files, 109 scenarios"],
+            ["fake", "1.0", "MIT", "not installed", "0 buildings, 0 weather files, 0 scenarios"],
         ]
-    assert "fake 1.0 added" in runner.invoke(app, ["add", "fake"], catch_exceptions=False).stdout
-    assert "is there already" in runner.invoke(app, ["add", "fake"], catch_exceptions=False).stdout
+    assert "fake 1.0 installed" in runner.invoke(app, ["add", "fake"], catch_exceptions=False).stdout
+    assert "is already installed" in runner.invoke(app, ["add", "fake"], catch_exceptions=False).stdout
     assert str(cache / "packs" / "fake-1.0") in runner.invoke(app).stdout
     assert runner.invoke(app, ["remove", "fake"]).stdout == "fake removed\n"
-    assert runner.invoke(app, ["remove", "fake"]).stdout == "fake was not added\n"
+    assert runner.invoke(app, ["remove", "fake"]).stdout == "fake was not installed\n"
     assert isinstance(runner.invoke(app, ["add", "fak"]).exception, UnknownName)

@@ -52,7 +52,7 @@ def test_step_says_where_the_node_stands_after_its_steps(node: NodeProgram) -> N
     assert zenostat("pace", "office", "lockstep", *at).returncode == 0
     said = zenostat("step", "office", "2", *at).stdout
     assert "lockstep; paused; step 5 of 96" in said
-    assert "2 of 2 timesteps are still to go: it waits for a controller" in said
+    assert "2 of 2 timesteps left: waiting for a controller" in said
 
 
 def second_node(endpoint: str, *arguments: str, cwd: Path) -> subprocess.Popen[str]:
@@ -74,7 +74,7 @@ def test_a_second_node_on_the_default_port_joins_the_bus_of_the_first(scratch: P
     ):
         try:
             said = second.stdout.readline()
-            assert f"another program listens on {endpoint}, so annex does not listen; it is connected to" in said
+            assert f"{endpoint} is in use by another program, so annex does not listen; it shares the bus at" in said
             assert "--listen tcp/127.0.0.1:" in said
             assert "annex" in second.stdout.readline()
             assert bus.nodes() == ["annex", "office"]
@@ -102,10 +102,10 @@ def test_a_monitor_says_whom_it_waits_for(node: NodeProgram, scratch: Path) -> N
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=scratch) as monitor:
         said = monitor.stdout.readline()
         assert said == (
-            f"connected to {node.endpoint}, where no node 'ofice' is; near names: 'office'; waiting for it; "
-            "Ctrl-C ends it\n"
+            f"connected to {node.endpoint}; no node 'ofice' is on this bus; near names: 'office'; waiting for it; "
+            "press Ctrl-C to stop\n"
         )
         monitor.send_signal(signal.SIGINT)
         rest, _ = monitor.communicate(timeout=60)
-    assert "open it again: " in rest
+    assert "open the recording with: " in rest
     assert "rerun run.rrd" in rest

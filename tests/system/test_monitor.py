@@ -191,7 +191,7 @@ def test_a_monitor_that_waits_for_its_bus_says_so_and_can_be_ended(scratch, numb
     command += ["--connect", f"tcp/127.0.0.1:{free_port()}"]
     monitor = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=scratch)
     try:
-        assert "waiting for it, Ctrl-C ends it" in monitor.stdout.readline()
+        assert "waiting for it, press Ctrl-C to stop" in monitor.stdout.readline()
         monitor.send_signal(number)
         rest, _ = monitor.communicate(timeout=60)
     finally:

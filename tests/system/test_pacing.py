@@ -126,7 +126,7 @@ def test_a_pace_on_the_command_line(text: str, meant: tuple[Mode, float | None])
 
 
 def test_no_pace_on_the_command_line() -> None:
-    with pytest.raises(InvalidConfig, match=r"'fast' is no pace: a number above 0 .*, lockstep or free expected"):
+    with pytest.raises(InvalidConfig, match=r"'fast' is not a pace: expected a number above 0 .*, lockstep or free"):
         read_pace("fast")
 
 
@@ -461,10 +461,10 @@ def test_commands_of_a_person(node: NodeProgram, bus: Bus, tmp_path: Path) -> No
 
 def test_mistakes_of_a_person() -> None:
     for arguments, words in {
-        ("pace", "office", "quick"): "'quick' is no pace",
-        ("faults", "office"): "name a file with a plan, or --clear",
-        ("faults", "office", "nowhere.yaml", "--clear"): "name a file with a plan, or --clear",
-        ("node", "--building", "x", "--weather", "y", "--speed", "5"): "--speed 5 goes with --mode paced",
+        ("pace", "office", "quick"): "'quick' is not a pace",
+        ("faults", "office"): "expected either a file with a fault plan, or --clear",
+        ("faults", "office", "nowhere.yaml", "--clear"): "expected either a file with a fault plan, or --clear",
+        ("node", "--building", "x", "--weather", "y", "--speed", "5"): "--speed 5 needs --mode paced",
     }.items():
         done = subprocess.run([*ZENOSTAT, *arguments], capture_output=True, text=True, timeout=100)
         assert done.returncode == 2

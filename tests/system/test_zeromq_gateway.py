@@ -513,7 +513,7 @@ def test_ctrl_c_ends_it_in_good_order(node, gateway):
         assert peer.ask("rpc/sing")[0] == "ErrorReply"
         code, out, err = gateway.interrupt()
     assert (code, err) == (0, "")
-    assert out.endswith("0 samples, 2 requests, 1 of them denied\n")
+    assert out.endswith("0 samples, 2 requests, 1 of them rejected\n")
 
 
 # Examples
