@@ -1,4 +1,4 @@
-"""Controllers: objects with `act(sample)`, for processes of their own and for environments alike."""
+"""Controllers: objects with `act(sample)`, to run in their own process or as agents in an environment."""
 
 from agent_sdk.controllers.agent import Agent, action_of
 from agent_sdk.controllers.base import BaselineController, Controller, ControllerProtocol, Values

@@ -1,4 +1,4 @@
-"""What the actions of a task are to a controller: setpoints, water temperatures, switches, storage; and whose."""
+"""Roles of a task's actions (setpoint, water temperature, availability, storage) and the zones that they serve."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ THERMOSTAT = "zone temperature control"
 OCCUPANTS = "zone people occupant count"
 ZONE_TEMPERATURES = ("zone air temperature", "zone mean air temperature")
 
-# What a room's setpoint can be, and what tells heating water from chilled water.
-_ROOM_DEGC = (10.0, 40.0)
-_TEPID_DEGC = 20.0
+# Range of zone setpoints, and the limit between chilled water and heating water.
+_ZONE_SETPOINT_DEGC = (10.0, 40.0)
+_MAX_CHILLED_DEGC = 20.0
 
 
 class Role(StrEnum):
-    """What an action is."""
+    """What an action sets."""
 
     HEATING = "heating setpoint"
     COOLING = "cooling setpoint"
@@ -38,13 +38,13 @@ SETPOINTS = (Role.HEATING, Role.COOLING)
 
 @dataclass(frozen=True, slots=True)
 class ActionBinding:
-    """One action of the task.
+    """One action of the task, with its role and the points of the zones that it serves.
 
     Attributes:
-        action: what it sets.
-        role: what it is.
-        temperatures: positions among the sample's values of the air temperatures that it rules.
-        people: positions of the occupant counts of those zones; of all zones, where those are not measured.
+        action: the action.
+        role: what it sets.
+        temperatures: indices of the air temperatures that it controls, in `sample.values`.
+        people: indices of the occupant counts of these zones, or of all zones if these have none.
     """
 
     action: Action
@@ -53,45 +53,45 @@ class ActionBinding:
     people: tuple[int, ...]
 
     def clip(self, value: float) -> float:
-        """The value within the action's bounds that is nearest."""
+        """Clip a value to the action's bounds."""
         low, high = bounds(self.action)
         return min(max(value, low), high)
 
     def at(self, value: float) -> Values:
-        """All its actuators at that value, or the nearest within the bounds."""
+        """Set all actuators of the action to a value, clipped to its bounds."""
         return dict.fromkeys(self.action.actuators, self.clip(value))
 
 
 def bind_actions(manifest: Manifest) -> tuple[ActionBinding, ...]:
-    """The actions of a node's task, in order."""
+    """Return a binding for each action of a node's task, in order."""
     actuators = {a.name: a for a in manifest.actuators}
     roles = [role_of(action, actuators[action.actuators[0]]) for action in manifest.task.actions]
     return tuple(
-        ActionBinding(action, role, *_rooms(action, [actuators[name] for name in action.actuators], manifest))
+        ActionBinding(action, role, *_zone_points(action, [actuators[name] for name in action.actuators], manifest))
         for action, role in zip(manifest.task.actions, roles, strict=True)
     )
 
 
 def role_of(action: Action | Actuator, actuator: Actuator) -> Role:
-    """What an action is: by what EnergyPlus says, where it does; else by words in the names and by the range."""
+    """Derive the role of an action: from the actuator's type for thermostats, else from names and bounds."""
     if actuator.component_type.casefold() == THERMOSTAT:
-        found = actuator.control_type.casefold()
-        return Role(found) if found in SETPOINTS else Role.OTHER
+        control_type = actuator.control_type.casefold()
+        return Role(control_type) if control_type in SETPOINTS else Role.OTHER
     for text in (action.name, actuator.name, actuator.key):
-        role = _by_words(text.casefold(), *bounds(action))
+        role = _role_from_name(text.casefold(), *bounds(action))
         if role is not Role.OTHER:
             return role
     return Role.OTHER
 
 
-def _by_words(text: str, low: float, high: float) -> Role:
+def _role_from_name(text: str, low: float, high: float) -> Role:
     if "charge" in text:
         return Role.STORAGE
     if (low, high) == (0.0, 1.0):
         return Role.AVAILABILITY if "avail" in text else Role.OTHER
     if "water" in text or "chw" in text or "hhw" in text:
-        return Role.COLD_WATER if high <= _TEPID_DEGC else Role.HOT_WATER
-    if high >= _ROOM_DEGC[0] and low <= _ROOM_DEGC[1]:
+        return Role.COLD_WATER if high <= _MAX_CHILLED_DEGC else Role.HOT_WATER
+    if high >= _ZONE_SETPOINT_DEGC[0] and low <= _ZONE_SETPOINT_DEGC[1]:
         if "cool" in text or "clg" in text:
             return Role.COOLING
         if "heat" in text or "htg" in text:
@@ -100,23 +100,23 @@ def _by_words(text: str, low: float, high: float) -> Role:
 
 
 def temperature_sensors(manifest: Manifest) -> list[Sensor]:
-    """The air temperatures that matter: those of the reward, else those of all zones."""
-    named = rewarded_temperatures(manifest)
-    if named:
-        return [s for s in manifest.sensors if s.name in named]
+    """Return the air temperatures to control: those of the reward if it names any, else those of all zones."""
+    rewarded = rewarded_temperatures(manifest)
+    if rewarded:
+        return [s for s in manifest.sensors if s.name in rewarded]
     for variable in ZONE_TEMPERATURES:
-        found = [s for s in manifest.sensors if s.variable.casefold() == variable]
-        if found:
-            return found
+        sensors = [s for s in manifest.sensors if s.variable.casefold() == variable]
+        if sensors:
+            return sensors
     return []
 
 
-def _rooms(
+def _zone_points(
     action: Action, actuators: Sequence[Actuator], manifest: Manifest
 ) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Positions of temperatures and of occupant counts: by zone for thermostats, else by name, else all."""
-    places = {s.name: i for i, s in enumerate(manifest.sensors)}
-    people = {s.key.casefold(): places[s.name] for s in manifest.sensors if s.variable.casefold() == OCCUPANTS}
+    """Return indices of temperatures and occupant counts: by zone for thermostats, else by similar names, else all."""
+    indices = {s.name: i for i, s in enumerate(manifest.sensors)}
+    people = {s.key.casefold(): indices[s.name] for s in manifest.sensors if s.variable.casefold() == OCCUPANTS}
     sensors = temperature_sensors(manifest)
     if actuators[0].component_type.casefold() == THERMOSTAT:
         zones = {a.key.casefold() for a in actuators}
@@ -124,25 +124,25 @@ def _rooms(
             s for s in manifest.sensors if s.key.casefold() in zones and s.variable.casefold() in ZONE_TEMPERATURES
         ]
     else:
-        measured = _named_alike(action.name, [a.name for a in manifest.task.actions], sensors) or sensors
+        measured = _similar_sensors(action.name, [a.name for a in manifest.task.actions], sensors) or sensors
         zones = {s.key.casefold() for s in measured}
-    counted = [place for zone, place in people.items() if zone in zones]
-    return tuple(places[s.name] for s in measured or sensors), tuple(counted or people.values())
+    counts = [index for zone, index in people.items() if zone in zones]
+    return tuple(indices[s.name] for s in measured or sensors), tuple(counts or people.values())
 
 
-def _named_alike(name: str, peers: Iterable[str], sensors: Sequence[Sensor]) -> list[Sensor]:
-    """The sensors that share a word with the name which not all have: `radiant_bed1` and `bedroom01_temperature`."""
-    others = [_words(peer) for peer in peers if peer != name]
-    own = {word for word in _words(name) if sum(word in words for words in others) == 0}
-    found = [s for s in sensors if any(_alike(mine, its) for mine in own for its in _words(s.name))]
-    return found if len(found) < len(sensors) else []
+def _similar_sensors(name: str, peers: Iterable[str], sensors: Sequence[Sensor]) -> list[Sensor]:
+    """Return the sensors that share a distinctive word with a name: `radiant_bed1`, `bedroom01_temperature`."""
+    peer_words = [_words(peer) for peer in peers if peer != name]
+    distinctive = {word for word in _words(name) if sum(word in words for words in peer_words) == 0}
+    similar = [s for s in sensors if any(_is_similar(a, b) for a in distinctive for b in _words(s.name))]
+    return similar if len(similar) < len(sensors) else []
 
 
 def _words(name: str) -> set[tuple[str, int]]:
-    """Words with the number that follows them (0 if none)."""
+    """Split a name into words, each with the number that follows it (0 if none)."""
     pairs: list[tuple[str, str]] = re.findall(r"([a-z]+)(\d*)", name.casefold())
     return {(word, int(digits or 0)) for word, digits in pairs}
 
 
-def _alike(mine: tuple[str, int], its: tuple[str, int]) -> bool:
-    return len(mine[0]) > 2 and its[0].startswith(mine[0]) and mine[1] == its[1]
+def _is_similar(word: tuple[str, int], longer: tuple[str, int]) -> bool:
+    return len(word[0]) > 2 and longer[0].startswith(word[0]) and word[1] == longer[1]

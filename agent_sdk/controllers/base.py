@@ -1,4 +1,4 @@
-"""What a controller is."""
+"""Protocol and base class of controllers."""
 
 from __future__ import annotations
 
@@ -9,40 +9,40 @@ from agent_sdk.bus.sample import SampleView
 from topics.messages import Manifest
 
 Values = dict[str, float | None]
-"""Actuator to value in its unit; None releases it; one that is not named stays as it is."""
+"""Values by actuator, in its unit; None relinquishes it; actuators that are not named keep their value."""
 
 
 class ControllerProtocol(Protocol):
-    """All that a class of anybody's needs to be a controller; it is made with the node's manifest."""
+    """Interface that a controller class has to implement; its first argument is the node's manifest."""
 
     def act(self, sample: SampleView) -> Values:
-        """The answer to a sample; it rules the next timestep."""
+        """Return the commands for the timestep that begins at `sample.time`."""
 
 
 class Controller(ABC):
-    """A controller of one node.
+    """Base class of controllers of one node.
 
     Args:
         manifest: the node's points and task.
 
     Raises:
-        InvalidConfig: the node lacks what this controller needs.
+        InvalidConfig: the node lacks points or actions that the controller needs.
     """
 
     def __init__(self, manifest: Manifest) -> None:
         self.manifest = manifest
 
-    def begin(self, sample: SampleView) -> None:  # noqa: B027  # most controllers remember nothing
-        """An episode begins at `sample`, or this controller joins it there: what was remembered is forgotten."""
+    def begin(self, sample: SampleView) -> None:  # noqa: B027  # most controllers have no state
+        """Reset the state: an episode starts at `sample`, or the controller joins it there."""
 
     @abstractmethod
     def act(self, sample: SampleView) -> Values:
-        """The answer to a sample; it rules the next timestep."""
+        """Return the commands for the timestep that begins at `sample.time`."""
 
 
 class BaselineController(Controller):
-    """The building's own control: touches nothing."""
+    """Controller that commands nothing, so that baseline control stays in effect."""
 
     def act(self, sample: SampleView) -> Values:  # noqa: ARG002
-        """Nothing."""
+        """Return no commands."""
         return {}

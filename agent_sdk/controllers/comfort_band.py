@@ -1,4 +1,4 @@
-"""The comfort band that a controller keeps."""
+"""Comfort bands for controllers: from the task's reward or from parameters."""
 
 from __future__ import annotations
 
@@ -13,48 +13,46 @@ from topics.messages import Manifest
 
 Band = tuple[float, float]
 Bands = Callable[[datetime], Band]
-"""A day to the ends of its comfort band, in degC."""
+"""Function from a date to its comfort band, in degC."""
 
 MARGIN_K = 1.0
-"""Default distance of setpoints from the ends of the band: zones overshoot their setpoints by some tenths of a K."""
+"""Default distance of setpoints from the limits of the band: zones overshoot by some tenths of a kelvin."""
 
 SETBACK_K, SHALLOW_SETBACK_K = 6.0, 1.0
-"""Default setbacks: where comfort counts only while people are there, and where it counts around the clock."""
+"""Default setbacks: if comfort counts only while zones are occupied, and if it always counts."""
 
 
 def comfort_bands(manifest: Manifest, low: object = None, high: object = None) -> Bands:
-    """The bands of the task's reward; those of `LinearReward` where that has none.
+    """Return the comfort bands of the task's reward, or those of `LinearReward` if it has none.
 
     Args:
-        manifest: of the node.
-        low: the lower end in degC, all the year; None: the reward's.
-        high: the upper end.
+        manifest: manifest of the node.
+        low: lower limit in degC for the whole year; None: that of the reward.
+        high: upper limit in degC; None: that of the reward.
 
     Raises:
-        InvalidConfig: no temperatures, or a lower end that is not below the upper one on some day of a year.
+        InvalidConfig: a limit is not a number, or the lower limit is not below the upper one on some day of the year.
     """
     reward = _reward(manifest)
-    theirs: Bands = (reward if hasattr(reward, "season") else LinearReward()).season(manifest).band
-    own_low = None if low is None else number("low", low)
-    own_high = None if high is None else number("high", high)
+    from_reward: Bands = (reward if hasattr(reward, "season") else LinearReward()).season(manifest).band
+    fixed_low = None if low is None else number("low", low)
+    fixed_high = None if high is None else number("high", high)
 
     def band(day: datetime) -> Band:
-        least, most = theirs(day)
-        return (least if own_low is None else own_low, most if own_high is None else own_high)
+        lower, upper = from_reward(day)
+        return (lower if fixed_low is None else fixed_low, upper if fixed_high is None else fixed_high)
 
     for month in range(1, 13):
-        least, most = band(datetime(2017, month, 15))
-        if not least < most:
-            raise InvalidConfig(
-                f"the comfort band {least:g} to {most:g} degC is upside down; low= has to be below high="
-            )
+        lower, upper = band(datetime(2017, month, 15))
+        if not lower < upper:
+            raise InvalidConfig(f"the comfort band {lower:g} to {upper:g} degC is reversed; low= has to be below high=")
     return band
 
 
 def inside(band: Band, margin_k: float | None = None) -> Band:
-    """Setpoints within a comfort band, `margin_k` from its ends and no further than its middle.
+    """Return setpoints within a comfort band, `margin_k` from its limits but not beyond its middle.
 
-    Without a margin it is `MARGIN_K`, and a third of a band that is narrower than three of these.
+    The default margin is `MARGIN_K`, or a third of the band if that is less.
     """
     low, high = band
     margin = min(MARGIN_K, (high - low) / 3) if margin_k is None else min(margin_k, (high - low) / 2)
@@ -62,16 +60,16 @@ def inside(band: Band, margin_k: float | None = None) -> Band:
 
 
 def default_setback(manifest: Manifest) -> float:
-    """How far setpoints lie outside the band while nobody is there, in K: by what the task's reward counts."""
+    """Return the default distance of setpoints outside the band in unoccupied zones, in K, for the task's reward."""
     return SETBACK_K if isinstance(_reward(manifest), OccupiedReward) else SHALLOW_SETBACK_K
 
 
 def rewarded_temperatures(manifest: Manifest) -> tuple[str, ...]:
-    """Names of the sensors whose temperatures the task's reward counts; empty if it does not say."""
+    """Return the names of the temperature sensors in the task's reward; empty if it names none."""
     return tuple(getattr(_reward(manifest), "temperatures", None) or ())
 
 
 def _reward(manifest: Manifest) -> Any:
-    given = manifest.task.reward
-    # A node of somebody else's may have a reward that is not known here.
-    return read_reward(given) if given is not None and given.get("kind") in REWARDS else None
+    settings = manifest.task.reward
+    # A node of another version may have a reward that is unknown in this process.
+    return read_reward(settings) if settings is not None and settings.get("kind") in REWARDS else None

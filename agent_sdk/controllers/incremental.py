@@ -1,4 +1,4 @@
-"""Setpoints that move by a step."""
+"""Rule-based controller that moves setpoints in small steps."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from topics.messages import Manifest
 
 
 class IncrementalRules(Controller):
-    """Moves each setpoint by a step a timestep: to less energy while it is comfortable, back when it is not.
+    """Move each setpoint by one step per timestep: to save energy while it is comfortable, and back if it is not.
 
-    A heating setpoint lies between the lower end of the day's comfort band and its middle, a cooling setpoint between
-    the middle and the upper end, both within the action's bounds; they begin at the ends. It is comfortable while the
-    mean temperature of the zones that the action rules is at least `margin` inside the end that the setpoint guards.
-    What is no setpoint is ruled by `PlantRules`.
+    A heating setpoint stays between the lower limit of the day's comfort band and its middle, a cooling setpoint
+    between the middle and the upper limit, both within the action's bounds; they start at the limits. Zones are
+    comfortable while the mean temperature of the action's zones is at least `margin` inside the limit that the
+    setpoint maintains. `PlantRules` controls all other actions.
 
     Args:
-        manifest: of the node.
-        step: K, how far a setpoint moves in a timestep.
-        margin: K; None: 1, and a third of a band that is narrower than 3 K.
-        low: lower end of the comfort band, degC; None: that of the task's reward, or of `LinearReward`.
-        high: its upper end.
+        manifest: manifest of the node.
+        step: change of a setpoint per timestep, K.
+        margin: margin, K; None: 1, but at most a third of the band.
+        low: lower limit of the comfort band, degC; None: that of the task's reward, or of `LinearReward`.
+        high: upper limit, degC.
 
     Raises:
-        InvalidConfig: no setpoint or no air temperature in the task, or a parameter that cannot be.
+        InvalidConfig: the task has no setpoint or no air temperature, or a parameter is invalid.
     """
 
     def __init__(
@@ -44,44 +44,44 @@ class IncrementalRules(Controller):
     ) -> None:
         super().__init__(manifest)
         self._band = comfort_bands(manifest, low, high)
-        self._step_k = number("step", step, least=0.01)
-        self._margin_k = None if margin is None else number("margin", margin, least=0.0)
-        self._parts = bind_actions(manifest)
-        if not any(part.role in SETPOINTS and part.temperatures for part in self._parts):
+        self._step_k = number("step", step, minimum=0.01)
+        self._margin_k = None if margin is None else number("margin", margin, minimum=0.0)
+        self._bindings = bind_actions(manifest)
+        if not any(binding.role in SETPOINTS and binding.temperatures for binding in self._bindings):
             raise ControllerMismatch(
-                f"the incremental rules need an action that sets a heating or cooling setpoint and a sensor of 'Zone "
-                f"Air Temperature'; node {manifest.node!r} lacks one of them: name both in the scenario"
+                f"the incremental controller needs an action that sets a heating or cooling setpoint, and a sensor of "
+                f"'Zone Air Temperature'; node {manifest.node!r} lacks one of them: add both to the scenario"
             )
         self._plant = PlantRules(self._margin_k)
-        self._at: dict[str, float] = {}
+        self._setpoints: dict[str, float] = {}
 
     def begin(self, sample: SampleView) -> None:  # noqa: ARG002
-        """Puts the setpoints back to the ends of the band."""
-        self._at.clear()
+        """Reset the setpoints to the limits of the band."""
+        self._setpoints.clear()
         self._plant.begin()
 
     def act(self, sample: SampleView) -> Values:
-        """Each setpoint a step further."""
+        """Move each setpoint by one step."""
         band, measured = self._band(sample.time), sample.values
         values: Values = {}
-        for part in self._parts:
-            if part.role in SETPOINTS and part.temperatures:
-                values |= part.at(self._moved(part, measured, band))
+        for binding in self._bindings:
+            if binding.role in SETPOINTS and binding.temperatures:
+                values |= binding.at(self._move(binding, measured, band))
             else:
-                values |= self._plant.act(part, measured, band)
+                values |= self._plant.act(binding, measured, band)
         return values
 
-    def _moved(self, part: ActionBinding, measured: NDArray[np.float64], band: Band) -> float:
+    def _move(self, binding: ActionBinding, measured: NDArray[np.float64], band: Band) -> float:
         low, high = band
-        mean, middle = float(measured[list(part.temperatures)].mean()), (low + high) / 2
+        mean, middle = float(measured[list(binding.temperatures)].mean()), (low + high) / 2
         coolest, warmest = inside(band, self._margin_k)
-        if part.role is Role.HEATING:
-            at = self._at.get(part.action.name, low)
-            outwards = mean >= coolest
-            at = min(max(at + (-self._step_k if outwards else self._step_k), low), middle)
+        if binding.role is Role.HEATING:
+            setpoint = self._setpoints.get(binding.action.name, low)
+            is_comfortable = mean >= coolest
+            setpoint = min(max(setpoint + (-self._step_k if is_comfortable else self._step_k), low), middle)
         else:
-            at = self._at.get(part.action.name, high)
-            outwards = mean <= warmest
-            at = min(max(at + (self._step_k if outwards else -self._step_k), middle), high)
-        self._at[part.action.name] = at = part.clip(at)
-        return at
+            setpoint = self._setpoints.get(binding.action.name, high)
+            is_comfortable = mean <= warmest
+            setpoint = min(max(setpoint + (self._step_k if is_comfortable else -self._step_k), middle), high)
+        self._setpoints[binding.action.name] = setpoint = binding.clip(setpoint)
+        return setpoint

@@ -1,4 +1,4 @@
-"""Controllers by name: the ones that come along, and anybody's class in a file or a module."""
+"""Load controllers by short name, or the user's own class from a file or a module."""
 
 from __future__ import annotations
 
@@ -32,60 +32,60 @@ CONTROLLERS: dict[str, type[Controller]] = {
     "incremental": IncrementalRules,
     "pid": PIDController,
 }
-"""Short names, as `zenostat run --controller` takes them."""
+"""Controllers by short name, as for `zenostat run --controller`."""
 
-# The first are imported by now, so that no file beside a stranger's stands in for them. The others this side never
-# imports (docs/architecture.md), so that a stranger's `models.py` may stand in for one while his file is loaded.
-_NEEDED = ("agent_sdk", "bridge", "topics")
-_NOT_NEEDED = ("models", "eplus_node", "cli")
+# Packages that are imported already, so that a user's file of the same name cannot shadow them.
+_IMPORTED_PACKAGES = ("agent_sdk", "bridge", "topics")
+# Packages that `agent_sdk` never imports, so that a user's `models.py` may shadow them while the user's file is loaded.
+_SHADOWABLE_PACKAGES = ("models", "eplus_node", "cli")
 
 
 def load_controller(text: str) -> Callable[..., ControllerProtocol]:
-    """The class of a controller; it is made with the node's manifest and its parameters by name.
+    """Load the class of a controller, to be called with the node's manifest and parameters by name.
 
     Args:
-        text: a short name; `path/to/file.py:MyController`; or `package.module:MyController`, which may lie in the
-            present folder. While it is loaded, what lies beside the file can be imported, and goes before installed
-            modules of the same name.
+        text: a short name; `path/to/file.py:MyController`; or `package.module:MyController`, also for modules in the
+            current folder. While the file is loaded, it can import modules from its own folder, which take precedence
+            over installed modules of the same name.
 
     Raises:
         UnknownName: no such name, file, module or class.
-        InvalidConfig: the file fails while it is loaded, or the class is no controller.
+        InvalidConfig: loading the file fails, or the class is not a controller.
     """
     if text in CONTROLLERS:
         return CONTROLLERS[text]
-    place, colon, name = text.rpartition(":")
-    if not colon or not place or not name:
-        known = did_you_mean(text, CONTROLLERS, limit=len(CONTROLLERS))
+    source, colon, name = text.rpartition(":")
+    if not colon or not source or not name:
+        known = did_you_mean(text, CONTROLLERS, most=len(CONTROLLERS))
         raise UnknownName(
-            f"no controller {text!r}; {known}; a class of your own is path/to/file.py:MyController "
-            f"or package.module:MyController"
+            f"no controller {text!r}; {known}; load your own class by path/to/file.py:MyController or "
+            f"package.module:MyController"
         )
-    return _controller(_module(place), name, place)
+    return _controller_class(_load_module(source), name, source)
 
 
-def _module(place: str) -> ModuleType:
-    path = Path(place).expanduser()
-    is_file = path.suffix == ".py" or "/" in place
+def _load_module(source: str) -> ModuleType:
+    path = Path(source).expanduser()
+    is_file = path.suffix == ".py" or "/" in source
     if is_file and not path.is_file():
-        raise UnknownName(f"there is no file {path.absolute()} to take a controller from")
+        raise UnknownName(f"there is no file {path.absolute()} to load a controller from")
     folder = path.absolute().parent if is_file else Path.cwd()
     try:
-        with _beside(folder):
-            return _from_file(path) if is_file else importlib.import_module(place)
+        with _importable(folder):
+            return _load_file(path) if is_file else importlib.import_module(source)
     except (Exception, SystemExit) as error:
-        if isinstance(error, ModuleNotFoundError) and error.name and f"{place}.".startswith(f"{error.name}."):
-            raise UnknownName(f"there is no module {place!r}, neither installed nor in {folder}") from None
-        raise InvalidConfig(f"{place} fails while it is loaded: {_said(error)}{_hint(folder, path)}") from error
+        if isinstance(error, ModuleNotFoundError) and error.name and f"{source}.".startswith(f"{error.name}."):
+            raise UnknownName(f"there is no module {source!r}, neither installed nor in {folder}") from None
+        raise InvalidConfig(f"loading {source} failed: {_describe(error)}{_shadowing_hint(folder, path)}") from error
 
 
-def _from_file(path: Path) -> ModuleType:
+def _load_file(path: Path) -> ModuleType:
     name = f"_controller_{path.stem}"
     spec = importlib.util.spec_from_file_location(name, path.absolute())
     if spec is None or spec.loader is None:
-        raise ImportError(f"{path} is no Python file")
+        raise ImportError(f"{path} is not a Python file")
     module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # data classes and pickles look their module up
+    sys.modules[name] = module  # dataclasses and pickle look up their module
     try:
         spec.loader.exec_module(module)
     except BaseException:
@@ -94,8 +94,8 @@ def _from_file(path: Path) -> ModuleType:
     return module
 
 
-class _Siblings:
-    """Finds modules in a folder, before Python's own finders."""
+class _FolderFinder:
+    """Meta path finder for modules in one folder."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = str(folder)
@@ -103,18 +103,18 @@ class _Siblings:
     def find_spec(
         self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """As Python's own finders."""
+        """Find a top-level module in the folder; see `importlib.abc.MetaPathFinder`."""
         return PathFinder.find_spec(name, [self._folder], target) if path is None else None
 
 
 @contextmanager
-def _beside(folder: Path) -> Iterator[None]:
-    """What lies in a folder can be imported meanwhile; no module of ours is another one afterwards."""
-    finder = _Siblings(folder)
+def _importable(folder: Path) -> Iterator[None]:
+    """Make modules in a folder importable within the context, and restore Zenostat's own modules afterwards."""
+    finder = _FolderFinder(folder)
     importlib.invalidate_caches()
-    shadowing = [name for name in _NOT_NEEDED if _is_anothers(finder.find_spec(name), name)]
-    ours = {name: module for name, module in sys.modules.items() if name.partition(".")[0] in shadowing}
-    for name in ours:
+    shadowing = [name for name in _SHADOWABLE_PACKAGES if _is_foreign(finder.find_spec(name), name)]
+    shadowed = {name: module for name, module in sys.modules.items() if name.partition(".")[0] in shadowing}
+    for name in shadowed:
         del sys.modules[name]
     sys.meta_path.insert(0, finder)
     try:
@@ -123,31 +123,33 @@ def _beside(folder: Path) -> Iterator[None]:
         sys.meta_path.remove(finder)
         for name in [name for name in sys.modules if name.partition(".")[0] in shadowing]:
             del sys.modules[name]
-        sys.modules.update(ours)
+        sys.modules.update(shadowed)
 
 
-def _is_anothers(sibling: ModuleSpec | None, name: str) -> bool:
-    if sibling is None:
+def _is_foreign(spec: ModuleSpec | None, name: str) -> bool:
+    if spec is None:
         return False
-    mine = Path(__file__).resolve().parent.parent.parent / name / "__init__.py"
-    return sibling.origin is None or Path(sibling.origin).resolve() != mine
+    own = Path(__file__).resolve().parent.parent.parent / name / "__init__.py"
+    return spec.origin is None or Path(spec.origin).resolve() != own
 
 
-def _said(error: BaseException) -> str:
-    """The exception and the line of the stranger's that it comes from."""
+def _describe(error: BaseException) -> str:
+    """Describe an exception with the line of the user's code that raised it."""
     frames = [f for f in traceback.extract_tb(error.__traceback__) if "importlib" not in f.filename]
-    own = [f for f in frames if f.filename != __file__]
-    where = f" (line {own[-1].lineno} of {Path(own[-1].filename).name})" if own else ""
-    return f"{type(error).__name__}: {error}{where}"
+    frames = [f for f in frames if f.filename != __file__]
+    location = f" (line {frames[-1].lineno} of {Path(frames[-1].filename).name})" if frames else ""
+    return f"{type(error).__name__}: {error}{location}"
 
 
-def _hint(folder: Path, path: Path) -> str:
-    """Says so where the file imports a neighbour that is called like a part of ours."""
-    taken = [name for name in _NEEDED if (folder / f"{name}.py").is_file() and name in _imported(path)]
-    return f"; {taken[0]}.py has the name of a part of Zenostat: give it another" if taken else ""
+def _shadowing_hint(folder: Path, path: Path) -> str:
+    """Explain that the file imports a module from its folder whose name is that of a Zenostat package."""
+    conflicts = [
+        name for name in _IMPORTED_PACKAGES if (folder / f"{name}.py").is_file() and name in _imported_names(path)
+    ]
+    return f"; {conflicts[0]}.py has the name of a Zenostat package: rename it" if conflicts else ""
 
 
-def _imported(path: Path) -> set[str]:
+def _imported_names(path: Path) -> set[str]:
     try:
         body = list(ast.walk(ast.parse(path.read_text())))
     except (OSError, SyntaxError, ValueError):
@@ -156,22 +158,22 @@ def _imported(path: Path) -> set[str]:
     return plain | {node.module for node in body if isinstance(node, ast.ImportFrom) and node.module}
 
 
-def _controller(module: ModuleType, name: str, place: str) -> Callable[..., ControllerProtocol]:
-    found = getattr(module, name, None)
-    if found is None:
-        there = [n for n, thing in vars(module).items() if _acts(thing)]
-        raise UnknownName(f"there is no {name!r} in {place}; {did_you_mean(name, there)}")
-    if not _acts(found):
-        raise InvalidConfig(f"{name} of {place} is no controller; a class with a method act(sample) expected")
-    if inspect.isabstract(found):
-        raise InvalidConfig(f"{name} of {place} is no controller: its act(sample) is abstract")
-    if all(p.kind is p.KEYWORD_ONLY for p in inspect.signature(found).parameters.values()):
+def _controller_class(module: ModuleType, name: str, source: str) -> Callable[..., ControllerProtocol]:
+    candidate = getattr(module, name, None)
+    if candidate is None:
+        controllers = [n for n, value in vars(module).items() if _is_controller(value)]
+        raise UnknownName(f"there is no {name!r} in {source}; {did_you_mean(name, controllers)}")
+    if not _is_controller(candidate):
+        raise InvalidConfig(f"{name} of {source} is not a controller: expected a class with a method act(sample)")
+    if inspect.isabstract(candidate):
+        raise InvalidConfig(f"{name} of {source} is not a controller: its act(sample) is abstract")
+    if all(p.kind is p.KEYWORD_ONLY for p in inspect.signature(candidate).parameters.values()):
         raise InvalidConfig(
-            f"{name} of {place} is no controller: it has to take the node's manifest, as __init__(self, manifest)"
+            f"{name} of {source} is not a controller: it has to accept the manifest, as __init__(self, manifest)"
         )
-    made: Callable[..., ControllerProtocol] = found
-    return made
+    controller_class: Callable[..., ControllerProtocol] = candidate
+    return controller_class
 
 
-def _acts(thing: object) -> bool:
-    return isinstance(thing, type) and callable(getattr(thing, "act", None))
+def _is_controller(value: object) -> bool:
+    return isinstance(value, type) and callable(getattr(value, "act", None))

@@ -1,4 +1,4 @@
-"""Parameters of controllers, checked: each mistake is one sentence that names what would be right."""
+"""Validation of controller parameters, with errors that state what is expected."""
 
 from __future__ import annotations
 
@@ -15,77 +15,77 @@ T = TypeVar("T")
 
 
 class ControllerMismatch(InvalidConfig):
-    """A node that lacks what a controller needs, however its parameters are; `evaluate` goes on without it."""
+    """A node lacks points or actions that a controller needs, whatever its parameters; `evaluate` skips it."""
 
 
-def number(what: str, value: object, *, least: float = -math.inf, most: float = math.inf) -> float:
-    """`value` as a finite number from `least` to `most`.
+def number(name: str, value: object, *, minimum: float = -math.inf, maximum: float = math.inf) -> float:
+    """Check that a parameter is a finite number from `minimum` to `maximum`, and return it.
 
     Raises:
-        InvalidConfig: it is none, or outside.
+        InvalidConfig: it is not a number, or outside this range.
     """
-    fits = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-    if fits and least <= value <= most:  # type: ignore[operator]
+    is_number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    if is_number and minimum <= value <= maximum:  # type: ignore[operator]
         return float(value)  # type: ignore[arg-type]
-    if math.isinf(least) and math.isinf(most):
-        wanted = "a number"
-    elif math.isinf(most):
-        wanted = f"a number of at least {least:g}"
-    elif math.isinf(least):
-        wanted = f"a number of at most {most:g}"
+    if math.isinf(minimum) and math.isinf(maximum):
+        expected = "a number"
+    elif math.isinf(maximum):
+        expected = f"a number of at least {minimum:g}"
+    elif math.isinf(minimum):
+        expected = f"a number of at most {maximum:g}"
     else:
-        wanted = f"a number from {least:g} to {most:g}"
-    raise InvalidConfig(f"{what} = {value!r}; {wanted} expected")
+        expected = f"a number from {minimum:g} to {maximum:g}"
+    raise InvalidConfig(f"{name} = {value!r}; expected {expected}")
 
 
 def bounds(point: Action | Actuator) -> tuple[float, float]:
-    """Its bounds; infinite where it has none."""
+    """Return the bounds of an action or actuator; infinite where it has none."""
     return (-math.inf if point.low is None else point.low, math.inf if point.high is None else point.high)
 
 
-def named(manifest: Manifest, values: Mapping[str, object]) -> dict[str, float]:
-    """Values by the name of an action or an actuator, as values by actuator.
+def actuator_values(manifest: Manifest, values: Mapping[str, object]) -> dict[str, float]:
+    """Convert values by the name of an action or an actuator to values by actuator.
 
     Raises:
-        InvalidConfig: no such name, no number, out of bounds, or an actuator that is named twice.
+        InvalidConfig: an unknown name, not a number, out of bounds, or an actuator that is set twice.
     """
     points: dict[str, Action | Actuator] = {a.name: a for a in manifest.actuators}
     points |= {a.name: a for a in manifest.task.actions}
-    found: dict[str, float] = {}
-    for name, given in values.items():
+    by_actuator: dict[str, float] = {}
+    for name, setting in values.items():
         if name not in points:
             raise InvalidConfig(
                 f"node {manifest.node!r} has no action or actuator {name!r}; {did_you_mean(name, points)}"
             )
         point = points[name]
-        value, (low, high) = number(name, given), bounds(point)
+        value, (low, high) = number(name, setting), bounds(point)
         if not low <= value <= high:
             raise InvalidConfig(f"{name} = {value:g}; its bounds are {with_unit(f'{low:g} to {high:g}', point.unit)}")
         for actuator in point.actuators if isinstance(point, Action) else (name,):
-            if actuator in found:
+            if actuator in by_actuator:
                 raise InvalidConfig(f"{actuator!r} is set twice, the second time by {name!r}")
-            found[actuator] = value
-    return found
+            by_actuator[actuator] = value
+    return by_actuator
 
 
-def make_controller(made_by: Callable[..., T], manifest: Manifest, parameters: Mapping[str, Any]) -> T:
-    """A controller of a node with these parameters.
+def make_controller(factory: Callable[..., T], manifest: Manifest, parameters: Mapping[str, Any]) -> T:
+    """Create a controller of a node with parameters.
 
     Raises:
-        InvalidConfig: a parameter that it does not take, or one that it needs and is missing; or the node lacks what
-            it needs.
+        InvalidConfig: an unknown parameter, a required parameter is missing, or the node lacks what the controller
+            needs.
     """
-    name = getattr(made_by, "__name__", str(made_by))
-    takes = list(inspect.signature(made_by).parameters.values())[1:]
-    known = [p.name for p in takes if p.kind in (p.KEYWORD_ONLY, p.POSITIONAL_OR_KEYWORD)]
-    if not any(p.kind is p.VAR_KEYWORD for p in takes):
+    name = getattr(factory, "__name__", str(factory))
+    signature = list(inspect.signature(factory).parameters.values())[1:]
+    known = [p.name for p in signature if p.kind in (p.KEYWORD_ONLY, p.POSITIONAL_OR_KEYWORD)]
+    if not any(p.kind is p.VAR_KEYWORD for p in signature):
         for unknown in set(parameters) - set(known):
-            raise InvalidConfig(f"{name} takes no parameter {unknown!r}; {did_you_mean(unknown, known)}")
-    missing = [p.name for p in takes if p.name in known and p.default is p.empty and p.name not in parameters]
+            raise InvalidConfig(f"{name} has no parameter {unknown!r}; {did_you_mean(unknown, known)}")
+    missing = [p.name for p in signature if p.name in known and p.default is p.empty and p.name not in parameters]
     if missing:
-        raise InvalidConfig(f"{name} needs {_listed(missing)}: --set {missing[0]}=..., or {missing[0]}= in Python")
-    return made_by(manifest, **parameters)
+        raise InvalidConfig(f"{name} needs {_join(missing)}: --set {missing[0]}=..., or {missing[0]}= in Python")
+    return factory(manifest, **parameters)
 
 
-def _listed(names: Sequence[str]) -> str:
+def _join(names: Sequence[str]) -> str:
     return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))

@@ -1,4 +1,4 @@
-"""A PID controller on one temperature."""
+"""PID controller of one temperature."""
 
 from __future__ import annotations
 
@@ -8,41 +8,41 @@ from collections.abc import Sequence
 from agent_sdk.bus.sample import SampleView
 from agent_sdk.controllers.action_roles import SETPOINTS, role_of, temperature_sensors
 from agent_sdk.controllers.base import Controller, Values
-from agent_sdk.controllers.parameters import ControllerMismatch, bounds, named, number
+from agent_sdk.controllers.parameters import ControllerMismatch, actuator_values, bounds, number
 from topics.errors import InvalidConfig, did_you_mean
 from topics.messages import Action, Actuator, Manifest, Sensor
 
 
 class PIDController(Controller):
-    """Drives one action or actuator from one temperature.
+    """Control one temperature with one action or actuator.
 
-    With the error e = setpoint - T, of the other sign where it is not reverse acting, and dt = a timestep in hours:
+    With the error e = setpoint - T (T - setpoint if direct acting) and the timestep dt in hours, the output is
 
-        u = bias + kp e + I + D,    I = I + ki e dt,    D = -kd dT/dt (of the other sign likewise)
+        u = bias + kp e + I + D,    I = I + ki e dt,    D = -kd dT/dt (+kd dT/dt if direct acting)
 
-    within the output's limits. The derivative is that of the measurement, so that a new setpoint gives no kick, and 0
-    at an episode's first sample. The integral takes nothing on while the output is at a limit and the error would
+    clipped to its limits. The derivative acts on the measurement, so that a change of the setpoint causes no kick; it
+    is 0 at the first sample of an episode. The integral is frozen while the output is at a limit and the error would
     drive it further out (conditional integration; Astrom and Hagglund, Advanced PID Control, chapter 3).
 
     Args:
-        manifest: of the node.
-        setpoint: degC.
+        manifest: manifest of the node.
+        setpoint: setpoint of the temperature, degC.
         sensor: name of a sensor in degC; None: the only zone air temperature.
         actuator: name of an action or an actuator; None: the only action.
-        kp: output unit a K. The default is safe where the output is a room's setpoint: the temperature then follows
-            it by no more than its own change, at once or with a lag, so that the gain of the loop stays below 1.
-        ki: output unit a K h.
-        kd: output unit h a K.
-        low: lowest output; None: the lower bound of the action or actuator.
-        high: highest output; None: the upper bound.
-        bias: output without error; None: `setpoint` where the output is a room's setpoint, else the middle of the
-            limits.
+        kp: proportional gain, output unit/K. The default is stable if the output is a zone setpoint: the zone follows
+            it with a gain of at most 1, with or without a lag, so that the loop gain stays below 1.
+        ki: integral gain, output unit/(K h).
+        kd: derivative gain, output unit h/K.
+        low: lower limit of the output; None: the lower bound of the action or actuator.
+        high: upper limit of the output; None: the upper bound.
+        bias: output at zero error; None: `setpoint` if the output is a zone setpoint, else the middle of the limits.
         reverse: whether the output falls as the temperature rises (reverse acting), as for heating and for all
             setpoints; False for cooling power, valves and flows.
         others: fixed values of other actions or actuators, by name.
 
     Raises:
-        InvalidConfig: no temperature sensor or no actuator, several and none named, or a parameter that cannot be.
+        InvalidConfig: there is no temperature sensor or actuator, or several of which none is named, or a parameter is
+            invalid.
     """
 
     def __init__(
@@ -63,60 +63,62 @@ class PIDController(Controller):
     ) -> None:
         super().__init__(manifest)
         self._setpoint = number("setpoint", setpoint)
-        self._gains = tuple(number(n, v, least=0.0) for n, v in (("kp", kp), ("ki", ki), ("kd", kd)))
+        self._gains = tuple(number(n, v, minimum=0.0) for n, v in (("kp", kp), ("ki", ki), ("kd", kd)))
         if not isinstance(reverse, bool):
-            raise InvalidConfig(f"reverse = {reverse!r}; true or false expected")
+            raise InvalidConfig(f"reverse = {reverse!r}; expected true or false")
         self._sign = 1.0 if reverse else -1.0
         self._sensor = _sensor(manifest, sensor)
         output = _output(manifest, actuator)
         self._low, self._high = _limits(output, low, high)
-        self._driven = output.actuators if isinstance(output, Action) else (output.name,)
+        self._outputs = output.actuators if isinstance(output, Action) else (output.name,)
         self._bias = self._default_bias(output) if bias is None else number("bias", bias)
-        self._others: Values = dict(named(manifest, others))
-        twice = set(self._driven) & set(self._others)
-        if twice:
-            raise InvalidConfig(f"{', '.join(sorted(twice))}: driven by the controller, so it takes no fixed value")
+        self._fixed: Values = dict(actuator_values(manifest, others))
+        conflicts = set(self._outputs) & set(self._fixed)
+        if conflicts:
+            raise InvalidConfig(
+                f"{', '.join(sorted(conflicts))}: the controller's own output cannot have a fixed value"
+            )
         self._dt_h = 1 / manifest.steps_per_hour
-        self._integral, self._before = 0.0, math.nan
+        self._integral, self._previous = 0.0, math.nan
 
     def _default_bias(self, output: Action | Actuator) -> float:
-        actuator = next((a for a in self.manifest.actuators if a.name in self._driven), None)
+        actuator = next((a for a in self.manifest.actuators if a.name in self._outputs), None)
         if actuator is not None and role_of(output, actuator) in SETPOINTS:
             return min(max(self._setpoint, self._low), self._high)
         return (self._low + self._high) / 2
 
     def begin(self, sample: SampleView) -> None:  # noqa: ARG002
-        """Forgets the integral and the temperature before."""
-        self._integral, self._before = 0.0, math.nan
+        """Reset the integral and the previous temperature."""
+        self._integral, self._previous = 0.0, math.nan
 
     def act(self, sample: SampleView) -> Values:
-        """The output for the timestep that begins at `sample.time`."""
+        """Return the output and the fixed values for the timestep that begins at `sample.time`."""
         kp, ki, kd = self._gains
         measured = sample[self._sensor]
         error = self._sign * (self._setpoint - measured)
-        rate = 0.0 if math.isnan(self._before) else (measured - self._before) / self._dt_h
-        base = self._bias + kp * error - self._sign * kd * rate
+        rate = 0.0 if math.isnan(self._previous) else (measured - self._previous) / self._dt_h
+        without_integral = self._bias + kp * error - self._sign * kd * rate
         integral = self._integral + ki * error * self._dt_h
-        wanted = base + integral
-        if (wanted > self._high and error > 0.0) or (wanted < self._low and error < 0.0):
-            wanted = base + self._integral
+        output = without_integral + integral
+        if (output > self._high and error > 0.0) or (output < self._low and error < 0.0):
+            output = without_integral + self._integral
         else:
             self._integral = integral
-        self._before = measured
-        return {**self._others, **dict.fromkeys(self._driven, min(max(wanted, self._low), self._high))}
+        self._previous = measured
+        return {**self._fixed, **dict.fromkeys(self._outputs, min(max(output, self._low), self._high))}
 
 
 def _sensor(manifest: Manifest, name: str | None) -> str:
-    fit = [s.name for s in manifest.sensors if s.unit == "degC"]
-    if not fit:
+    candidates = [s.name for s in manifest.sensors if s.unit == "degC"]
+    if not candidates:
         raise ControllerMismatch(
-            f"pid needs a sensor in degC, and node {manifest.node!r} has none: name one in the scenario's sensors, as "
-            f"[Zone Air Temperature, ZONE]"
+            f"pid needs a sensor in degC, but node {manifest.node!r} has none: add one to the scenario's sensors, for "
+            f"example [Zone Air Temperature, ZONE]"
         )
     if name is None:
-        return _only(temperature_sensors(manifest), "sensor", fit)
-    if name not in fit:
-        raise InvalidConfig(f"pid has no sensor {name!r} in degC to read; {did_you_mean(name, fit)}")
+        return _only(temperature_sensors(manifest), "sensor", candidates)
+    if name not in candidates:
+        raise InvalidConfig(f"there is no sensor {name!r} in degC for pid; {did_you_mean(name, candidates)}")
     return name
 
 
@@ -125,28 +127,30 @@ def _output(manifest: Manifest, name: str | None) -> Action | Actuator:
     points |= {a.name: a for a in manifest.task.actions}
     if not points:
         raise ControllerMismatch(
-            f"pid needs an actuator to drive, and node {manifest.node!r} has none: name one in actuators"
+            f"pid needs an actuator, but node {manifest.node!r} has none: add one to the scenario's actuators"
         )
-    found = _only(manifest.task.actions, "actuator", points) if name is None else name
-    if found not in points:
-        raise InvalidConfig(f"pid has no actuator {name!r} to drive; {did_you_mean(str(name), points)}")
-    return points[found]
+    selected = _only(manifest.task.actions, "actuator", points) if name is None else name
+    if selected not in points:
+        raise InvalidConfig(f"there is no action or actuator {name!r} for pid; {did_you_mean(str(name), points)}")
+    return points[selected]
 
 
-def _only(found: Sequence[Sensor | Action], what: str, fit: Sequence[str] | dict[str, Action | Actuator]) -> str:
-    if len(found) != 1:
-        raise ControllerMismatch(f"pid takes one {what}: name it by {what}=...; {did_you_mean('', fit)}")
-    return found[0].name
+def _only(
+    defaults: Sequence[Sensor | Action], parameter: str, candidates: Sequence[str] | dict[str, Action | Actuator]
+) -> str:
+    if len(defaults) != 1:
+        raise ControllerMismatch(
+            f"pid takes one {parameter}: name it by {parameter}=...; {did_you_mean('', candidates)}"
+        )
+    return defaults[0].name
 
 
 def _limits(output: Action | Actuator, low: float | None, high: float | None) -> tuple[float, float]:
-    least, most = bounds(output)
-    lowest = least if low is None else number("low", low, least=least, most=most)
-    highest = most if high is None else number("high", high, least=least, most=most)
-    if math.isinf(lowest) or math.isinf(highest):
-        raise InvalidConfig(
-            f"{output.name!r} has no bounds of its own: name the output's limits by low=... and high=..."
-        )
-    if not lowest < highest:
-        raise InvalidConfig(f"low = {lowest:g} is not below high = {highest:g}")
-    return lowest, highest
+    minimum, maximum = bounds(output)
+    lower = minimum if low is None else number("low", low, minimum=minimum, maximum=maximum)
+    upper = maximum if high is None else number("high", high, minimum=minimum, maximum=maximum)
+    if math.isinf(lower) or math.isinf(upper):
+        raise InvalidConfig(f"{output.name!r} has no bounds: set the limits of the output by low=... and high=...")
+    if not lower < upper:
+        raise InvalidConfig(f"low = {lower:g} is not below high = {upper:g}")
+    return lower, upper

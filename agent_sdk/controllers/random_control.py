@@ -1,4 +1,4 @@
-"""A controller that draws."""
+"""Controller with random values."""
 
 from __future__ import annotations
 
@@ -12,36 +12,34 @@ from topics.messages import Manifest
 
 
 class RandomController(Controller):
-    """Draws each action uniformly from its bounds, or one of the task's choices where it has some.
+    """Draw each action uniformly within its bounds, and each discrete action uniformly from its choices.
 
-    Heating and cooling setpoints cannot cross as long as their bounds meet, as those found in a model do. All
-    actuators of an action get the same value.
+    All actuators of an action get the same value. Heating and cooling setpoints cannot cross if their bounds do not
+    overlap, as is the case for bounds derived from a model.
 
     Args:
-        manifest: of the node.
-        seed: the same seed, the same values; the sequence goes on from one episode to the next.
+        manifest: manifest of the node.
+        seed: seed of the sequence, which continues from one episode to the next.
 
     Raises:
-        InvalidConfig: an action without bounds or choices.
+        InvalidConfig: an action has neither bounds nor discrete choices.
     """
 
     def __init__(self, manifest: Manifest, *, seed: int | None = None) -> None:
         super().__init__(manifest)
         if seed is not None and (not isinstance(seed, int) or seed < 0):
-            raise InvalidConfig(f"seed = {seed!r}; a whole number of at least 0 expected")
+            raise InvalidConfig(f"seed = {seed!r}; expected an integer of at least 0")
         self._random = np.random.default_rng(seed)
-        chosen = {name for choice in manifest.task.discrete_actions for name in choice.actions}
-        drawn = [action for action in manifest.task.actions if action.name not in chosen]
-        for action in drawn:
+        discrete = {name for choice in manifest.task.discrete_actions for name in choice.actions}
+        continuous = [action for action in manifest.task.actions if action.name not in discrete]
+        for action in continuous:
             if action.low is None or action.high is None:
-                raise ControllerMismatch(
-                    f"nothing can be drawn for {action.name!r}: give the action bounds in the scenario"
-                )
+                raise ControllerMismatch(f"{action.name!r} has no bounds to draw from: add bounds in the scenario")
         self._actuators = {action.name: action.actuators for action in manifest.task.actions}
-        self._ranges = [(action.name, action.low, action.high) for action in drawn]
+        self._ranges = [(action.name, action.low, action.high) for action in continuous]
 
     def act(self, sample: SampleView) -> Values:  # noqa: ARG002
-        """The next values of the sequence."""
+        """Return the next values of the sequence."""
         drawn: dict[str, float] = {}
         for choice in self.manifest.task.discrete_actions:
             row = choice.values[self._random.integers(len(choice.values))]

@@ -1,4 +1,4 @@
-"""Rules on comfort bands, for any building."""
+"""Rule-based controller that keeps comfort bands, for any building."""
 
 from __future__ import annotations
 
@@ -19,28 +19,27 @@ OPEN_HOURS = range(6, 22)
 
 
 class RuleBasedController(Controller):
-    """Keeps zones within the day's comfort band while they are in use, and sets them back else.
+    """Keep zones within the day's comfort band while they are occupied, and set them back otherwise.
 
-    In use, the setpoints are the ends of the band, `margin` inside; else they lie `setback` outside, as far as the
-    actions' bounds allow. Zones are in use while people are in one of them; those whose people are not measured
-    follow the other zones; where nobody's are, all are always in use. Zones are brought back `lead` before the hour
-    at which people came the day before; until people were seen the first time, from 6 to 22 o'clock.
+    While the zones of an action are occupied, its setpoint is `margin` inside the limit of the band; otherwise it is
+    `setback` outside, within the action's bounds. Zones are occupied while there are people in any of them. Zones
+    without an occupant count follow all other zones; if no zone has one, all are always occupied. Preconditioning
+    starts `preconditioning` hours before the time of the first arrival on the day before; until the first arrival is
+    observed, zones count as occupied from 6 to 22 o'clock.
 
-    Water temperatures, availabilities and storage: see `PlantRules`. Actions that are nothing of that stay as they
-    are.
+    `PlantRules` controls water temperatures, availabilities and storage. Other actions are not commanded.
 
     Args:
-        manifest: of the node.
-        low: lower end of the comfort band, degC; None: that of the task's reward, or of `LinearReward`.
-        high: its upper end.
-        margin: K; None: 1, and a third of a band that is narrower than 3 K, so that zones which overshoot their
-            setpoints stay within the band.
-        setback: K; None: 6 where the task's reward counts comfort only while people are there (`OccupiedReward`),
+        manifest: manifest of the node.
+        low: lower limit of the comfort band, degC; None: that of the task's reward, or of `LinearReward`.
+        high: upper limit, degC.
+        margin: margin, K, since zones overshoot their setpoints; None: 1, but at most a third of the band.
+        setback: setback, K; None: 6 if the task's reward counts comfort only in occupied zones (`OccupiedReward`),
             else 1.
-        lead: h, 0 to 23.
+        preconditioning: preconditioning time, h, 0 to 23.
 
     Raises:
-        InvalidConfig: nothing in the task that these rules know, or a parameter that cannot be.
+        InvalidConfig: the task has no action that these rules support, or a parameter is invalid.
     """
 
     def __init__(
@@ -51,54 +50,55 @@ class RuleBasedController(Controller):
         high: float | None = None,
         margin: float | None = None,
         setback: float | None = None,
-        lead: float = 1.0,
+        preconditioning: float = 1.0,
     ) -> None:
         super().__init__(manifest)
         self._band = comfort_bands(manifest, low, high)
-        self._margin_k = None if margin is None else number("margin", margin, least=0.0)
-        self._setback_k = default_setback(manifest) if setback is None else number("setback", setback, least=0.0)
-        self._lead = timedelta(hours=number("lead", lead, least=0.0, most=23.0))
-        self._parts = tuple(p for p in bind_actions(manifest) if p.role is not Role.OTHER)
-        if not self._parts:
+        self._margin_k = None if margin is None else number("margin", margin, minimum=0.0)
+        self._setback_k = default_setback(manifest) if setback is None else number("setback", setback, minimum=0.0)
+        self._preconditioning = timedelta(hours=number("preconditioning", preconditioning, minimum=0.0, maximum=23.0))
+        self._bindings = tuple(b for b in bind_actions(manifest) if b.role is not Role.OTHER)
+        if not self._bindings:
             raise ControllerMismatch(
                 f"the rule-based controller needs an action that sets a heating or cooling setpoint, a water "
                 f"temperature, an availability or a storage; node {manifest.node!r} has none"
             )
         self._step = timedelta(hours=1 / manifest.steps_per_hour)
         self._plant = PlantRules(self._margin_k)
-        self._came: dict[tuple[int, ...], datetime] = {}
+        self._arrivals: dict[tuple[int, ...], datetime] = {}
 
     def begin(self, sample: SampleView) -> None:  # noqa: ARG002
-        """Forgets when people came, and which switches are on."""
-        self._came.clear()
+        """Reset the arrival times, and the state of the availabilities."""
+        self._arrivals.clear()
         self._plant.begin()
 
     def act(self, sample: SampleView) -> Values:
-        """Values for the timestep that begins at `sample.time`."""
+        """Return the setpoints and plant values for the timestep that begins at `sample.time`."""
         now, measured = sample.time, sample.values
         band = self._band(now)
-        in_use, empty = inside(band, self._margin_k), (band[0] - self._setback_k, band[1] + self._setback_k)
+        occupied = inside(band, self._margin_k)
+        unoccupied = (band[0] - self._setback_k, band[1] + self._setback_k)
         values: Values = {}
-        for part in self._parts:
-            if part.role in SETPOINTS:
-                low, high = in_use if self._in_use(part, measured, now) else empty
-                values |= part.at(low if part.role is Role.HEATING else high)
+        for binding in self._bindings:
+            if binding.role in SETPOINTS:
+                low, high = occupied if self._is_occupied(binding, measured, now) else unoccupied
+                values |= binding.at(low if binding.role is Role.HEATING else high)
             else:
-                values |= self._plant.act(part, measured, band)
+                values |= self._plant.act(binding, measured, band)
         return values
 
-    def _in_use(self, part: ActionBinding, measured: NDArray[np.float64], now: datetime) -> bool:
-        if not part.people:
+    def _is_occupied(self, binding: ActionBinding, measured: NDArray[np.float64], now: datetime) -> bool:
+        if not binding.people:
             return True
-        came = self._came.get(part.people)
-        if measured[list(part.people)].max() > 0.0:
-            if came is None or came.date() != now.date():
-                self._came[part.people] = now - self._step
+        arrival = self._arrivals.get(binding.people)
+        if measured[list(binding.people)].max() > 0.0:
+            if arrival is None or arrival.date() != now.date():
+                self._arrivals[binding.people] = now - self._step
             return True
-        if came is None:
-            return now.hour in OPEN_HOURS  # nobody has been seen yet: comfort first
-        today = came.replace(year=now.year, month=now.month, day=now.day)
-        for back in (today, today + timedelta(days=1)):  # whoever comes soon after midnight is awaited the day before
-            if back.date() != came.date() and back - self._lead <= now < back + self._step:
+        if arrival is None:
+            return now.hour in OPEN_HOURS  # no arrival observed yet: comfort first
+        today = arrival.replace(year=now.year, month=now.month, day=now.day)
+        for expected in (today, today + timedelta(days=1)):  # preconditioning may start before midnight
+            if expected.date() != arrival.date() and expected - self._preconditioning <= now < expected + self._step:
                 return True
         return False

@@ -34,7 +34,7 @@ from agent_sdk.controllers import (
     make_controller,
 )
 from agent_sdk.controllers.action_roles import Role, bind_actions
-from agent_sdk.controllers.loader import _beside
+from agent_sdk.controllers.loader import _importable
 from agent_sdk.controllers.setback import weekdays
 from agent_sdk.envs.spaces import action_space
 from topics.errors import InvalidAction, InvalidConfig, UnknownName
@@ -245,11 +245,11 @@ def test_what_is_set_lies_within_the_bounds(name: str, samples: list[tuple[float
 @pytest.mark.parametrize(
     ("given", "says"),
     [
-        ({"margin": -1}, "margin = -1; a number of at least 0 expected"),
-        ({"lead": 24}, "lead = 24; a number from 0 to 23 expected"),
-        ({"setback": "much"}, "setback = 'much'; a number of at least 0 expected"),
-        ({"low": 24.0}, r"the comfort band 24 to 23.5 degC is upside down"),
-        ({"marign": 1}, "RuleBasedController takes no parameter 'marign'; near names: 'margin'"),
+        ({"margin": -1}, "margin = -1; expected a number of at least 0"),
+        ({"preconditioning": 24}, "preconditioning = 24; expected a number from 0 to 23"),
+        ({"setback": "much"}, "setback = 'much'; expected a number of at least 0"),
+        ({"low": 24.0}, r"the comfort band 24 to 23.5 degC is reversed"),
+        ({"marign": 1}, "RuleBasedController has no parameter 'marign'; near names: 'margin'"),
     ],
 )
 def test_parameters_that_cannot_be(given: dict[str, Any], says: str) -> None:
@@ -290,7 +290,7 @@ def test_random_draws_rows_of_choices() -> None:
 
 
 def test_random_needs_bounds_and_a_seed_that_is_one() -> None:
-    with pytest.raises(InvalidConfig, match="nothing can be drawn for 'heating_setpoint': give the action bounds"):
+    with pytest.raises(InvalidConfig, match="'heating_setpoint' has no bounds to draw from: add bounds"):
         RandomController(single("heating_setpoint", None, 22.5))
     with pytest.raises(InvalidConfig, match="seed = -1"):
         RandomController(node(), seed=-1)
@@ -310,7 +310,7 @@ def test_fixed_values_by_name_and_the_bands_ends_for_the_rest() -> None:
     [
         ({"heating_setpoint": 25}, "heating_setpoint = 25; its bounds are 15 to 22.5 degC"),
         ({"heatng_setpoint": 20}, "node 'office' has no action or actuator 'heatng_setpoint'; near names: 'heating"),
-        ({"heating_setpoint": "warm"}, "heating_setpoint = 'warm'; a number expected"),
+        ({"heating_setpoint": "warm"}, "heating_setpoint = 'warm'; expected a number"),
     ],
 )
 def test_fixed_values_that_cannot_be(given: dict[str, Any], says: str) -> None:
@@ -331,13 +331,13 @@ def test_fixed_values_that_cannot_be(given: dict[str, Any], says: str) -> None:
 def test_a_setpoint_that_crosses_the_bands_end_is_refused(of: Any, given: dict[str, float]) -> None:
     """Where one of a pair is named, the other is the comfort band's: 20 to 23.5 degC in winter, 23 to 26 in summer."""
     there = node(actuator("heating_setpoint", 10.0, 35.0), actuator("cooling_setpoint", 10.0, 35.0))
-    with pytest.raises(InvalidConfig, match="lies above cooling_setpoint"):
+    with pytest.raises(InvalidConfig, match="is above cooling_setpoint"):
         of(there, **given)
 
 
 def test_fixed_heating_above_cooling_is_refused() -> None:
     of = node(actuator("heating_setpoint", 15.0, 25.0), actuator("cooling_setpoint", 20.0, 30.0))
-    with pytest.raises(InvalidConfig, match=r"heating_setpoint = 24 lies above cooling_setpoint = 22; EnergyPlus ends"):
+    with pytest.raises(InvalidConfig, match=r"heating_setpoint = 24 is above cooling_setpoint = 22; EnergyPlus stops"):
         FixedSetpoints(of, heating_setpoint=24.0, cooling_setpoint=22.0)
 
 
@@ -398,9 +398,9 @@ def test_weekdays() -> None:
 @pytest.mark.parametrize(
     ("given", "says"),
     [
-        ({"days": "monday"}, "days = 'monday'; weekdays expected, as 'mon-fri'"),
+        ({"days": "monday"}, "days = 'monday'; expected weekdays, such as 'mon-fri'"),
         ({"opens": 7, "closes": 7}, "opens = closes = 7"),
-        ({"closes": 25}, "closes = 25; a number from 0 to 24 expected"),
+        ({"closes": 25}, "closes = 25; expected a number from 0 to 24"),
         ({"heating": 40}, "heating = 40; its bounds are 15 to 22.5"),
         ({"cooling_setback": 20}, "cooling_setback = 20; its bounds are 22.5 to 30"),
     ],
@@ -451,7 +451,9 @@ def test_incremental_reads_the_mean_of_its_zones() -> None:
 
 def test_incremental_needs_a_setpoint_and_a_temperature() -> None:
     for of in (single("fan", 0.0, 1.0), node(sensors=())):
-        with pytest.raises(InvalidConfig, match="need an action that sets a heating or cooling setpoint and a sensor"):
+        with pytest.raises(
+            InvalidConfig, match="needs an action that sets a heating or cooling setpoint, and a sensor"
+        ):
             IncrementalRules(of)
 
 
@@ -528,22 +530,30 @@ def test_pid_drives_a_named_actuator_and_holds_others() -> None:
 @pytest.mark.parametrize(
     ("of", "given", "says"),
     [
-        (node(sensors=(PEOPLE,)), {}, r"pid needs a sensor in degC, and node 'office' has none: name one"),
+        (node(sensors=(PEOPLE,)), {}, r"pid needs a sensor in degC, but node 'office' has none: add one"),
         (node(), {}, r"pid takes one actuator: name it by actuator=...; there are: 'heating_setpoint', 'cooling"),
         (
             node(HEAT, sensors=(sensor("a"), sensor("b"))),
             {},
             r"pid takes one sensor: name it by sensor=...; there are: 'a'",
         ),
-        (node(HEAT), {"sensor": "aire"}, "pid has no sensor 'aire' in degC to read; near names: 'air'"),
-        (node(HEAT), {"actuator": "heat"}, "pid has no actuator 'heat' to drive; near names: 'heating_setpoint'"),
-        (single("valve", 0.0, None), {}, "'valve' has no bounds of its own: name the output's limits by low="),
-        (node(HEAT), {"high": 30}, "high = 30; a number from 15 to 22.5 expected"),
+        (node(HEAT), {"sensor": "aire"}, "there is no sensor 'aire' in degC for pid; near names: 'air'"),
+        (
+            node(HEAT),
+            {"actuator": "heat"},
+            "there is no action or actuator 'heat' for pid; near names: 'heating_setpoint'",
+        ),
+        (single("valve", 0.0, None), {}, "'valve' has no bounds: set the limits of the output by low="),
+        (node(HEAT), {"high": 30}, "high = 30; expected a number from 15 to 22.5"),
         (node(HEAT), {"low": 20, "high": 18}, "low = 20 is not below high = 18"),
-        (node(HEAT), {"kp": -1}, "kp = -1; a number of at least 0 expected"),
-        (node(HEAT), {"reverse": "yes"}, "reverse = 'yes'; true or false expected"),
-        (node(HEAT), {"heating_setpoint": 20}, "heating_setpoint: driven by the controller"),
-        (manifest(sensors=[ROOM]), {}, "pid needs an actuator to drive, and node 'office' has none"),
+        (node(HEAT), {"kp": -1}, "kp = -1; expected a number of at least 0"),
+        (node(HEAT), {"reverse": "yes"}, "reverse = 'yes'; expected true or false"),
+        (
+            node(HEAT),
+            {"heating_setpoint": 20},
+            "heating_setpoint: the controller's own output cannot have a fixed value",
+        ),
+        (manifest(sensors=[ROOM]), {}, "pid needs an actuator, but node 'office' has none"),
     ],
 )
 def test_pids_that_cannot_be(of: Manifest, given: dict[str, Any], says: str) -> None:
@@ -574,11 +584,11 @@ def test_values_as_an_action() -> None:
 @pytest.mark.parametrize(
     ("values", "says"),
     [
-        ({}, "leaves 'heating_setpoint' to the building, and an action sets it always"),
-        ({HEAT.name: None, COOL.name: 25.0}, "leaves 'heating_setpoint' to the building"),
+        ({}, "leaves 'heating_setpoint' to baseline control, but an action always sets a value"),
+        ({HEAT.name: None, COOL.name: 25.0}, "leaves 'heating_setpoint' to baseline control"),
         ({HEAT.name: 20.0, COOL.name: 31.0}, "cooling_setpoint = 31; its bounds are 22.5 to 30 degC"),
-        ({HEAT.name: 20.0, COOL.name: math.nan}, "cooling_setpoint = nan; a finite number expected"),
-        ({HEAT.name: 20.0, COOL.name: 25.0, "fan": 1.0}, "no action sets 'fan'"),
+        ({HEAT.name: 20.0, COOL.name: math.nan}, "cooling_setpoint = nan; expected a finite number"),
+        ({HEAT.name: 20.0, COOL.name: 25.0, "fan": 1.0}, "no action of the task sets 'fan'"),
     ],
 )
 def test_values_that_no_action_can_say(values: dict[str, float | None], says: str) -> None:
@@ -590,9 +600,7 @@ def test_one_action_says_one_value() -> None:
     both = Action(name="both", unit="degC", actuators=(HEAT.name, COOL.name))
     of = node(task=Task(actions=(both,)))
     assert action_of(of, {HEAT.name: 22.5, COOL.name: 22.5}).tolist() == [22.5]
-    with pytest.raises(
-        InvalidAction, match="sets its actuators to one value, and here they differ: heating_setpoint = 20"
-    ):
+    with pytest.raises(InvalidAction, match="sets one value for all its actuators, but got heating_setpoint = 20"):
         action_of(of, {HEAT.name: 20.0, COOL.name: 25.0})
 
 
@@ -648,7 +656,7 @@ def test_an_agent_keeps_what_is_not_named_until_the_episode_ends() -> None:
 def test_the_buildings_own_control_as_an_agent() -> None:
     empty = manifest(sensors=[ROOM])
     assert Agent(BaselineController(empty)).action(view(empty)).shape == (0,)
-    with pytest.raises(InvalidAction, match="none at all are the building's own control"):
+    with pytest.raises(InvalidAction, match="all is under baseline control"):
         Agent(BaselineController(node())).action(view(node()))
 
 
@@ -701,7 +709,7 @@ def test_a_class_of_anybodys_in_a_file(tmp_path: Path, modules: dict[str, Any]) 
     (tmp_path / "mine.py").write_text(MINE)
     made = make_controller(load_controller(f"{tmp_path}/mine.py:Mine"), node(), {"setpoint": 26.5})
     assert made.act(view(node())) == {"cooling_setpoint": 26.5}
-    with pytest.raises(InvalidConfig, match="Mine takes no parameter 'setpint'; near names: 'setpoint'"):
+    with pytest.raises(InvalidConfig, match="Mine has no parameter 'setpint'; near names: 'setpoint'"):
         make_controller(type(made), node(), {"setpint": 1})
 
 
@@ -742,7 +750,7 @@ def test_our_own_rooms_beside_a_file_stay_the_same(modules: dict[str, Any]) -> N
     """As for a file that lies in the project's own folder."""
     import models.points.selection
 
-    with _beside(Path(models.__file__).parent.parent):
+    with _importable(Path(models.__file__).parent.parent):
         assert sys.modules["models"] is models
         assert importlib.import_module("models.points.selection").Points is models.points.selection.Points
 
@@ -753,25 +761,29 @@ def test_our_own_rooms_beside_a_file_stay_the_same(modules: dict[str, Any]) -> N
         ("rcb", UnknownName, r"no controller 'rcb'; .*'rbc'.*path/to/file\.py:MyController"),
         ("nowhere/mine.py:Mine", UnknownName, r"there is no file .*/nowhere/mine\.py"),
         ("mine.py:Mien", UnknownName, r"there is no 'Mien' in mine\.py; near names: 'Mine'"),
-        ("mine.py:VALUE", InvalidConfig, r"VALUE of mine\.py is no controller; a class with a method act\(sample\)"),
-        ("mine.py:Idle", InvalidConfig, r"Idle of mine\.py is no controller; a class with a method act"),
-        ("mine.py:Bare", InvalidConfig, r"Bare of mine\.py is no controller: it has to take the node's manifest"),
+        (
+            "mine.py:VALUE",
+            InvalidConfig,
+            r"VALUE of mine\.py is not a controller: expected a class with a method act\(sample\)",
+        ),
+        ("mine.py:Idle", InvalidConfig, r"Idle of mine\.py is not a controller: expected a class with a method act"),
+        ("mine.py:Bare", InvalidConfig, r"Bare of mine\.py is not a controller: it has to accept the manifest"),
         (
             "mine.py:Controller",
             InvalidConfig,
-            r"Controller of mine\.py is no controller: its act\(sample\) is abstract",
+            r"Controller of mine\.py is not a controller: its act\(sample\) is abstract",
         ),
         (
             "broken.py:Mine",
             InvalidConfig,
-            r"broken\.py fails while it is loaded: ZeroDivisionError: .*line 3 of broken",
+            r"loading broken\.py failed: ZeroDivisionError: .*line 3 of broken",
         ),
-        ("wrong.py:Mine", InvalidConfig, r"wrong\.py fails while it is loaded: SyntaxError"),
-        ("quits.py:Mine", InvalidConfig, r"quits\.py fails while it is loaded: SystemExit: 3"),
+        ("wrong.py:Mine", InvalidConfig, r"loading wrong\.py failed: SyntaxError"),
+        ("quits.py:Mine", InvalidConfig, r"loading quits\.py failed: SystemExit: 3"),
         (
             "needs.py:Mine",
             InvalidConfig,
-            r"needs\.py fails .*cannot import name 'Net' .*bridge\.py has the name of a part of Zenostat",
+            r"loading needs\.py failed: .*cannot import name 'Net' .*bridge\.py has the name of a Zenostat package",
         ),
         ("no.such.module:Mine", UnknownName, r"there is no module 'no\.such\.module'"),
     ],
