@@ -1,4 +1,4 @@
-"""Evaluation: controllers side by side on the same episodes, metrics, and probes of what actuators do."""
+"""Evaluation: compare controllers on the same episodes, metrics of an episode, and probes of actuators."""
 
 from agent_sdk.evaluation.evaluate import Evaluation, evaluate, run_episode
 from agent_sdk.evaluation.metrics import EpisodeMetrics, MetricsAccumulator

@@ -1,4 +1,4 @@
-"""What episodes came to, and controllers compared on the same weather."""
+"""Episode metrics and controller comparison on the same weather."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from agent_sdk.evaluation.metrics import EpisodeMetrics, MetricsAccumulator
 from topics.errors import InvalidAction, InvalidConfig, UsageError, did_you_mean
 from topics.messages import Manifest
 
-Maker = Callable[..., ControllerProtocol]
-"""Makes a controller from a node's manifest and parameters by name: a class, or what `load_policy` gives."""
+ControllerFactory = Callable[..., ControllerProtocol]
+"""Function of a node's manifest and parameters by name: a controller class, or the result of `load_policy`."""
 
 Progress = Callable[[str, int, int, int], None]
-"""Told of each timestep: the controller's name, the episode's number, the step, the steps of an episode."""
+"""Callback for each timestep: controller name, episode number, step, steps per episode."""
 
 
 def run_episode(
@@ -36,38 +36,31 @@ def run_episode(
     seed: int | None,
     progress: Callable[[int], None] | None = None,
 ) -> tuple[EpisodeMetrics, str]:
-    """One episode, and the weather that it had.
+    """Run one episode, and return its metrics and the name of its weather.
 
     Args:
-        env: a `BuildingEnv`, wrapped or not. The reward that counts is the building's, as no wrapper changed it.
-        act: the observation to the action.
-        seed: of `reset`.
-        progress: told the number of each step.
+        env: a `BuildingEnv`, wrapped or not. Metrics use the reward of the `BuildingEnv`, before any wrapper.
+        act: function from observation to action.
+        seed: seed for `reset`.
+        progress: callback for each timestep, with the step.
     """
     observation, info = env.reset(seed=seed)
     building: Any = env.unwrapped
-    tally, weather, terminated, ended = (
-        MetricsAccumulator(building.manifest, building.reward),
-        info.get("weather", ""),
-        False,
-        False,
-    )
-    tally.add(building.sample)
-    while not ended:
+    metrics = MetricsAccumulator(building.manifest, building.reward)
+    weather, terminated, is_over = info.get("weather", ""), False, False
+    metrics.add(building.sample)
+    while not is_over:
         observation, _, terminated, truncated, info = env.step(act(observation))
-        tally.add(building.sample, info.get("reward_terms"))
-        ended = terminated or truncated
+        metrics.add(building.sample, info.get("reward_terms"))
+        is_over = terminated or truncated
         if progress is not None:
             progress(building.sample.step)
-    return tally.result(terminated=bool(terminated)), weather
-
-
-# Several controllers
+    return metrics.result(terminated=bool(terminated)), weather
 
 
 @dataclass(frozen=True, slots=True)
 class EpisodeRecord:
-    """One episode of one controller."""
+    """Metrics of one episode of one controller."""
 
     controller: str
     episode: int
@@ -78,14 +71,13 @@ class EpisodeRecord:
 
 @dataclass(frozen=True, slots=True)
 class MetricSummary:
-    """A metric over the episodes of a controller.
+    """Statistics of a metric over the episodes of a controller.
 
     Attributes:
-        count: how many.
-        mean: over them.
-        deviation: the sample's standard deviation, divided by count - 1; None for one episode.
-        interval: the ends of the mean's 95 % confidence interval by Student's t; None for one episode, or where
-            SciPy is not installed.
+        count: number of episodes.
+        mean: mean over the episodes.
+        deviation: sample standard deviation (divided by count - 1); None for one episode.
+        interval: 95 % confidence interval of the mean (Student's t); None for one episode, or without SciPy.
     """
 
     count: int
@@ -96,12 +88,12 @@ class MetricSummary:
 
 @dataclass(frozen=True, slots=True)
 class Evaluation:
-    """Episodes of some controllers in the same scenario and weathers.
+    """Episodes of several controllers in the same scenario and weather.
 
     Attributes:
-        rows: by controller, then by episode.
-        sources: by metric, what it is measured by.
-        unfit: by controller that was left out, since it does not fit the scenario, why.
+        rows: records by controller, then by episode.
+        sources: by metric, the point or reward that it is derived from.
+        unfit: by controller that was skipped since it does not fit the scenario, the reason.
     """
 
     rows: tuple[EpisodeRecord, ...]
@@ -109,157 +101,157 @@ class Evaluation:
     unfit: dict[str, str] = field(default_factory=dict)
 
     def table(self) -> list[dict[str, Any]]:
-        """A dictionary of the same keys for each row; None where a metric is not known."""
+        """Return a dictionary for each row, all with the same keys; None where a metric is unknown."""
         metrics = [row.result.metrics() for row in self.rows]
-        names = dict.fromkeys(name for one in metrics for name in one)
+        names = dict.fromkeys(name for episode in metrics for name in episode)
         return [
             {"controller": row.controller, "episode": row.episode, "seed": row.seed, "weather": row.weather}
-            | {name: one.get(name) for name in names}
-            for row, one in zip(self.rows, metrics, strict=True)
+            | {name: episode.get(name) for name in names}
+            for row, episode in zip(self.rows, metrics, strict=True)
         ]
 
     def summary(self) -> dict[str, dict[str, MetricSummary]]:
-        """By controller and metric; metrics that some episode does not know are left out."""
+        """Return statistics by controller and metric, without metrics that are unknown in some episode."""
         values: dict[str, dict[str, list[float | None]]] = {}
         for row in self.rows:
             for name, value in row.result.metrics().items():
                 values.setdefault(row.controller, {}).setdefault(name, []).append(value)
         return {
-            controller: {name: _spread(known) for name, known in of.items() if None not in known}
-            for controller, of in values.items()
+            controller: {name: _summarize(series) for name, series in metrics.items() if None not in series}
+            for controller, metrics in values.items()
         }
 
 
-def _spread(values: Sequence[Any]) -> MetricSummary:
+def _summarize(values: Sequence[Any]) -> MetricSummary:
     count, mean = len(values), statistics.fmean(values)
     if count == 1:
         return MetricSummary(1, mean, None, None)
     deviation = statistics.stdev(values)
-    quantile = _student(count - 1)
-    half = None if quantile is None else quantile * deviation / count**0.5
-    return MetricSummary(count, mean, deviation, None if half is None else (mean - half, mean + half))
+    quantile = _student_quantile(count - 1)
+    half_width = None if quantile is None else quantile * deviation / count**0.5
+    return MetricSummary(count, mean, deviation, None if half_width is None else (mean - half_width, mean + half_width))
 
 
-def _student(freedom: int) -> float | None:
-    """The 97.5 % quantile of Student's t; None without SciPy."""
+def _student_quantile(degrees_of_freedom: int) -> float | None:
+    """Return the 97.5 % quantile of Student's t distribution; None without SciPy."""
     try:
-        return float(importlib.import_module("scipy.stats").t.ppf(0.975, freedom))
+        return float(importlib.import_module("scipy.stats").t.ppf(0.975, degrees_of_freedom))
     except ImportError:
         return None
 
 
 def evaluate(
     scenario: str | Path | Mapping[str, Any],
-    controllers: Sequence[str] | Mapping[str, str | Maker],
+    controllers: Sequence[str] | Mapping[str, str | ControllerFactory],
     *,
     episodes: int = 1,
     seed: int = 0,
     parameters: Mapping[str, Any] | None = None,
     progress: Progress | None = None,
-    **given: Any,
+    **overrides: Any,
 ) -> Evaluation:
-    """Runs controllers one after the other, each through the same episodes.
+    """Run controllers one after another through the same episodes.
 
-    Episode k is reset with `seed + k`, whoever controls, so that all have the same weather; a controller that takes a
-    `seed` is made with `seed`. Each controller has an environment of its own, so that nothing of another one's
-    episodes is left in it. The same call gives the same numbers. A controller that does not fit the scenario, or whose
-    answers no action can say, is left out, and `Evaluation.unfit` says why; the others go on.
+    Episode k is reset with `seed + k` for each controller, so that all have the same weather; a controller with a
+    parameter `seed` gets `seed`. Each controller runs in a new environment. Results are reproducible. A controller
+    that does not fit the scenario, or whose commands no action can express, is skipped with a reason in
+    `Evaluation.unfit`.
 
     Args:
         scenario: an id, a scenario file (.yaml), or arguments of `BuildingEnv` by name.
-        controllers: as `load_controller` takes them, or `ppo:model.zip` (see `load_policy`); or these, or classes, by
-            the names that they get in the tables. `building` is evaluated without actuators.
-        episodes: for each controller.
-        seed: at least 0.
-        parameters: of the controllers; each has those that it takes.
-        progress: told of each timestep.
-        given: arguments of `BuildingEnv` that go before those of the scenario.
+        controllers: controllers as for `load_controller`, or `ppo:model.zip` (see `load_policy`); or a mapping from
+            names for the tables to such texts or to classes. `building` is evaluated without actuators.
+        episodes: episodes per controller.
+        seed: seed of the first episode, at least 0.
+        parameters: parameters of the controllers; each controller gets those that it has.
+        progress: callback for each timestep.
+        overrides: arguments of `BuildingEnv` that override those of the scenario.
 
     Raises:
-        UsageError: a controller, a parameter or a scenario that cannot be, or none of the controllers fits it.
+        UsageError: a controller, a parameter or the scenario is invalid, or no controller fits the scenario.
     """
     if episodes < 1 or seed < 0:
-        raise InvalidConfig(f"episodes={episodes}, seed={seed}: at least one episode and a seed of at least 0 expected")
-    settings = {**of_scenario(scenario), **given}
-    makers = _makers(controllers)
-    shares = _shares(makers, parameters or {}, seed)
+        raise InvalidConfig(f"episodes={episodes}, seed={seed}: expected at least one episode and a seed of at least 0")
+    settings = {**of_scenario(scenario), **overrides}
+    factories = _factories(controllers)
+    arguments = _assign_parameters(factories, parameters or {}, seed)
     rows: dict[str, list[EpisodeRecord]] = {}
     sources: dict[str, str] = {}
-    ready: dict[str, ControllerProtocol] = {}
+    created: dict[str, ControllerProtocol] = {}
     unfit: dict[str, UsageError] = {}
-    for name in sorted(makers, key=lambda one: _is_the_buildings(makers[one])):
-        own = _is_the_buildings(makers[name])
-        with closing(BuildingEnv(**(_without_actuators(settings) if own else settings))) as env:
-            if name not in ready and name not in unfit:
-                same = [one for one in makers if _is_the_buildings(makers[one]) == own]
-                ready |= _fitting({one: makers[one] for one in same}, env.manifest, shares, unfit)
+    for name in sorted(factories, key=lambda key: _is_baseline(factories[key])):
+        is_baseline = _is_baseline(factories[name])
+        with closing(BuildingEnv(**(_without_actuators(settings) if is_baseline else settings))) as env:
+            if name not in created and name not in unfit:
+                alike = {key: factory for key, factory in factories.items() if _is_baseline(factory) == is_baseline}
+                created |= _create_controllers(alike, env.manifest, arguments, unfit)
             if name not in unfit:
                 try:
-                    rows[name] = _episodes(name, ready[name], env, range(seed, seed + episodes), progress)
+                    rows[name] = _run_episodes(name, created[name], env, range(seed, seed + episodes), progress)
                 except InvalidAction as error:
                     unfit[name] = error
             sources = MetricsAccumulator(env.manifest, env.reward).sources | sources
     if not rows:
         raise next(iter(unfit.values()))
-    told = {name: str(unfit[name]) for name in makers if name in unfit}
-    return Evaluation(tuple(row for name in makers for row in rows.get(name, ())), sources, told)
+    reasons = {name: str(unfit[name]) for name in factories if name in unfit}
+    return Evaluation(tuple(row for name in factories for row in rows.get(name, ())), sources, reasons)
 
 
-def _fitting(
-    makers: Mapping[str, Maker],
+def _create_controllers(
+    factories: Mapping[str, ControllerFactory],
     manifest: Manifest,
-    shares: Mapping[str, dict[str, Any]],
+    arguments: Mapping[str, dict[str, Any]],
     unfit: dict[str, UsageError],
 ) -> dict[str, ControllerProtocol]:
-    """The controllers that the node has all for; the others are put into `unfit`."""
-    ready = {}
-    for name, maker in makers.items():
+    """Create the controllers that fit the node; add an error to `unfit` for each other one."""
+    created = {}
+    for name, factory in factories.items():
         try:
-            ready[name] = make_controller(maker, manifest, shares[name])
+            created[name] = make_controller(factory, manifest, arguments[name])
         except ControllerMismatch as error:
             unfit[name] = error
-    return ready
+    return created
 
 
-def _episodes(
+def _run_episodes(
     name: str, controller: ControllerProtocol, env: BuildingEnv, seeds: Sequence[int], progress: Progress | None
 ) -> list[EpisodeRecord]:
     agent, steps = Agent(controller), env.manifest.steps
     rows = []
     for number, seed in enumerate(seeds):
-        told = None if progress is None else partial(progress, name, number)
+        report = None if progress is None else partial(progress, name, number)
         result, weather = run_episode(
             env,
             lambda _: agent.action(env.sample),
             seed=seed,
-            progress=None if told is None else lambda step, told=told: told(step, steps),  # type: ignore[misc]
+            progress=None if report is None else lambda step, report=report: report(step, steps),  # type: ignore[misc]
         )
         rows.append(EpisodeRecord(name, number, seed, weather, result))
     return rows
 
 
-def _is_the_buildings(maker: Maker) -> bool:
-    return isinstance(maker, type) and issubclass(maker, BaselineController)
+def _is_baseline(factory: ControllerFactory) -> bool:
+    return isinstance(factory, type) and issubclass(factory, BaselineController)
 
 
 def _without_actuators(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """An action sets its actuators always, so the building's own control has none."""
+    """Remove all actuators, as baseline control needs: an action would always set a value."""
     return {name: value for name, value in settings.items() if name not in ("actions", "control", "discrete")} | {
         "actuators": {}
     }
 
 
-def _makers(controllers: Sequence[str] | Mapping[str, str | Maker]) -> dict[str, Maker]:
+def _factories(controllers: Sequence[str] | Mapping[str, str | ControllerFactory]) -> dict[str, ControllerFactory]:
     if isinstance(controllers, str) or not controllers:
-        raise InvalidConfig(f"controllers: a list of names expected, as ['building', 'rbc'], got {controllers!r}")
+        raise InvalidConfig(f"controllers: expected a list of names, such as ['building', 'rbc'], got {controllers!r}")
     named = controllers if isinstance(controllers, Mapping) else dict(zip(controllers, controllers, strict=True))
     if len(named) < len(controllers):
-        twice = next(name for name in controllers if list(controllers).count(name) > 1)
-        raise InvalidConfig(f"the controller {twice} stands twice; the same controller gives the same numbers")
-    return {name: _maker(given) if isinstance(given, str) else given for name, given in named.items()}
+        duplicate = next(name for name in controllers if list(controllers).count(name) > 1)
+        raise InvalidConfig(f"the controller {duplicate} is listed twice, but would give the same results")
+    return {name: _load(entry) if isinstance(entry, str) else entry for name, entry in named.items()}
 
 
-def _maker(text: str) -> Maker:
+def _load(text: str) -> ControllerFactory:
     if text.casefold().endswith(".zip"):
         from agent_sdk.training import load_policy  # torch takes seconds to import
 
@@ -267,25 +259,27 @@ def _maker(text: str) -> Maker:
     return load_controller(text)
 
 
-def _shares(makers: Mapping[str, Maker], parameters: Mapping[str, Any], seed: int) -> dict[str, dict[str, Any]]:
-    """The parameters of each controller: those that it names, or, if none names it, that any takes."""
-    signatures = {name: list(inspect.signature(maker).parameters.values())[1:] for name, maker in makers.items()}
-    takes = {
-        name: [p.name for p in of if p.kind in (p.KEYWORD_ONLY, p.POSITIONAL_OR_KEYWORD)]
-        for name, of in signatures.items()
+def _assign_parameters(
+    factories: Mapping[str, ControllerFactory], parameters: Mapping[str, Any], seed: int
+) -> dict[str, dict[str, Any]]:
+    """Assign each parameter to the controllers that name it, or if none does, to those with arbitrary parameters."""
+    signatures = {name: list(inspect.signature(factory).parameters.values())[1:] for name, factory in factories.items()}
+    known = {
+        name: [p.name for p in signature if p.kind in (p.KEYWORD_ONLY, p.POSITIONAL_OR_KEYWORD)]
+        for name, signature in signatures.items()
     }
-    takes_any = [name for name, of in signatures.items() if any(p.kind is p.VAR_KEYWORD for p in of)]
-    shares: dict[str, dict[str, Any]] = {name: {} for name in makers}
+    with_any = [name for name, signature in signatures.items() if any(p.kind is p.VAR_KEYWORD for p in signature)]
+    arguments: dict[str, dict[str, Any]] = {name: {} for name in factories}
     for parameter, value in parameters.items():
-        takers = [name for name, known in takes.items() if parameter in known] or takes_any
-        if not takers:
-            all_known = [known for of in takes.values() for known in of]
+        receivers = [name for name, names in known.items() if parameter in names] or with_any
+        if not receivers:
+            all_known = [name for names in known.values() for name in names]
             raise InvalidConfig(
-                f"none of the controllers takes the parameter {parameter!r}; {did_you_mean(parameter, all_known)}"
+                f"none of the controllers has the parameter {parameter!r}; {did_you_mean(parameter, all_known)}"
             )
-        for name in takers:
-            shares[name][parameter] = value
-    for name, maker in makers.items():
-        if "seed" in takes[name] and "seed" not in getattr(maker, "keywords", {}):
-            shares[name].setdefault("seed", seed)
-    return shares
+        for name in receivers:
+            arguments[name][parameter] = value
+    for name, factory in factories.items():
+        if "seed" in known[name] and "seed" not in getattr(factory, "keywords", {}):
+            arguments[name].setdefault("seed", seed)
+    return arguments

@@ -1,4 +1,4 @@
-"""What an actuator changes: the same hours of a building, held and left alone, compared sample by sample."""
+"""Effect of an actuator: comparison of branches that hold it with a reference branch, sample by sample."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from topics.messages import Actuator, Manifest, Sensor
 Side = Literal["low", "high"]
 
 _ROUNDING = 1e-9
-"""Of a point's size: what differs by less may be another order of the same sums."""
-_REPEATED = 1e-6
-"""Of a held value's size: a sensor that is this near to it in every sample repeats it."""
-_ASKED_FOR = ("setpoint", "schedule value")
-"""In names of EnergyPlus's variables that say what is asked for, not what is."""
+"""Relative difference that may come from another order of summation."""
+_PASS_THROUGH = 1e-6
+"""Relative tolerance for a sensor that passes the held value through."""
+_COMMANDED_VARIABLES = ("setpoint", "schedule value")
+"""Parts of names of EnergyPlus variables that report a command instead of a measurement."""
 
 
 @dataclass(frozen=True, slots=True)
 class HoldExperiment:
-    """One branch in which an actuator was held, and the one beside it that was left alone.
+    """A branch in which an actuator was held, with its reference branch.
 
     Attributes:
-        side: which of its values was held.
-        value: that value, in the actuator's unit.
-        time: where both began.
-        points: shape (timesteps, points), of the branch that was held; of fewer timesteps if EnergyPlus gave up.
-        reference: the same of the other one.
-        effective: shape (timesteps,), what the actuator really was; NaN where EnergyPlus does not tell.
-        failure: why EnergyPlus gave up; empty if it did not.
+        side: whether it was held low or high.
+        value: the held value, in the actuator's unit.
+        time: simulated time at which both branches started.
+        points: values with the actuator held, shape (timesteps, points); fewer timesteps if EnergyPlus failed.
+        reference: values of the reference branch, shape (timesteps, points).
+        effective: effective value of the actuator, shape (timesteps,); NaN where EnergyPlus does not report it.
+        failure: error of EnergyPlus; empty if there was none.
     """
 
     side: Side
@@ -47,17 +47,17 @@ class HoldExperiment:
 
 @dataclass(frozen=True, slots=True)
 class PointResponse:
-    """A point that feels an actuator.
+    """Response of one point to one actuator.
 
     Attributes:
-        point: its name.
-        unit: its unit.
-        difference: the largest absolute difference from what it was without, in that unit.
-        share: that as a share of the range in which the point moved in all that was simulated.
-        side: the actuator was held low or high.
-        value: what it was held at.
-        time: of the branch.
-        after_min: how long after the branch's begin the difference was largest, in simulated minutes.
+        point: name of the point.
+        unit: unit of the point.
+        difference: largest absolute difference from the reference, in this unit.
+        share: the difference divided by the range of the point in all simulated timesteps.
+        side: whether the actuator was held low or high.
+        value: the held value.
+        time: simulated time at which the branch started.
+        after_min: simulated minutes from the start of the branch to the largest difference.
     """
 
     point: str
@@ -72,19 +72,19 @@ class PointResponse:
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """What holding one actuator changes.
+    """Effect of one actuator.
 
     Attributes:
-        actuator: its name.
-        unit: its unit.
-        low, high: the least and greatest value that it was held at.
-        responses: points that differ beyond rounding, what moves most in its own range first; none: it has no effect.
-        first_min: the end of the first timestep at which one of them differs, simulated minutes after the branch's
-            begin; the soonest of all branches. None if there are none.
-        identical: no point but `pass_through` differs in any bit, in any branch.
-        pass_through: sensors that only repeat what the actuator is set to.
-        tracked: whether EnergyPlus says that it was what it was held at, always; None where it does not tell.
-        notes: what is known that works against it, and branches in which EnergyPlus gave up.
+        actuator: name of the actuator.
+        unit: unit of the actuator.
+        low, high: minimum and maximum of the held values.
+        responses: points that differ beyond rounding, by descending share of their range; empty: no effect.
+        first_min: simulated minutes from the start of a branch to the end of the first timestep in which any point
+            differs, minimum over all branches; None without any response.
+        identical: whether all points except `pass_through` are equal to the bit in all branches.
+        pass_through: sensors that only report the commanded value.
+        tracked: whether the effective value was always the held value; None if EnergyPlus does not report it.
+        notes: warnings about the actuator, and branches in which EnergyPlus failed.
     """
 
     actuator: str
@@ -100,20 +100,20 @@ class Effect:
 
 
 class Ranges:
-    """The least and the greatest value of each point in all that was simulated."""
+    """Minimum and maximum of each point over all simulated timesteps."""
 
     def __init__(self, points: int) -> None:
         self._low, self._high = np.full(points, np.inf), np.full(points, -np.inf)
 
     def add(self, values: NDArray[np.float64]) -> None:
-        """Values of shape (points,) or (timesteps, points)."""
+        """Add values of shape (points,) or (timesteps, points)."""
         for row in values.reshape(-1, len(self._low)):
             np.fmin(self._low, row, out=self._low)
             np.fmax(self._high, row, out=self._high)
 
     @property
     def spans(self) -> NDArray[np.float64]:
-        """Shape (points,), in the points' units."""
+        """Maximum minus minimum, shape (points,), in the points' units."""
         spans: NDArray[np.float64] = self._high - self._low
         return spans
 
@@ -121,106 +121,111 @@ class Ranges:
 def effect_of(
     manifest: Manifest,
     actuator: Actuator,
-    held: Sequence[HoldExperiment],
+    experiments: Sequence[HoldExperiment],
     compared: Sequence[int],
     spans: NDArray[np.float64],
 ) -> Effect:
-    """Compares all branches of one actuator.
+    """Compare all branches of one actuator with their references.
 
     Args:
-        manifest: of the node.
-        actuator: the one that was held.
-        held: its branches.
-        compared: positions of the points that count.
-        spans: shape (points,), see `Ranges`.
+        manifest: manifest of the node.
+        actuator: the held actuator.
+        experiments: its branches.
+        compared: indices of the points to compare.
+        spans: range of each point, shape (points,); see `Ranges`.
     """
-    echoes = [i for i in compared if i < len(manifest.sensors) and _repeats(manifest.sensors[i], i, actuator, held)]
-    counted = [i for i in compared if i not in echoes]
+    pass_through = [
+        i
+        for i in compared
+        if i < len(manifest.sensors) and _passes_through(manifest.sensors[i], i, actuator, experiments)
+    ]
+    independent = [i for i in compared if i not in pass_through]
     minutes = 60 / manifest.steps_per_hour
     units = [sensor.unit for sensor in manifest.sensors] + [meter.unit for meter in manifest.meters]
-    felt = [
-        found
-        for i in counted
-        if (found := _largest(manifest.names[i], units[i], i, held, spans[i], minutes)) is not None
+    responses = [
+        response
+        for i in independent
+        if (response := _largest(manifest.names[i], units[i], i, experiments, spans[i], minutes)) is not None
     ]
-    firsts = [first for one in held if (first := _first(one, counted)) is not None]
+    first_steps = [step for branch in experiments if (step := _first_step(branch, independent)) is not None]
     return Effect(
         actuator=actuator.name,
         unit=actuator.unit,
-        low=min(one.value for one in held),
-        high=max(one.value for one in held),
-        responses=tuple(sorted(felt, key=lambda one: (-one.share, one.point))),
-        first_min=(min(firsts) + 1) * minutes if firsts else None,
-        identical=not any(_unlike(one)[:, counted].any() for one in held),
-        pass_through=tuple(manifest.names[i] for i in echoes),
-        tracked=_obeyed(held),
-        notes=tuple(_notes(manifest, actuator, held)),
+        low=min(branch.value for branch in experiments),
+        high=max(branch.value for branch in experiments),
+        responses=tuple(sorted(responses, key=lambda response: (-response.share, response.point))),
+        first_min=(min(first_steps) + 1) * minutes if first_steps else None,
+        identical=not any(_is_different(branch)[:, independent].any() for branch in experiments),
+        pass_through=tuple(manifest.names[i] for i in pass_through),
+        tracked=_is_tracked(experiments),
+        notes=tuple(_notes(manifest, actuator, experiments)),
     )
 
 
-def _pair(one: HoldExperiment) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    return one.points, one.reference[: len(one.points)]
+def _pair(branch: HoldExperiment) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    return branch.points, branch.reference[: len(branch.points)]
 
 
-def _unlike(one: HoldExperiment) -> NDArray[np.bool_]:
-    points, alone = _pair(one)
-    unlike: NDArray[np.bool_] = (points != alone) & ~(np.isnan(points) & np.isnan(alone))
-    return unlike
+def _is_different(branch: HoldExperiment) -> NDArray[np.bool_]:
+    points, reference = _pair(branch)
+    different: NDArray[np.bool_] = (points != reference) & ~(np.isnan(points) & np.isnan(reference))
+    return different
 
 
-def _differences(one: HoldExperiment) -> NDArray[np.float64]:
-    """Shape (timesteps, points); 0 where it is of rounding's size."""
-    points, alone = _pair(one)
-    size = np.maximum(np.abs(points), np.abs(alone))
-    apart = np.abs(points - alone)
-    return np.where(_unlike(one) & (apart > _ROUNDING * size), apart, 0.0)
+def _differences(branch: HoldExperiment) -> NDArray[np.float64]:
+    """Return absolute differences, shape (timesteps, points); 0 where they may come from rounding."""
+    points, reference = _pair(branch)
+    magnitude = np.maximum(np.abs(points), np.abs(reference))
+    difference = np.abs(points - reference)
+    return np.where(_is_different(branch) & (difference > _ROUNDING * magnitude), difference, 0.0)
 
 
-def _first(one: HoldExperiment, counted: Sequence[int]) -> int | None:
-    timesteps = np.flatnonzero(_differences(one)[:, counted].any(axis=1))
+def _first_step(branch: HoldExperiment, points: Sequence[int]) -> int | None:
+    timesteps = np.flatnonzero(_differences(branch)[:, points].any(axis=1))
     return int(timesteps[0]) if len(timesteps) else None
 
 
 def _largest(
-    point: str, unit: str, index: int, held: Iterable[HoldExperiment], span: float, minutes: float
+    point: str, unit: str, index: int, experiments: Iterable[HoldExperiment], span: float, minutes: float
 ) -> PointResponse | None:
-    found: PointResponse | None = None
-    for one in held:
-        apart = _differences(one)[:, index]
-        at = int(apart.argmax()) if len(apart) else 0
-        if len(apart) and apart[at] > (found.difference if found else 0.0):
-            far = float(apart[at])
-            found = PointResponse(
-                point, unit, far, far / float(span), one.side, one.value, one.time, (at + 1) * minutes
-            )
-    return found
+    largest: PointResponse | None = None
+    for branch in experiments:
+        differences = _differences(branch)[:, index]
+        step = int(differences.argmax()) if len(differences) else 0
+        if len(differences) and differences[step] > (largest.difference if largest else 0.0):
+            difference, after_min = float(differences[step]), (step + 1) * minutes
+            share = difference / float(span)
+            largest = PointResponse(point, unit, difference, share, branch.side, branch.value, branch.time, after_min)
+    return largest
 
 
-def _repeats(sensor: Sensor, index: int, actuator: Actuator, held: Iterable[HoldExperiment]) -> bool:
-    """Whether a sensor tells of the command and not of the building."""
+def _passes_through(sensor: Sensor, index: int, actuator: Actuator, experiments: Iterable[HoldExperiment]) -> bool:
+    """Whether a sensor reports the command and not the building's response."""
     if sensor.variable == actuator.feedback and sensor.key.casefold() == actuator.key.casefold():
         return True
-    if not any(text in sensor.variable.casefold() for text in _ASKED_FOR):
+    if not any(text in sensor.variable.casefold() for text in _COMMANDED_VARIABLES):
         return False
-    told = [(one.points[:, index], one.value) for one in held if len(one.points)]
-    return bool(told) and all(np.allclose(values, value, rtol=_REPEATED, atol=_REPEATED) for values, value in told)
+    pairs = [(branch.points[:, index], branch.value) for branch in experiments if len(branch.points)]
+    return bool(pairs) and all(
+        np.allclose(values, value, rtol=_PASS_THROUGH, atol=_PASS_THROUGH) for values, value in pairs
+    )
 
 
-def _obeyed(held: Iterable[HoldExperiment]) -> bool | None:
-    told = [(one.effective, one.value) for one in held if len(one.effective)]
-    if not told or any(np.isnan(effective).any() for effective, _ in told):
+def _is_tracked(experiments: Iterable[HoldExperiment]) -> bool | None:
+    pairs = [(branch.effective, branch.value) for branch in experiments if len(branch.effective)]
+    if not pairs or any(np.isnan(effective).any() for effective, _ in pairs):
         return None
-    return all(np.allclose(effective, value, rtol=_REPEATED, atol=_REPEATED) for effective, value in told)
+    return all(np.allclose(effective, value, rtol=_PASS_THROUGH, atol=_PASS_THROUGH) for effective, value in pairs)
 
 
-def _notes(manifest: Manifest, actuator: Actuator, held: Sequence[HoldExperiment]) -> Iterable[str]:
-    """What is known of the model, and what became of the branches."""
+def _notes(manifest: Manifest, actuator: Actuator, experiments: Sequence[HoldExperiment]) -> Iterable[str]:
+    """Yield the model's warnings about the actuator, and what went wrong in its branches."""
     yield from (text for text in manifest.warnings if repr(actuator.name) in text)
-    if _obeyed(held) is False:
-        yield "EnergyPlus says that it was something else than what it was held at: something else sets it, too"
+    if _is_tracked(experiments) is False:
+        yield "the effective value differs from the held value: something else sets the actuator as well"
     failures: dict[tuple[Side, str], int] = {}
-    for one in held:
-        if one.failure:
-            failures[one.side, one.failure] = failures.get((one.side, one.failure), 0) + 1
+    for branch in experiments:
+        if branch.failure:
+            failures[branch.side, branch.failure] = failures.get((branch.side, branch.failure), 0) + 1
     for (side, failure), count in failures.items():
-        yield f"EnergyPlus gave up in {count} of the branches that held it {side}: {failure}"
+        yield f"EnergyPlus failed in {count} of the branches that held it {side}: {failure}"

@@ -284,9 +284,9 @@ def test_parameters_go_to_those_that_take_them() -> None:
 @pytest.mark.parametrize(
     ("controllers", "given", "error", "says"),
     [
-        ([], {}, InvalidConfig, "a list of names expected"),
-        ("rbc", {}, InvalidConfig, "a list of names expected, as"),
-        (["rbc", "rbc"], {}, InvalidConfig, "rbc stands twice"),
+        ([], {}, InvalidConfig, "expected a list of names"),
+        ("rbc", {}, InvalidConfig, "expected a list of names, such as"),
+        (["rbc", "rbc"], {}, InvalidConfig, "rbc is listed twice"),
         (["rbc", "rcb"], {}, UnknownName, "no controller 'rcb'"),
         (["rbc"], {"parameters": {"mergin": 1}}, InvalidConfig, "near names: 'margin'"),
         (["rbc", "setback"], {"parameters": {"margin": -1}}, InvalidConfig, "margin = -1"),

@@ -125,7 +125,7 @@ def test_a_branch_that_energyplus_gives_up_in_is_a_note(scratch: Path) -> None:
     found = probe({**OFFICE, "actuators": actuators}, hours=1, days=1, at=(15,))
     cooling, heating = found.effects
     assert [
-        note for note in heating.notes if note.startswith("EnergyPlus gave up in 1 of the branches that held it high")
+        note for note in heating.notes if note.startswith("EnergyPlus failed in 1 of the branches that held it high")
     ]
     assert cooling.responses
     assert cooling.notes == ()
@@ -142,9 +142,9 @@ def test_all_mistakes_are_said_at_once(scratch: Path) -> None:
     said = str(caught.value)
     assert "no sensor or meter 'cores_*'" in said
     assert "no actuator 'peple'; near names: 'people'" in said
-    assert "an hour from 0 to below 24" in said
-    assert "people has no bound to be held at" in said
-    assert "say --high people=VALUE" in said  # its least is 0
+    assert "one hour from 0 to below 24" in said
+    assert "people has no bound to hold it at" in said
+    assert "add --high people=VALUE" in said  # its least is 0
 
 
 @pytest.mark.parametrize(
@@ -196,11 +196,11 @@ def test_a_temperature_without_bounds_is_held_two_kelvin_from_what_it_was() -> N
     (bounded,) = _manifest().actuators
     free = bounded.model_copy(update={"unit": "degC", "low": None, "high": None})
     asked = ProbeRequest(_manifest(actuators=(free,)), 1.0, 1, (7,), (), {}, {})
-    assert asked.held_at(free, 24.0) == (("low", 22.0), ("high", 26.0))
+    assert asked.hold_values(free, 24.0) == (("low", 22.0), ("high", 26.0))
     half = free.model_copy(update={"low": 20.0})
-    assert asked.held_at(half, 24.0) == (("low", 20.0), ("high", 26.0))
+    assert asked.hold_values(half, 24.0) == (("low", 20.0), ("high", 26.0))
     silent = free.model_copy(update={"feedback": None})
-    with pytest.raises(InvalidConfig, match="say --low setpoint=VALUE and --high setpoint=VALUE"):
+    with pytest.raises(InvalidConfig, match="add --low setpoint=VALUE and --high setpoint=VALUE"):
         ProbeRequest(_manifest(actuators=(silent,)), 1.0, 1, (7,), (), {}, {})
 
 
@@ -289,7 +289,7 @@ def test_the_command_tells_json_and_a_table(scratch: Path) -> None:
     ("arguments", "says"),
     [
         (["--low", "core", "--set", "x"], "--low core: expected an actuator and a number"),
-        (["--set", "colour=red"], "colour: no settings of a scenario"),
+        (["--set", "colour=red"], "colour: not an argument of a scenario"),
         (["--points", "roof"], "no sensor or meter 'roof'"),
     ],
 )
