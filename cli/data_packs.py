@@ -49,7 +49,7 @@ def add(name: Annotated[str, typer.Argument(help="Name of the pack.", metavar="N
         )
         return
     with err.status(f"adding {name}") as status:
-        folder = data_packs.add(name, say=status.update)
+        folder = data_packs.add(name, report=status.update)
     out.print(f"{name} {pack.version} installed in {folder}: {_contents(pack)}", markup=False, soft_wrap=True)
 
 

@@ -157,12 +157,8 @@ def _parquet() -> tuple[Any, Any]:
 
 def write(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
     """Write rows with equal keys atomically. None becomes an empty cell in CSV and null in Parquet."""
-    temporary = path.with_name(f".{os.getpid()}.{path.name}")
-    try:
+    with atomic_file(path) as temporary:
         (_write_parquet if path.suffix == ".parquet" else _write_csv)(rows, temporary)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def _write_csv(rows: Sequence[Mapping[str, Any]], path: Path) -> None:

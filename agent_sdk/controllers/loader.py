@@ -56,7 +56,7 @@ def load_controller(text: str) -> Callable[..., ControllerProtocol]:
         return CONTROLLERS[text]
     source, colon, name = text.rpartition(":")
     if not colon or not source or not name:
-        known = did_you_mean(text, CONTROLLERS, most=len(CONTROLLERS))
+        known = did_you_mean(text, CONTROLLERS, limit=len(CONTROLLERS))
         raise UnknownName(
             f"no controller {text!r}; {known}; load your own class by path/to/file.py:MyController or "
             f"package.module:MyController"
