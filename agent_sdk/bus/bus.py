@@ -119,8 +119,7 @@ class Bus:
     """A connection to all nodes that are reachable through one endpoint.
 
     Attributes:
-        endpoint: The endpoint that it is connected to.
-        role: The role of its certificate; None without TLS.
+        endpoint, role: Its endpoint, and the role of its certificate (None without TLS).
         session: The Zenoh session.
     """
 
