@@ -178,8 +178,9 @@ def environment(found: dict[str, Any], pace: Pace, *, monitors: int = 0, **more:
 
 def engines(found: dict[str, Any], pace: Pace, *, count: int) -> None:
     """Engines of one node that step together by its sockets alone: no bus, no node, no controller."""
-    from eplus_node.engine.client import EngineClient, EngineSpec
+    from eplus_node.engine.client import EngineClient
     from eplus_node.engine.group import EngineGroup
+    from eplus_node.engine.spec import EngineSpec
 
     folder = Path(tempfile.mkdtemp())
     checked, files = scenes.prepared(found, folder)

@@ -4,19 +4,15 @@ from __future__ import annotations
 
 import json
 import os
-import select
 import shutil
 import signal
 import socket
 import struct
 import subprocess
-import threading
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from dataclasses import dataclass
-from pathlib import Path
 from time import monotonic
-from typing import Any, NamedTuple, Protocol, TypeVar
+from typing import TypeVar
 
 import numpy as np
 import psutil
@@ -24,222 +20,33 @@ from numpy.typing import NDArray
 
 from bridge.runtime.idle_watch import LOOK_S, IdleWatch
 from bridge.runtime.polling import Polling
-from eplus_node.engine.process import FrameKind, OrderKind
+from eplus_node.engine.forked_process import ForkedProcess, Process
+from eplus_node.engine.protocol import FrameKind, OrderKind
 from eplus_node.engine.registry import EngineRegistry
+from eplus_node.engine.sockets import SocketPair, fill, read_process_id, send_all, socket_pairs
+from eplus_node.engine.spec import EngineSpec
 from models.energyplus import ISOLATED
 from models.err_file import explain
-from models.points.selection import Points
 from topics.errors import EngineDied, EngineUnresponsive, ForkFailed, ModelError
 
 LOG = "engine.log"
 """What an engine says on standard error, in its folder."""
 
-_SOCKET_BYTES = 1 << 20
-_NUMBER = struct.Struct("=q")
 T = TypeVar("T")
 _FINISH_S = 30.0
 _END_S = 5.0
-# The system's own timeout of a socket: it costs nothing where the answer comes in time.
-_LOOK = struct.pack("@ll", int(LOOK_S), int(LOOK_S % 1 * 1e6))
 # Fewer page tables, so that a fork copies less: it takes half the time (docs/performance.md).
 _HUGE_PAGES = {"GLIBC_TUNABLES": "glibc.malloc.hugetlb=1"}
 _FAILED, _LAST = float(FrameKind.FAILED), float(FrameKind.LAST)
 _OF_A_CHILD = ("folder", "keep", "parent", "cpus", "poll", "branch")
 
 
-@dataclass(frozen=True, slots=True)
-class EngineSpec:
-    """What one engine simulates: prepared files, the number of timesteps, the points in order.
-
-    `cpus`: where it may run; empty leaves it to the system. `branch`: it ends at its last sample, without EnergyPlus's
-    own end of a run.
-    """
-
-    model: Path
-    weather: Path
-    folder: Path
-    steps: int
-    steps_per_hour: int
-    points: Points
-    keep_output: bool = False
-    cpus: tuple[int, ...] = ()
-    poll: bool = False
-    branch: bool = False
-
-    def spec(self) -> dict[str, Any]:
-        """The description that the engine reads first."""
-        points = self.points
-        return {
-            "model": str(self.model),
-            "weather": str(self.weather),
-            "folder": str(self.folder),
-            "steps": self.steps,
-            "steps_per_hour": self.steps_per_hour,
-            "keep": self.keep_output,
-            "parent": os.getpid(),
-            "cpus": self.cpus,
-            "poll": self.poll,
-            "branch": self.branch,
-            "sensors": [
-                (s.variable, s.key, str(s.aggregation), system)
-                for s, system in zip(points.sensors, points.system, strict=True)
-            ],
-            "meters": [(m.meter, h) for m, h in zip(points.meters, points.meter_handles, strict=True)],
-            "actuators": [(a.component_type, a.control_type, a.key) for a in points.actuators],
-            "feedback": [(a.feedback, a.key) for a in points.actuators if a.feedback],
-        }
-
-
-class Process(Protocol):
-    """A process of ours."""
-
-    @property
-    def pid(self) -> int:
-        """Its number."""
-
-    def poll(self) -> int | None:
-        """How it ended (negative: by that signal), None while it runs."""
-
-    def wait(self, timeout: float | None = None) -> int:
-        """Waits for its end; `subprocess.TimeoutExpired`."""
-
-    def kill(self) -> None:
-        """Ends it."""
-
-
-class ForkedProcess:
-    """A child that an engine made of itself for this process."""
-
-    def __init__(self, pid: int) -> None:
-        self.pid = pid
-        self._code: int | None = None
-        self._lock = threading.Lock()  # one thread may wait for it while another kills it
-
-    def poll(self) -> int | None:
-        """See `Process`."""
-        with self._lock:
-            return self._reap()
-
-    def wait(self, timeout: float | None = None) -> int:
-        """See `Process`."""
-        if self._code is None:
-            with suppress(ChildProcessError):  # another thread has reaped it meanwhile
-                self._wait(timeout)
-        code = self.poll()
-        assert code is not None
-        return code
-
-    def _wait(self, timeout: float | None) -> None:
-        if timeout is None:
-            os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOWAIT)
-            return
-        try:
-            watch = os.pidfd_open(self.pid)
-        except ProcessLookupError:
-            return
-        try:
-            if not select.select([watch], [], [], timeout)[0]:
-                raise subprocess.TimeoutExpired(f"engine {self.pid}", timeout)
-        finally:
-            os.close(watch)
-
-    def kill(self) -> None:
-        """See `Process`."""
-        with self._lock:
-            if self._reap() is None:
-                os.kill(self.pid, signal.SIGKILL)
-
-    def _reap(self) -> int | None:
-        if self._code is None:
-            done, status = os.waitpid(self.pid, os.WNOHANG)
-            if done:
-                self._code = os.waitstatus_to_exitcode(status)
-        return self._code
-
-
-def _socket_pair() -> tuple[socket.socket, socket.socket]:
-    pair = socket.socketpair()
-    for end in pair:
-        end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SOCKET_BYTES)
-    return pair
-
-
-def _fill(link: socket.socket, into: memoryview, look: Callable[[], None]) -> bool:
-    """Reads until `into` is full; false if the other side has ended. `look` is called while nothing comes."""
-    while into:
-        try:
-            got = link.recv_into(into)
-        except BlockingIOError:
-            look()
-            continue
-        except ConnectionResetError:
-            return False
-        if not got:
-            return False
-        into = into[got:]
-    return True
-
-
-def _send_all(link: socket.socket, data: bytes, look: Callable[[], None]) -> None:
-    """Sends all of it; `look` is called while the other side takes nothing."""
-    rest = memoryview(data)
-    while rest:
-        try:
-            rest = rest[link.send(rest) :]
-        except BlockingIOError:
-            look()
-
-
-def _number(link: socket.socket, look: Callable[[], None]) -> int:
-    """A process id, or the negative number of an error; 0 if whoever should say it has ended."""
-    said = bytearray(_NUMBER.size)
-    return int(_NUMBER.unpack(said)[0]) if _fill(link, memoryview(said), look) else 0
-
-
-class _Ends(NamedTuple):
-    """One side's sockets: orders go to the engine on one, frames to the node on the other."""
-
-    orders: socket.socket
-    frames: socket.socket
-
-    @property
-    def descriptors(self) -> list[int]:
-        """Their numbers."""
-        return [end.fileno() for end in self]
-
-    def close(self) -> None:
-        """Closes both; twice is fine."""
-        for end in self:
-            end.close()
-
-    def __enter__(self) -> _Ends:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-
-def _ends() -> tuple[_Ends, _Ends]:
-    """The node's side and the engine's."""
-    orders = _socket_pair()
-    try:
-        frames = _socket_pair()
-    except OSError:
-        for end in orders:
-            end.close()
-        raise
-    for end in (orders[0], frames[0]):
-        end.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _LOOK)
-        end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, _LOOK)
-    return _Ends(orders[0], frames[0]), _Ends(orders[1], frames[1])
-
-
-def _start(run: EngineSpec) -> tuple[_Ends, Process]:
+def _start(run: EngineSpec) -> tuple[SocketPair, Process]:
     """Starts an engine as a program, which waits to be told what to simulate."""
-    ours, theirs = _ends()
+    ours, theirs = socket_pairs()
     with theirs, (run.folder / LOG).open("wb") as log:
         process = subprocess.Popen(
-            [*ISOLATED, "eplus_node.engine.process", *map(str, theirs.descriptors), str(os.getpid())],
+            [*ISOLATED, "eplus_node.engine", *map(str, theirs.descriptors), str(os.getpid())],
             pass_fds=theirs.descriptors,
             env=os.environ | _HUGE_PAGES,
             stdin=subprocess.DEVNULL,
@@ -272,7 +79,7 @@ class EngineClient:
     """
 
     def __init__(
-        self, run: EngineSpec, forked: tuple[_Ends, Process] | None = None, registry: EngineRegistry | None = None
+        self, run: EngineSpec, forked: tuple[SocketPair, Process] | None = None, registry: EngineRegistry | None = None
     ) -> None:
         self._run, self._registry = run, registry or EngineRegistry()
         points = run.points
@@ -305,7 +112,7 @@ class EngineClient:
         spec = json.dumps(self._run.spec()).encode()
         try:
             with suppress(ConnectionError):  # an engine that has ended is noticed by whoever waits for it
-                _send_all(self._socket, struct.pack("<I", len(spec)) + spec, self._look())
+                send_all(self._socket, struct.pack("<I", len(spec)) + spec, self._look())
         except BaseException:
             self.close()
             raise
@@ -318,7 +125,7 @@ class EngineClient:
             ForkFailed: the system cannot fork it; it waits on.
         """
         try:
-            ours, theirs = _ends()
+            ours, theirs = socket_pairs()
         except OSError as error:
             raise ForkFailed(f"the node has no socket for a fork: {error.strerror}") from None
         # Only what differs: a short text comes in one piece, with its socket.
@@ -343,11 +150,11 @@ class EngineClient:
 
     def _forked(self, frames: socket.socket) -> int:
         """The process id of a child that was ordered, which says it itself as well; raises as `fork` does."""
-        said = _number(self._frames, self._look())
+        said = read_process_id(self._frames, self._look())
         if said < 0:
             self.receive()
             raise ForkFailed(f"the system cannot fork an engine of {self.rss_bytes / 1e6:.0f} MB: {os.strerror(-said)}")
-        pid = _number(frames, self._look(said)) or said
+        pid = read_process_id(frames, self._look(said)) or said
         if not pid:
             raise EngineDied(self._last_words())
         return pid
@@ -414,7 +221,7 @@ class EngineClient:
             EngineUnresponsive: it did not answer, used no processor time, and was killed.
         """
         got, size = self._polling.wait(self._try_read, self._read), len(self._frame_bytes)
-        if got < size and not (got and _fill(self._frames, self._frame_bytes[got:], self._look())):
+        if got < size and not (got and fill(self._frames, self._frame_bytes[got:], self._look())):
             raise EngineDied(self._last_words())
         said = self._said[0]
         if said == _FAILED:
@@ -439,7 +246,7 @@ class EngineClient:
 
     def _read_slow(self) -> int:
         """Waits for a frame that takes its time, and looks after the engine meanwhile."""
-        return len(self._frame_bytes) if _fill(self._frames, self._frame_bytes, self._look()) else 0
+        return len(self._frame_bytes) if fill(self._frames, self._frame_bytes, self._look()) else 0
 
     def _look(self, pid: int = 0) -> Callable[[], None]:
         """What looks after the engine, or a child `pid` in its place, while it is waited for."""
@@ -467,9 +274,9 @@ class EngineClient:
         try:
             written = os.write(self._descriptor, order)
             if written < len(order):
-                _send_all(self._socket, order[written:], self._look())
+                send_all(self._socket, order[written:], self._look())
         except BlockingIOError:
-            _send_all(self._socket, order, self._look())
+            send_all(self._socket, order, self._look())
         except (BrokenPipeError, ConnectionResetError):
             raise EngineDied(self._last_words()) from None
 
@@ -512,7 +319,7 @@ class EngineClient:
 
     def _refusal(self, length: int) -> str:
         raw = bytearray(length)
-        _fill(self._frames, memoryview(raw), self._look())
+        fill(self._frames, memoryview(raw), self._look())
         text = raw.decode(errors="replace")
         self._ended()
         return f"{text}. {explain(self._run.folder, 'EnergyPlus gave no reason in eplusout.err')}"

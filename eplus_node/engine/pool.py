@@ -12,8 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from eplus_node.config import Plan, kept_episodes
-from eplus_node.engine.client import LOG, EngineClient, EngineSpec
+from eplus_node.engine.client import LOG, EngineClient
 from eplus_node.engine.registry import EngineRegistry
+from eplus_node.engine.spec import EngineSpec
 from models.scenario.episode import EpisodeFactory, EpisodeFiles, WeatherDraw, WeatherSampler, WeatherSource
 from topics.errors import EngineDied, ForkFailed, SimulatorError
 from topics.messages import EngineStart

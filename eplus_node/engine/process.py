@@ -1,64 +1,29 @@
 """The engine: EnergyPlus in a process of its own, exchanging one frame a timestep over sockets.
 
 Run as `python -m eplus_node.engine ORDERS FRAMES PARENT`: two descriptors and the node's process id. No Zenoh, no
-NumPy, no threads: a process like this can be forked while it waits. Orders come on one socket and frames go on
-another: on a shared one, whoever sleeps for the next order would be woken when the node reads a frame. Each frame is
-an array of native doubles of one fixed length:
-
-    to the node:    [kind, step, sensors…, meters…, feedback…]      kind is one of `BusMessage`
-    from the node:  [order, step, actuators…]                       order is one of `OrderKind`; NaN releases
-
-A `FORK` order has the length of a JSON text in place of the step; the text follows, and with it the child's
-sockets. The engine says the child's process id (a native 64-bit integer), or the negative number of the error where
-the system cannot fork, and waits on at its sample. The child says its process id on its own as well, should
-the engine end before it could, and then goes on as any engine.
-
-A `FAILED` frame has the length of a UTF-8 text in place of the step, and the text follows.
-Sample 0 is the state after warm-up. The last sample is sent once EnergyPlus has ended the run by itself,
-so that it stands for a run that was good to its end.
+NumPy, no threads: a process like this can be forked while it waits.
 """
 
 from __future__ import annotations
 
 import ctypes
-import fcntl
-import gc
 import json
 import os
-import shutil
-import signal
 import socket
-import stat
-import struct
-import sys
 from array import array
-from enum import IntEnum
 from itertools import repeat
 from math import isfinite
 from typing import Any, NoReturn
 
 from bridge.runtime.polling import Polling
+from eplus_node.engine.fork import begin, clone, die_with_parent, leave, own_files
 from eplus_node.engine.memory import SaturationCache, collapse_huge_pages
+from eplus_node.engine.protocol import PROCESS_ID, FrameKind, OrderKind
 
 RUN_PERIOD = 3
 """EnergyPlus's `kind_of_sim` of a weather-file run period."""
 
-
-class FrameKind(IntEnum):
-    """Kinds of frames to the node."""
-
-    SAMPLE = 1
-    LAST = 2
-    FAILED = 3
-
-
-class OrderKind(IntEnum):
-    """Kinds of frames from the node."""
-
-    STEP = 1
-    FINISH = 2
-    FORK = 3
-
+_OFTEN = 4
 
 # Plain numbers for each timestep: Python 3.11 looks at an enum's member by raising and catching an error.
 _SAMPLE, _STEP, _FORK = float(FrameKind.SAMPLE), float(OrderKind.STEP), float(OrderKind.FORK)
@@ -305,9 +270,9 @@ class Engine:
         if child:
             link.close()
             frames.close()
-            self.frames.sendall(struct.pack("=q", child))
+            self.frames.sendall(PROCESS_ID.pack(child))
             return
-        _die_with_parent(told["parent"])  # at once: whatever comes next may take a while
+        die_with_parent(told["parent"])  # at once: whatever comes next may take a while
         self.spec = spec = self.spec | told
         self.forked, self.forks = True, 0
         self.link.close()
@@ -315,7 +280,7 @@ class Engine:
         self.link, self.frames = link, frames
         self.descriptor, self.frames_descriptor = link.fileno(), frames.fileno()
         self.polling = Polling(enabled=spec["poll"])
-        self.frames.sendall(struct.pack("=q", os.getpid()))
+        self.frames.sendall(PROCESS_ID.pack(os.getpid()))
         begin(spec)
         own_files(spec["folder"])
         if self.saturation:
@@ -329,96 +294,3 @@ class Engine:
 
     def _read(self) -> int:
         return os.readv(self.descriptor, self.command_buffers)
-
-
-_own_folder = ""
-
-
-def leave(code: int) -> NoReturn:
-    """Ends the process as a forked child may: no exit handlers; its scratch folder goes with it."""
-    if _own_folder:
-        shutil.rmtree(_own_folder, ignore_errors=True)
-    os._exit(code)
-
-
-def _die_with_parent(parent: int) -> None:
-    """Has the kernel kill this process when the node ends, however it ends (Linux only).
-
-    SIGKILL, as a process that is stopped, or deep in EnergyPlus, acts on nothing else. A forked child has to ask anew.
-    """
-    if sys.platform.startswith("linux"):
-        set_parent_death_signal = 1
-        ctypes.CDLL(None).prctl(set_parent_death_signal, signal.SIGKILL)
-        if os.getppid() != parent:
-            leave(0)
-
-
-_SYS_CLONE = 56  # x86-64, as the wheel's EnergyPlus
-_CLONE_PARENT = 0x00008000
-
-
-def clone() -> int:
-    """Forks: 0 in the child. The child's parent is the parent's own, the node, which so learns how it ends."""
-    child = ctypes.CDLL(None, use_errno=True).syscall(_SYS_CLONE, _CLONE_PARENT | signal.SIGCHLD, 0, 0, 0, 0)
-    if child < 0:
-        raise OSError(ctypes.get_errno(), "the engine cannot be forked")
-    return int(child)
-
-
-_OFTEN = 4
-
-
-_TELLING = ("eplusout.err", "engine.log")
-
-
-def own_files(folder: str) -> None:
-    """Gives a forked child its own open files: parent and child would move each other's place in them.
-
-    Files that are read are opened anew at the same place, also if they have been removed meanwhile. Of those that
-    are written, the ones that tell why an engine failed, and those that are read again, are copied into `folder`; the
-    rest is nobody's any more.
-    """
-    for name in os.listdir("/proc/self/fd"):
-        descriptor, link = int(name), f"/proc/self/fd/{name}"
-        try:
-            if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-                continue
-            flags = fcntl.fcntl(descriptor, fcntl.F_GETFL)
-            place = os.lseek(descriptor, 0, os.SEEK_CUR)
-            base = os.path.basename(os.readlink(link)).removesuffix(" (deleted)")
-        except OSError:
-            continue  # the descriptor of the listing itself
-        path, access = link, flags & os.O_ACCMODE
-        if access != os.O_RDONLY:
-            path = os.path.join(folder, base) if access == os.O_RDWR or base in _TELLING else os.devnull
-        if path not in (link, os.devnull):
-            shutil.copyfile(link, path)
-        again = os.open(path, flags & ~(os.O_CREAT | os.O_EXCL | os.O_TRUNC))
-        os.lseek(again, place, os.SEEK_SET)
-        os.dup2(again, descriptor)
-        os.close(again)
-
-
-def begin(spec: dict[str, Any]) -> None:
-    """Sets the scratch folder that goes with this process, and the cores on which it runs."""
-    global _own_folder
-    _own_folder = "" if spec["keep"] else spec["folder"]
-    if spec["cpus"]:
-        os.sched_setaffinity(0, spec["cpus"])
-
-
-def main(descriptor: int, frames: int, parent: int) -> NoReturn:
-    """Reads the run's description from the socket and simulates."""
-    _die_with_parent(parent)
-    link = socket.socket(fileno=descriptor)
-    length = struct.unpack("<I", link.recv(4, socket.MSG_WAITALL))[0]
-    spec = json.loads(link.recv(length, socket.MSG_WAITALL))
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the node's to answer
-    signal.signal(signal.SIGTERM, lambda *_: leave(0))
-    begin(spec)
-    gc.disable()  # nothing here makes cycles
-    Engine(link, socket.socket(fileno=frames), spec).run()
-
-
-if __name__ == "__main__":
-    main(*map(int, sys.argv[1:4]))

@@ -48,7 +48,7 @@ def test_a_node_that_is_ended_while_it_starts_leaves_nothing(scratch: Path, numb
     command = [*ZENOSTAT, "node", *DAY, "--listen", f"tcp/127.0.0.1:{free_port()}", "--affinity", "off"]
 
     def simulates() -> bool:
-        return any("eplus_node.engine.process" in command_of(program) for program in programs_of(scratch))
+        return any("eplus_node.engine" in command_of(program) for program in programs_of(scratch))
 
     interrupted(command, simulates, "its engine runs", cwd=scratch, number=number)
 

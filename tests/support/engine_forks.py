@@ -115,6 +115,7 @@ if sys.orig_argv[-2:] == ["-m", "eplus_node"]:
 _ENGINE = """
 import errno, os, signal, sys
 from eplus_node.engine import process as engine
+from eplus_node.engine.__main__ import main
 
 def fault():
     try:
@@ -140,7 +141,7 @@ def faulty_own_files(folder):
     own_files(folder)
 
 engine.clone, engine.own_files = faulty_clone, faulty_own_files
-engine.main(*map(int, sys.argv[2:]))
+main(*map(int, sys.argv[2:]))
 """
 
 

@@ -138,9 +138,7 @@ class NodeProgram:
 
 def engines_of(node_pid: int) -> list[psutil.Process]:
     """The engines of a node, the one that simulates its episode last; before it, one may wait to be forked."""
-    engines = [
-        child for child in psutil.Process(node_pid).children() if "eplus_node.engine.process" in command_of(child)
-    ]
+    engines = [child for child in psutil.Process(node_pid).children() if "eplus_node.engine" in command_of(child)]
     return sorted(engines, key=lambda engine: (engine.create_time(), engine.pid))
 
 
