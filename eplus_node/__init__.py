@@ -1,1 +1,1 @@
-"""The building's side: the engine (EnergyPlus in a process of its own) and the node that puts it on the bus."""
+"""The building's side: engines (EnergyPlus in processes of their own) and the node that puts them on the bus."""

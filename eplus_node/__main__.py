@@ -1,6 +1,6 @@
-"""A node as a program, for whoever starts one of their own: `python -m eplus_node`.
+"""Run a node for another program: `python -m eplus_node`.
 
-Standard input: one line of JSON, the settings of `NodeConfig`; the node ends when its other end is closed.
+Standard input: one line of JSON with the settings of `NodeConfig`; the node ends when standard input is closed.
 Standard output: one line of JSON, `{"ready": name, "manifest": {...}}` or `{"error": class, "message": text}`.
 """
 
@@ -25,15 +25,15 @@ def _end_with_owner() -> None:
     os.kill(os.getpid(), signal.SIGTERM)
 
 
-def _say(**what: Any) -> None:
+def _print_line(**fields: Any) -> None:
     try:
-        print(json.dumps(what), flush=True)
+        print(json.dumps(fields), flush=True)
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # the owner is gone; the lifeline says so as well
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # the owner has ended, which the lifeline detects as well
 
 
 def main() -> int:
-    """Runs the node; 0 if it was told to stop, 1 if it could not start or EnergyPlus failed."""
+    """Run the node; return 0 after a request or signal to stop, 1 if it could not start."""
     for number in TERMINATION_SIGNALS:
         signal.signal(number, lambda *_: sys.exit(0))
     line = b""
@@ -47,22 +47,22 @@ def main() -> int:
         config = read_config(json.loads(line))
         if config.check:
             plan(config)
-            _say(ready=config.name)
+            _print_line(ready=config.name)
             return 0
         with Node(config, program=True) as node:
-            _say(ready=config.name, manifest=node.manifest.model_dump(mode="json"))
+            _print_line(ready=config.name, manifest=node.manifest.model_dump(mode="json"))
             node.serve()
     except ZenostatError as error:
-        _say(**to_wire(error))
+        _print_line(**to_wire(error))
         return 1
     except Exception as error:
-        _say(**to_wire(error))
+        _print_line(**to_wire(error))
         raise
     return 0
 
 
 if __name__ == "__main__":
     code = main()
-    for ignored in TERMINATION_SIGNALS:  # all is closed; a signal would only change the exit code
+    for ignored in TERMINATION_SIGNALS:  # everything is closed; a signal would only change the exit code
         signal.signal(ignored, signal.SIG_IGN)
     sys.exit(code)

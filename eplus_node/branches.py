@@ -1,8 +1,8 @@
 """Snapshots and branches: engines forked from those of a running episode.
 
-A snapshot waits at its sample, and an episode can go back there. A branch goes on at once, as a node of its own on
-the bus, in a thread of its own; its engines run on whatever core is free. Both end with the node at the latest, and
-when the controller that asked for them leaves.
+A snapshot waits at its sample, and an episode can go back to it. A branch runs at once, as a node of its own on the
+bus, in a thread of its own; its engines run on any free core. Both end when the node ends, or when the controller that
+asked for them leaves the bus.
 """
 
 from __future__ import annotations
@@ -18,10 +18,11 @@ from pathlib import Path
 from bridge.exchange.actuator_commands import CommandSnapshot
 from bridge.exchange.episode import StepExchange
 from eplus_node.engine.client import EngineClient, start_all
+from eplus_node.engine.episode_folders import create_fork_folder
 from eplus_node.engine.group import EngineGroup
-from eplus_node.engine.pool import EnginePool, EpisodeWeather, made, weather_fields
-from eplus_node.fault_injection import NO_FAULTS
-from eplus_node.fault_injection import State as Faulty
+from eplus_node.engine.pool import EnginePool, EpisodeWeather
+from eplus_node.fault_injection import NO_FAULTS, FaultState
+from eplus_node.manifests import weather_fields
 from eplus_node.server import NodeServer
 from models.scenario.episode import WeatherSource
 from topics import keys
@@ -39,94 +40,94 @@ from topics.messages import (
     TakeSnapshot,
 )
 
-_NOT_OF_A_BRANCH = (
+_NODE_REQUESTS = (
     (keys.RESET, Reset),
     (keys.SNAPSHOT, TakeSnapshot),
     (keys.DROP, DropSnapshot),
     (keys.BRANCH, CreateBranch),
 )
-_NEVER = "there is nothing to fork: the episode is {}; reset it first"
+_NO_EPISODE = "there is nothing to fork: the episode is {}; reset it first"
 
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """Where a node stood: engines that wait there, what held, and which weather each slot had."""
+    """State of a node at one sample: waiting engines, commands in effect, faults, and the weather of each slot."""
 
     name: str
     owner: str
     episode: list[int]
     step: list[int]
     engines: EngineGroup
-    held: CommandSnapshot
-    faults: Faulty | None
-    positions: list[EpisodeWeather]
+    commands: CommandSnapshot
+    faults: FaultState | None
+    weather: list[EpisodeWeather]
     folder: Path
 
     def drop(self) -> None:
-        """Ends its engines; twice is fine."""
+        """End its engines and remove its files; idempotent."""
         self.engines.end()
         shutil.rmtree(self.folder, ignore_errors=True)
 
 
 class Branch:
-    """A branch, running in a thread of its own until it is told to stop.
+    """A branch, which runs in a thread of its own until it is stopped.
 
     Args:
-        runner: on the bus already.
+        server: on the bus already.
         owner: the controller that asked for it.
-        folder: cleared at the end.
+        folder: removed at the end.
         cpus: where its thread runs.
-        over: told at the end, in the branch's own thread.
+        on_end: called with its name at the end, in the branch's thread.
     """
 
     def __init__(
-        self, runner: NodeServer, owner: str, folder: Path, cpus: tuple[int, ...], over: Callable[[str], None]
+        self, server: NodeServer, owner: str, folder: Path, cpus: tuple[int, ...], on_end: Callable[[str], None]
     ) -> None:
-        self.runner, self.owner = runner, owner
-        self._folder, self._cpus, self._over = folder, cpus, over
-        self._thread = threading.Thread(target=self._serve, name=runner.manifest.node, daemon=True)
+        self.server, self.owner = server, owner
+        self._folder, self._cpus, self._on_end = folder, cpus, on_end
+        self._thread = threading.Thread(target=self._serve, name=server.manifest.node, daemon=True)
 
     def start(self) -> None:
-        """Begins to serve; `RuntimeError` if the system has no thread for it."""
+        """Start serving; `RuntimeError` if the system cannot start a thread."""
         self._thread.start()
 
     @property
     def name(self) -> str:
         """Its name on the bus."""
-        return self.runner.manifest.node
+        return self.server.manifest.node
 
     def _serve(self) -> None:
         try:
             if self._cpus:
                 os.sched_setaffinity(0, self._cpus)
-            self.runner.serve()
+            self.server.serve()
         finally:
-            self.runner.close()
+            self.server.close()
             shutil.rmtree(self._folder, ignore_errors=True)
-            self._over(self.name)
+            self._on_end(self.name)
 
     def stop(self) -> None:
-        """Tells it to end; any thread may."""
-        self.runner.cancel_step()
-        self.runner.inlets.post(self.runner.stop_serving)
+        """Ask the branch to end; thread-safe."""
+        self.server.cancel_step()
+        self.server.subscriptions.post(self.server.stop_serving)
 
     def join(self) -> None:
-        """Waits for its end."""
+        """Wait for the branch to end."""
         self._thread.join()
 
 
 class BranchManager:
-    """All snapshots and branches of a node.
+    """All snapshots and branches of a node. Its methods are for the node's thread, unless noted.
 
     Args:
-        runner: the node's own; the methods are for its thread.
-        folder: for files of engines; the caller removes it.
+        server: the node's own.
+        folder: for the files of engines; the caller removes it.
         cpus: where their engines and threads run; empty leaves it to the system.
-        limit: of snapshots and branches at a time.
+        limit: maximum number of snapshots and branches at a time.
     """
 
-    def __init__(self, runner: NodeServer, folder: Path, *, cpus: tuple[int, ...], limit: int) -> None:
-        self._runner = runner
+    def __init__(self, server: NodeServer, folder: Path, *, cpus: tuple[int, ...], limit: int) -> None:
+        self._server = server
         self._cpus = cpus
         self._folder = folder
         self._limit = limit
@@ -134,100 +135,100 @@ class BranchManager:
         self.snapshots: dict[str, Snapshot] = {}
         self.branches: dict[str, Branch] = {}
 
-    def snapshot(self, asked: TakeSnapshot, positions: Callable[[Path], list[EpisodeWeather]]) -> Snapshot:
-        """Keeps where the node stands.
+    def snapshot(self, request: TakeSnapshot, link_weather: Callable[[Path], list[EpisodeWeather]]) -> Snapshot:
+        """Take a snapshot.
 
         Args:
-            asked: by whom.
-            positions: the weather of each slot; held in the folder that it is given, too.
+            request: names the controller that owns the snapshot.
+            link_weather: hard-links the weather of each slot into a folder and returns it.
 
         Raises:
-            RequestRejected: no episode runs, or there are as many forks as are allowed.
+            RequestRejected: no episode is running, or the limit is reached.
             ForkFailed: the system cannot fork.
         """
-        name, folder = self._place("s")
-        exchange = self._runner.exchange
+        name, folder = self._allocate("s")
+        exchange = self._server.exchange
         try:
-            held = positions(folder)  # first: what fails after the fork would leave its engines
-            engines = self._runner.engines.fork(lambda link: self._child(link, folder))
-            taken = Snapshot(
+            weather = link_weather(folder)  # before the fork: a failure after it would leave engines behind
+            engines = self._server.engines.fork(lambda client: self._fork(client, folder))
+            snapshot = Snapshot(
                 name,
-                asked.controller,
+                request.controller,
                 [*exchange.episode],
                 [*exchange.step],
                 engines,
                 exchange.capture(),
-                self._runner.injection.state() if self._runner.injection is not None else None,
-                held,
+                self._server.injection.state() if self._server.injection is not None else None,
+                weather,
                 folder,
             )
         except BaseException:
             shutil.rmtree(folder, ignore_errors=True)
             raise
-        self.snapshots[name] = taken
-        return taken
+        self.snapshots[name] = snapshot
+        return snapshot
 
     def find(self, name: str) -> Snapshot:
-        """A snapshot by its name; `RequestRejected` lists those that are there."""
+        """Return a snapshot by its name; raise `RequestRejected` with near names if there is none."""
         if name not in self.snapshots:
             raise RequestRejected(
-                f"no snapshot {name!r} on node {self._runner.manifest.node!r}; {did_you_mean(name, self.snapshots)}"
+                f"no snapshot {name!r} on node {self._server.manifest.node!r}; {did_you_mean(name, self.snapshots)}"
             )
         return self.snapshots[name]
 
     def drop(self, name: str) -> None:
-        """Gives a snapshot's memory back; `RequestRejected` if there is none of that name."""
+        """End a snapshot, which frees its memory; raise `RequestRejected` if there is none of that name."""
         self.find(name)
         self.snapshots.pop(name).drop()
 
-    def branch(self, asked: CreateBranch, supplies: Sequence[EnginePool]) -> Branch:
-        """Has the node go on twice.
+    def branch(self, request: CreateBranch, pools: Sequence[EnginePool]) -> Branch:
+        """Create a branch.
 
         Args:
-            asked: what, and by whom.
-            supplies: of each slot.
+            request: what to branch from, and the controller that owns the branch.
+            pools: by slot.
 
         Raises:
-            RequestRejected: no such slot or snapshot, no episode runs, or there are as many forks as are allowed.
+            RequestRejected: no such slot or snapshot, no episode is running, or the limit is reached.
             ForkFailed: the system cannot fork.
         """
-        parent = self._runner
-        parent.check_slot(asked.slot)
-        snapshot = self.find(asked.snapshot) if asked.snapshot else None
-        name, folder = self._place("b", waits=snapshot is not None)
+        parent = self._server
+        parent.check_slot(request.slot)
+        snapshot = self.find(request.snapshot) if request.snapshot else None
+        name, folder = self._allocate("b", from_snapshot=snapshot is not None)
         try:
-            full = keys.check_name(f"{parent.manifest.node}.{name}", "a branch's name")
-            supply = supplies[asked.slot]
-            weather = supply.hold(snapshot.positions[asked.slot] if snapshot else supply.position, folder / "in.epw")
-            manifest = self._branch_manifest(full, asked.slots, supply.source_of(weather))
-            engines = self._engines(snapshot.engines if snapshot else parent.engines, asked, folder)
-            runner = self._branch_runner(manifest, engines, asked, snapshot, weather.files.weather)
-            branch = self._serve(Branch(runner, asked.controller, folder, self._cpus, self._over))
+            full_name = keys.check_name(f"{parent.manifest.node}.{name}", "a branch's name")
+            pool = pools[request.slot]
+            weather = pool.link(snapshot.weather[request.slot] if snapshot else pool.weather, folder / "in.epw")
+            manifest = self._branch_manifest(full_name, request.slots, pool.source_of(weather))
+            engines = self._fork_slot(snapshot.engines if snapshot else parent.engines, request, folder)
+            server = self._branch_server(manifest, engines, request, snapshot, weather.files.weather)
+            branch = self._start(Branch(server, request.controller, folder, self._cpus, self._on_end))
         except BaseException:
             shutil.rmtree(folder, ignore_errors=True)
             raise
         return branch
 
-    def _serve(self, branch: Branch) -> Branch:
+    def _start(self, branch: Branch) -> Branch:
         self.branches[branch.name] = branch
         try:
             branch.start()
-        except RuntimeError as error:  # the system has no thread for it
+        except RuntimeError as error:  # the system cannot start a thread
             del self.branches[branch.name]
-            branch.runner.close()
-            raise ForkFailed(f"no branch of node {self._runner.manifest.node!r}: {error}") from None
+            branch.server.close()
+            raise ForkFailed(f"cannot branch node {self._server.manifest.node!r}: {error}") from None
         return branch
 
-    def _engines(self, of: EngineGroup, asked: CreateBranch, folder: Path) -> EngineGroup:
-        link = of.links[asked.slot]
-        return of.of_slot(asked.slot, start_all(range(asked.slots), lambda _: self._child(link, folder)))
+    def _fork_slot(self, engines: EngineGroup, request: CreateBranch, folder: Path) -> EngineGroup:
+        client = engines.clients[request.slot]
+        return engines.of_slot(request.slot, start_all(range(request.slots), lambda _: self._fork(client, folder)))
 
     def _branch_manifest(self, name: str, slots: int, weather: WeatherSource) -> Manifest:
-        of = self._runner.manifest
-        return of.model_copy(
+        manifest = self._server.manifest
+        return manifest.model_copy(
             update={
                 "node": name,
-                "branch_of": of.node,
+                "branch_of": manifest.node,
                 "slots": slots,
                 **weather_fields(weather),
                 "baseline": False,
@@ -240,60 +241,66 @@ class BranchManager:
             }
         )
 
-    def _branch_runner(
-        self, manifest: Manifest, engines: EngineGroup, asked: CreateBranch, snapshot: Snapshot | None, weather: Path
+    def _branch_server(
+        self, manifest: Manifest, engines: EngineGroup, request: CreateBranch, snapshot: Snapshot | None, weather: Path
     ) -> NodeServer:
-        parent, slots = self._runner, asked.slots
-        of = snapshot or parent.exchange
+        parent, slots = self._server, request.slots
+        origin = snapshot or parent.exchange
         exchange = StepExchange(
             parent.exchange.actuators,
             slots=slots,
-            episode=[of.episode[asked.slot]] * slots,
+            episode=[origin.episode[request.slot]] * slots,
         )
-        if not asked.relinquished:
-            exchange.restore((snapshot.held if snapshot else parent.exchange.capture()).of_slot(asked.slot, slots))
-        exchange.ready(dict.fromkeys(range(slots), of.step[asked.slot]))
-        runner = NodeServer(parent.session, parent.plan, manifest, exchange, engines, lambda _: weather)
+        if not request.relinquished:
+            exchange.restore(
+                (snapshot.commands if snapshot else parent.exchange.capture()).of_slot(request.slot, slots)
+            )
+        exchange.ready(dict.fromkeys(range(slots), origin.step[request.slot]))
+        server = NodeServer(parent.session, parent.plan, manifest, exchange, engines, lambda _: weather)
         present = parent.injection.state() if parent.injection is not None else None
         faults = (snapshot.faults if snapshot is not None else present) or NO_FAULTS
         try:
-            runner.inject(faults[0])
-            if runner.injection is not None:
-                runner.injection.restore(faults, asked.slot)
-            runner.declare()
-            for topic, message in _NOT_OF_A_BRANCH:
-                runner.inlets.request(topic, message, self._refuse)
-            runner.inlets.watch(keys.CONTROLLER_TOKEN, lambda who: runner.publish_events(exchange.on_disconnect(who)))
-            runner.publish()
-            runner.announce()
+            server.inject(faults[0])
+            if server.injection is not None:
+                server.injection.restore(faults, request.slot)
+            server.declare()
+            for topic, kind in _NODE_REQUESTS:
+                server.subscriptions.request(topic, kind, self._reject)
+            server.subscriptions.watch_presence(
+                keys.CONTROLLER_TOKEN, lambda controller: server.publish_events(exchange.on_disconnect(controller))
+            )
+            server.publish()
+            server.announce()
         except BaseException:
-            runner.close()
+            server.close()
             raise
-        return runner
+        return server
 
-    def _refuse(self, _: object) -> Message:
-        of = self._runner.manifest.node
+    def _reject(self, _: object) -> Message:
         raise RequestRejected(
-            f"a branch has one episode, and no snapshots and branches of its own; ask its node {of!r}"
+            "a branch has a single episode and no snapshots or branches; "
+            f"send the request to its node {self._server.manifest.node!r}"
         )
 
-    def _place(self, kind: str, *, waits: bool = False) -> tuple[str, Path]:
-        """A name and a folder for a fork, if there may be one now."""
-        state, limit = self._runner.exchange.state, self._limit
-        if not waits and (state is not State.WAITING or any(self._runner.exchange.done)):
-            raise RequestRejected(_NEVER.format(state if state in (State.STARTING, State.FAILED) else "over"))
-        live = len(self.snapshots) + sum(not branch.runner.stopping for branch in self.branches.values())
-        if live >= limit:
+    def _allocate(self, prefix: str, *, from_snapshot: bool = False) -> tuple[str, Path]:
+        """Return a name and a folder for a fork; raise `RequestRejected` if none is allowed now."""
+        state, limit = self._server.exchange.state, self._limit
+        if not from_snapshot and (state is not State.WAITING or any(self._server.exchange.done)):
+            raise RequestRejected(_NO_EPISODE.format(state if state in (State.STARTING, State.FAILED) else "over"))
+        count = len(self.snapshots) + sum(not branch.server.stopping for branch in self.branches.values())
+        if count >= limit:
             raise RequestRejected(
-                f"{live} snapshots and branches are there, and the node allows {limit} (branches={limit}); "
-                "close some, or start the node with more"
+                f"the node has {count} snapshots and branches and allows {limit} (branches={limit}); "
+                "close some, or start the node with a higher limit"
             )
-        name = f"{kind}{next(self._numbers)}"
-        return name, made(self._folder / name)
+        name = f"{prefix}{next(self._numbers)}"
+        return name, create_fork_folder(self._folder / name)
 
-    def _child(self, link: EngineClient, folder: Path) -> EngineClient:
-        own = made(folder / str(next(self._numbers)))
-        child = link.fork(replace(link.run, folder=own, keep_output=False, cpus=self._cpus, poll=False, branch=True))
+    def _fork(self, client: EngineClient, folder: Path) -> EngineClient:
+        subfolder = create_fork_folder(folder / str(next(self._numbers)))
+        child = client.fork(
+            replace(client.spec, folder=subfolder, keep_output=False, cpus=self._cpus, poll=False, branch=True)
+        )
         try:
             child.receive()
         except BaseException:
@@ -301,24 +308,22 @@ class BranchManager:
             raise
         return child
 
-    def fork_baseline(self, link: EngineClient) -> EngineClient:
-        """A fork that goes on beside an engine, for the baseline.
+    def fork_baseline(self, client: EngineClient) -> EngineClient:
+        """Fork an engine for the baseline.
 
         Raises:
             SimulatorError: it cannot be forked.
         """
-        return self._child(link, self._folder / "baseline")
+        return self._fork(client, self._folder / "baseline")
 
-    def _over(self, name: str) -> None:
-        def forget() -> None:
+    def _on_end(self, name: str) -> None:
+        def remove() -> None:
             self.branches.pop(name, None)
 
-        self._runner.inlets.post(forget)
-
-    # The others' ends
+        self._server.subscriptions.post(remove)
 
     def on_disconnect(self, owner: str) -> None:
-        """A controller has gone: what it asked for ends."""
+        """End the snapshots and branches of a controller that has left."""
         for name in [name for name, snapshot in self.snapshots.items() if snapshot.owner == owner]:
             self.drop(name)
         for branch in self.branches.values():
@@ -326,17 +331,17 @@ class BranchManager:
                 branch.stop()
 
     def notify_all(self) -> None:
-        """Has each branch look after its engines; any thread may."""
+        """Wake each branch so that it checks its engines; thread-safe."""
         for branch in [*self.branches.values()]:
-            branch.runner.inlets.notify()
+            branch.server.subscriptions.notify()
 
     def cancel_steps(self) -> None:
-        """Has no branch wait for an engine that is computing; any thread may."""
+        """Interrupt the engines of all branches that are computing; thread-safe."""
         for branch in [*self.branches.values()]:
-            branch.runner.cancel_step()
+            branch.server.cancel_step()
 
     def close(self) -> None:
-        """Ends all; twice is fine."""
+        """End all snapshots and branches; idempotent."""
         for branch in self.branches.values():
             branch.stop()
         for branch in self.branches.values():
@@ -346,13 +351,13 @@ class BranchManager:
             self.snapshots.pop(name).drop()
 
     def status(self, *, memory: bool) -> tuple[list[ForkStatus], list[ForkStatus]]:
-        """The snapshots, and the branches; any thread may ask."""
-        kept = [(s.name, s.owner, s.step, s.engines) for s in [*self.snapshots.values()]]
-        running = [(b.name, b.owner, b.runner.exchange.step, b.runner.engines) for b in [*self.branches.values()]]
-        return _told(kept, memory=memory), _told(running, memory=memory)
+        """Return the status of all snapshots and of all branches; thread-safe."""
+        snapshots = [(s.name, s.owner, s.step, s.engines) for s in [*self.snapshots.values()]]
+        branches = [(b.name, b.owner, b.server.exchange.step, b.server.engines) for b in [*self.branches.values()]]
+        return _fork_status(snapshots, memory=memory), _fork_status(branches, memory=memory)
 
 
-def _told(forks: Sequence[tuple[str, str, list[int], EngineGroup]], *, memory: bool) -> list[ForkStatus]:
+def _fork_status(forks: Sequence[tuple[str, str, list[int], EngineGroup]], *, memory: bool) -> list[ForkStatus]:
     return [
         ForkStatus(
             name=name,

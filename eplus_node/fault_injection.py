@@ -1,4 +1,4 @@
-"""Faults on purpose, as a runner meets them: raw bytes in and out, and what is to be told of them."""
+"""Fault injection in a node server: applies a fault plan to raw commands, raw sensor values and messages."""
 
 from __future__ import annotations
 
@@ -14,88 +14,93 @@ from topics.fault_plan import FaultPlan
 if TYPE_CHECKING:
     from eplus_node.config import Plan
 
-State = tuple[FaultPlan, list[Any], dict[str, Any]]
-"""A plan, and where the faults of points and of the link stand."""
+FaultState = tuple[FaultPlan, list[Any], dict[str, Any]]
+"""A plan, and the states of its point faults and of its link faults."""
 
-NO_FAULTS: State = (FaultPlan(), [], {})
-"""What a snapshot of an undisturbed node goes back to."""
+NO_FAULTS: FaultState = (FaultPlan(), [], {})
+"""The state of a node without injected faults."""
 
 
 class FaultInjection:
-    """The faults of one runner.
+    """The injected faults of one server.
 
     Args:
-        faults: what goes wrong.
+        faults: what to inject.
         plan: what is simulated.
-        slots: engines.
+        slots: number of slots.
+
+    Attributes:
+        plan: the fault plan.
+        link: faults of the link between node and controllers.
 
     Raises:
-        InvalidConfig: unknown points, values out of bounds, windows without a sample; all of them.
+        InvalidConfig: lists all unknown points, values out of bounds and windows without a sample.
     """
 
     def __init__(self, faults: FaultPlan, plan: Plan, slots: int) -> None:
         points, period = plan.points, plan.period
         self.plan = faults
-        self._shape = (slots, len(points.sensors) + len(points.meters))
-        self._commands = (slots, len(points.actuators))
-        when = {"step_s": period.step_s, "begin": period.time(0), "end": period.time(period.steps)}
+        self._sensor_shape = (slots, len(points.sensors) + len(points.meters))
+        self._command_shape = (slots, len(points.actuators))
+        period_fields = {"step_s": period.step_s, "begin": period.time(0), "end": period.time(period.steps)}
         names = [*(sensor.name for sensor in points.sensors), *(meter.name for meter in points.meters)]
-        gathered = ErrorCollector()
-        found = gathered.collect(lambda: PointFaults(faults, names, points.actuators, slots=slots, **when))  # type: ignore[arg-type]
-        link = gathered.collect(lambda: LinkFaults(faults, **when))  # type: ignore[arg-type]
-        gathered.raise_if_any()
-        assert found is not None
-        assert link is not None
-        self._points, self.link = found, link
+        errors = ErrorCollector()
+        point_faults = errors.collect(
+            lambda: PointFaults(faults, names, points.actuators, slots=slots, **period_fields)  # type: ignore[arg-type]
+        )
+        link_faults = errors.collect(lambda: LinkFaults(faults, **period_fields))  # type: ignore[arg-type]
+        errors.raise_if_any()
+        assert point_faults is not None
+        assert link_faults is not None
+        self._points, self.link = point_faults, link_faults
 
     def begin(self, slots: Sequence[int], seeds: Sequence[int | None]) -> None:
-        """New episodes in some slots."""
+        """Begin new episodes in some slots."""
         self._points.reset(slots, seeds)
         if 0 in slots:
             self.link.reset(seeds[list(slots).index(0)])
 
     def apply_to_commands(self, values: bytes, steps: Sequence[int]) -> bytes:
-        """What reaches the engines of what was commanded."""
+        """Return the commands that reach the engines; raw float64."""
         if not self._points.disturbs_actuators:
             return values
-        return self._points.apply_to_commands(np.frombuffer(values).reshape(self._commands), steps).tobytes()
+        return self._points.apply_to_commands(np.frombuffer(values).reshape(self._command_shape), steps).tobytes()
 
-    def heard(self, values: bytes) -> None:
-        """What reached the engines last, of faults that are set amid an episode: an actuator may go on with it."""
-        self.apply_to_commands(
-            values, [-1] * self._shape[0]
-        )  # before an episode no fault is on; those that remember do so
+    def remember_commands(self, values: bytes) -> None:
+        """Record the latest commands when faults are set within an episode: a stuck actuator keeps them."""
+        # No fault is active before step 0, so this only updates the faults that remember commands.
+        self.apply_to_commands(values, [-1] * self._sensor_shape[0])
 
     def apply_to_sensors(self, values: bytes, steps: Sequence[int]) -> bytes:
-        """What goes on the bus of what EnergyPlus says."""
+        """Return the sensor and meter values to publish; raw float64."""
         self.link.move(steps[0])
         if not self._points.disturbs_points:
             return values
-        return self._points.apply_to_sensors(np.frombuffer(values).reshape(self._shape), steps).tobytes()
+        return self._points.apply_to_sensors(np.frombuffer(values).reshape(self._sensor_shape), steps).tobytes()
 
     def drain_transitions(self) -> list[str]:
-        """What began and ended since this was asked last."""
+        """Return texts for the faults that began or ended since the last call."""
         return [
-            f"{told.fault} {'begins' if told.turn is Transition.BEGAN else 'ends'}"
-            + (f" in slot {told.slot}" if told.slot else "")
-            for told in (*self._points.drain_transitions(), *self.link.drain_transitions())
+            f"{change.fault} {'begins' if change.turn is Transition.BEGAN else 'ends'}"
+            + (f" in slot {change.slot}" if change.slot else "")
+            for change in (*self._points.drain_transitions(), *self.link.drain_transitions())
         ]
 
-    def on(self) -> list[str]:
-        """The faults that are on in slot 0; those of the link with how many messages they hit."""
+    def active(self) -> list[str]:
+        """Return the faults that are active in slot 0; those of the link with the number of affected messages."""
         return [
             *self._points.on(),
             *(f"{name} ({count} messages)" for name, count in self.link.counts.items() if count),
         ]
 
-    def state(self) -> State:
-        """Where they stand."""
+    def state(self) -> FaultState:
+        """Return the state of all faults."""
         return self.plan, self._points.state(), self.link.state()
 
-    def restore(self, state: State, slot: int | None = None) -> None:
-        """Goes on from there; `slot`: all slots from that one."""
+    def restore(self, state: FaultState, slot: int | None = None) -> None:
+        """Restore the state of all slots; with `slot`, of all slots from that one."""
         _, points, link = state
-        # The samples' flow has no name; the one at which they stood is said again.
+        # The samples' flow has the empty name. The snapshot's sample is published again, so its number goes back by 1.
         flows = {name: number - (not name) for name, number in link["flows"].items()}
-        self._points.restore(points if slot is None else [points[slot]] * self._shape[0])
+        self._points.restore(points if slot is None else [points[slot]] * self._sensor_shape[0])
         self.link.restore(link | {"flows": flows})

@@ -1,4 +1,4 @@
-"""When a runner's next timestep begins, as far as the clock or a person has a say: pace, pauses, steps, deadlines."""
+"""When the next timestep of a node server may begin: pace, pauses, single steps and deadlines."""
 
 from __future__ import annotations
 
@@ -19,153 +19,153 @@ _PACED = Mode.PACED
 
 
 class Pacing:
-    """The clock's part of a runner, whose thread calls everything here.
+    """Pace, pauses and deadlines of one server; for its thread.
 
     Attributes:
-        pace: the schedule of mode `paced`.
-        paused: whether it stands still, but for `steps_left` timesteps.
-        steps_left: timesteps to go while it is paused.
+        pace: the schedule in mode `paced`.
+        paused: whether it is paused, except for `steps_left` timesteps.
+        steps_left: timesteps that remain to be simulated while paused.
     """
 
-    def __init__(self, runner: NodeServer) -> None:
-        self._runner = runner
-        self.pace = StepSchedule(runner.plan.period.step_s, runner.manifest.speed)
+    def __init__(self, server: NodeServer) -> None:
+        self._server = server
+        self.pace = StepSchedule(server.plan.period.step_s, server.manifest.speed)
         self.paused = False
         self.steps_left = 0
-        self._timesteps = 0  # of all episodes and slots: what the schedule counts
-        self._into_s = 0.0  # of the timestep in which it was paused
-        self._overdue_at_s = 0.0
-        self._alarm: sched.Event | None = None
+        self._timesteps = 0  # since the start, of all episodes; the schedule counts them
+        self._step_elapsed_s = 0.0  # elapsed in the timestep in which it was paused
+        self._deadline_at_s = 0.0
+        self._timer_id: int | None = None
 
     def declare(self) -> None:
-        """Answers what is asked for on the bus."""
-        inlets = self._runner.inlets
-        inlets.request(keys.PACE, SetPace, self._set_pace)
-        inlets.request(keys.PAUSE, Pause, self._pause)
-        inlets.request(keys.RESUME, Resume, self._resume)
-        inlets.request(keys.STEP, StepRequest, self._go_steps)
+        """Answer requests on pace, pauses and steps."""
+        subscriptions = self._server.subscriptions
+        subscriptions.request(keys.PACE, SetPace, self._set_pace)
+        subscriptions.request(keys.PAUSE, Pause, self._pause)
+        subscriptions.request(keys.RESUME, Resume, self._resume)
+        subscriptions.request(keys.STEP, StepRequest, self._step)
 
     # A timestep
 
     def may_step(self) -> bool:
-        """Whether the next timestep is due by the clock; if not, the runner's thread is woken when it is."""
-        if self._stands:
+        """Return whether the next timestep is due; if it is not, the server's thread is woken when it is."""
+        if self._is_stopped:
             return False
-        if self._runner.exchange.mode is not _PACED or self.steps_left:
+        if self._server.exchange.mode is not _PACED or self.steps_left:
             return True
         due_s = self.pace.due_s(self._timesteps + 1)
         if monotonic() >= due_s:
             return True
-        self._call_at(due_s, self._runner.inlets.notify)
+        self._call_at(due_s, self._server.subscriptions.notify)
         return False
 
     def step_started(self) -> None:
-        """A timestep begins."""
-        if self._alarm is not None:
+        """Record that a timestep begins."""
+        if self._timer_id is not None:
             self.cancel()
         if self.steps_left:
-            self.steps_left, self._into_s = self.steps_left - 1, 0.0
+            self.steps_left, self._step_elapsed_s = self.steps_left - 1, 0.0
 
     def record_sample(self, now_s: float) -> None:
-        """Its sample has come."""
+        """Record that the sample of the timestep is published."""
         self._timesteps += 1
-        if self._runner.exchange.mode is not _PACED or self.paused:
+        if self._server.exchange.mode is not _PACED or self.paused:
             return
         if self.pace.record_sample(now_s, self._timesteps):
-            self._overran()
+            self._publish_overrun()
 
     def begin(self) -> None:
-        """An episode begins at the sample that is published next: the schedule begins there, too."""
-        self._into_s, self.steps_left = 0.0, 0
+        """Begin the schedule of an episode at the sample that is published next."""
+        self._step_elapsed_s, self.steps_left = 0.0, 0
         self.pace.rebase(monotonic(), self._timesteps)
 
     def wait(self, now_s: float) -> None:
-        """From now on the present step waits no longer than it may; not while the node stands still."""
-        exchange = self._runner.exchange
+        """Start the deadline of the present step, unless the node is paused."""
+        exchange = self._server.exchange
         deadline_s = exchange.deadline_s
-        if deadline_s is not None and exchange.mode is Mode.LOCKSTEP and not self._stands:
-            self._overdue_at_s = now_s + deadline_s
-            self._call_at(self._overdue_at_s, lambda: self._runner.inlets.post(self._overdue))
+        if deadline_s is not None and exchange.mode is Mode.LOCKSTEP and not self._is_stopped:
+            self._deadline_at_s = now_s + deadline_s
+            self._call_at(self._deadline_at_s, lambda: self._server.subscriptions.post(self._on_deadline))
 
     def cancel(self) -> None:
-        """Nothing is to be done later any more."""
-        alarm, self._alarm = self._alarm, None
-        if alarm is not None:
-            self._runner.timer.cancel(alarm)
+        """Cancel the pending wake-up or deadline."""
+        timer_id, self._timer_id = self._timer_id, None
+        if timer_id is not None:
+            self._server.timer.cancel(timer_id)
 
     @property
-    def _stands(self) -> bool:
-        """Whether it stands still because somebody said so."""
+    def _is_stopped(self) -> bool:
+        """Whether it is paused and has no steps left."""
         return self.paused and not self.steps_left
 
     def _call_at(self, due_s: float, call: Callable[[], None]) -> None:
-        """Has the timer's thread do something later, in place of what it was to do later."""
+        """Let the timer call `call` at `due_s`; replaces the previous call."""
         self.cancel()
-        self._alarm = self._runner.timer.at(due_s, call)
+        self._timer_id = self._server.timer.at(due_s, call)
 
-    def _overdue(self) -> None:
-        # It may come from the shelf after its step has gone on; the present one has a later deadline then.
-        runner = self._runner
-        if self._stands or runner.exchange.mode is not Mode.LOCKSTEP or monotonic() < self._overdue_at_s:
+    def _on_deadline(self) -> None:
+        # The task may run after its step has ended; the present step then has a later deadline.
+        server = self._server
+        if self._is_stopped or server.exchange.mode is not Mode.LOCKSTEP or monotonic() < self._deadline_at_s:
             return
         try:
-            runner.publish_events(runner.exchange.on_deadline())
+            server.publish_events(server.exchange.on_deadline())
         except EpisodeAborted as error:
-            runner.fail(error)
+            server.fail(error)
 
-    def _overran(self) -> None:
-        pace, exchange = self.pace, self._runner.exchange
-        if pace.overruns & (pace.overruns - 1) == 0:  # the first, the second, the fourth…: the count is in the status
-            at_worst = f"{pace.max_lag_s:.3g} s at worst"
-            text = f"overrun {pace.overruns}: the sample of step {exchange.step[0]} came late, {at_worst}"
-            self._runner.event(exchange.event(EventKind.PACE, text))
+    def _publish_overrun(self) -> None:
+        pace, exchange = self.pace, self._server.exchange
+        if pace.overruns & (pace.overruns - 1) == 0:  # the 1st, 2nd, 4th, 8th …; the status contains the count
+            max_lag = f"at most {pace.max_lag_s:.3g} s so far"
+            text = f"overrun {pace.overruns}: the sample of step {exchange.step[0]} was late, {max_lag}"
+            self._server.event(exchange.event(EventKind.PACE, text))
 
     # Requests
 
-    def _set_pace(self, asked: SetPace) -> Message:
-        if (asked.speed is not None) is not (asked.mode is Mode.PACED):
-            raise RequestRejected("a speed and the mode 'paced' go together; the other modes have none")
-        runner = self._runner
-        mode, speed, now_s = asked.mode, asked.speed or runner.manifest.speed, monotonic()
+    def _set_pace(self, request: SetPace) -> Message:
+        if (request.speed is not None) is not (request.mode is Mode.PACED):
+            raise RequestRejected("only the mode 'paced' has a speed, and needs one")
+        server = self._server
+        mode, speed, now_s = request.mode, request.speed or server.manifest.speed, monotonic()
         self.cancel()
-        self._into_s = self._went_s(now_s)
-        runner.exchange.mode, self.pace.speed = mode, speed
-        self.pace.rebase(now_s, self._timesteps, self._into_s)
+        self._step_elapsed_s = self._elapsed_in_step_s(now_s)
+        server.exchange.mode, self.pace.speed = mode, speed
+        self.pace.rebase(now_s, self._timesteps, self._step_elapsed_s)
         self.wait(now_s)
-        runner.manifest = runner.manifest.model_copy(update={"mode": mode, "speed": speed})
-        runner.outlets.manifest(runner.manifest)
-        return self._told(f"{speed:g} times the wall clock" if mode is Mode.PACED else str(mode), asked.source)
+        server.manifest = server.manifest.model_copy(update={"mode": mode, "speed": speed})
+        server.publications.manifest(server.manifest)
+        return self._publish(f"{speed:g} times the wall clock" if mode is Mode.PACED else str(mode), request.source)
 
-    def _went_s(self, now_s: float) -> float:
-        """How far the present timestep has gone by the clock, in simulated seconds."""
+    def _elapsed_in_step_s(self, now_s: float) -> float:
+        """Return the simulated time elapsed in the present timestep according to the clock."""
         if self.paused:
-            return self._into_s
-        return self.pace.elapsed_in_step_s(now_s, self._timesteps) if self._runner.exchange.mode is Mode.PACED else 0.0
+            return self._step_elapsed_s
+        return self.pace.elapsed_in_step_s(now_s, self._timesteps) if self._server.exchange.mode is Mode.PACED else 0.0
 
-    def _pause(self, asked: Pause) -> Message:
-        self._into_s = self._went_s(monotonic())
+    def _pause(self, request: Pause) -> Message:
+        self._step_elapsed_s = self._elapsed_in_step_s(monotonic())
         self.paused, self.steps_left = True, 0
         self.cancel()
-        return self._told("paused", asked.source)
+        return self._publish("paused", request.source)
 
-    def _resume(self, asked: Resume) -> Message:
+    def _resume(self, request: Resume) -> Message:
         if self.paused:
             now_s = monotonic()
             self.paused, self.steps_left = False, 0
-            self.pace.rebase(now_s, self._timesteps, self._into_s)
+            self.pace.rebase(now_s, self._timesteps, self._step_elapsed_s)
             self.wait(now_s)
-        return self._told("goes on", asked.source)
+        return self._publish("resumed", request.source)
 
-    def _go_steps(self, asked: StepRequest) -> Message:
+    def _step(self, request: StepRequest) -> Message:
         if not self.paused:
             raise RequestRejected("the node is not paused; pause it first")
-        if self._runner.exchange.state in (State.ENDED, State.FAILED):
+        if self._server.exchange.state in (State.ENDED, State.FAILED):
             raise RequestRejected("the episode is over; reset it first")
-        self.steps_left += asked.steps
+        self.steps_left += request.steps
         self.wait(monotonic())
-        return self._told(f"timesteps to go: {self.steps_left}", asked.source)
+        return self._publish(f"steps left: {self.steps_left}", request.source)
 
-    def _told(self, text: str, source: str) -> Message:
-        runner = self._runner
-        runner.event(runner.exchange.event(EventKind.PACE, text, source))
-        return Ack(episode=runner.exchange.episode)
+    def _publish(self, text: str, source: str) -> Message:
+        server = self._server
+        server.event(server.exchange.event(EventKind.PACE, text, source))
+        return Ack(episode=server.exchange.episode)

@@ -1,4 +1,4 @@
-"""What a node says: its manifest, samples, single points and events."""
+"""Publishers of a node server: its manifest, samples, single points and events."""
 
 from __future__ import annotations
 
@@ -17,23 +17,26 @@ from topics import codec, keys
 from topics.messages import Event, EventKind, Manifest, PointValue
 
 EVENTS_A_STEP = 20
-"""More refusals than this in one step are counted, but not told one by one."""
+"""Refusals per step that are published as events; further ones are only counted."""
 
 WRITTEN_A_STEP = 1000
-"""Likewise writes that were taken: a controller that waits for a reset cannot take in any number of events."""
+"""Accepted writes per step that are published as events; a controller waiting for a reset has a bounded queue."""
 
 _MANIFEST, _SAMPLE, _EVENT = keys.MANIFEST.key, keys.SAMPLE.key, keys.EVENT.key
 _REFUSALS = (EventKind.REJECTED, EventKind.LATE, EventKind.DUPLICATE)
 
 
 class Publications:
-    """The publishers of a node; `with Outlets(session, manifest, timer) as outlets`. It publishes the manifest."""
+    """The publishers of a server; `with Publications(session, manifest, timer) as publications`.
+
+    It publishes the manifest when it is created.
+    """
 
     def __init__(self, session: zenoh.Session, manifest: Manifest, timer: Timer) -> None:
         self._session = session
         self._node = manifest.node
         self._close = ExitStack()
-        self._watched: dict[int, zenoh.Publisher] = {}
+        self._subscribed: dict[int, zenoh.Publisher] = {}
         self._events_left, self._written_left = EVENTS_A_STEP, WRITTEN_A_STEP
         self._put_sample = self._publisher(keys.SAMPLE).put
         self._put_event = self._publisher(keys.EVENT).put
@@ -43,7 +46,7 @@ class Publications:
         topics += [(keys.METER, m.name, m.unit) for m in manifest.meters]
         self._units = [unit for _, _, unit in topics]
         for index, (topic, name, _) in enumerate(topics):
-            self._watch(index, self._publisher(topic, name))
+            self._publish_on_demand(index, self._publisher(topic, name))
         self.manifest(manifest)
 
     def __enter__(self) -> Publications:
@@ -62,44 +65,44 @@ class Publications:
         )
         return self._close.enter_context(publisher)
 
-    def _watch(self, index: int, publisher: zenoh.Publisher) -> None:
-        """Has a point published as long as somebody listens to it."""
+    def _publish_on_demand(self, index: int, publisher: zenoh.Publisher) -> None:
+        """Publish a point only while it has subscribers."""
 
-        def wanted(status: zenoh.MatchingStatus) -> None:
-            watched = dict(self._watched)  # another thread may be walking over the old one
+        def on_matching(status: zenoh.MatchingStatus) -> None:
+            subscribed = dict(self._subscribed)  # a copy: another thread may be iterating
             if status.matching:
-                watched[index] = publisher
+                subscribed[index] = publisher
             else:
-                watched.pop(index, None)
-            self._watched = watched
+                subscribed.pop(index, None)
+            self._subscribed = subscribed
 
-        publisher.declare_matching_listener(Callback(wanted, indirect=False))
+        publisher.declare_matching_listener(Callback(on_matching, indirect=False))
 
     def manifest(self, manifest: Manifest) -> None:
-        """What the node is; again when its weather has changed."""
+        """Publish the manifest."""
         payload = codec.encode(manifest)
         self._put_manifest(payload)
-        if self._batches.wanted:
+        if self._batches.has_listeners:
             self._batches.add(_MANIFEST, payload)
 
     def sample(self, payload: bytes) -> None:
-        """One step's frame."""
+        """Publish an encoded sample."""
         self._put_sample(payload)
-        if self._batches.wanted:
+        if self._batches.has_listeners:
             self._batches.add(_SAMPLE, payload)
         self._events_left, self._written_left = EVENTS_A_STEP, WRITTEN_A_STEP
 
     def points(self, values: bytes, episode: int, step: int, time: datetime) -> None:
-        """One step's single points (of slot 0), those that somebody listens to; `values` raw, in manifest order."""
-        for index, publisher in self._watched.items():
+        """Publish the single points of slot 0 that have subscribers; `values` are raw, in manifest order."""
+        for index, publisher in self._subscribed.items():
             unit, value = self._units[index], float(np.frombuffer(values, count=1, offset=8 * index)[0])
-            if not isfinite(value):  # an injected fault has dropped it, or blown it up
+            if not isfinite(value):  # an injected fault has dropped it, or made it infinite
                 continue
             point = PointValue(value=value, unit=unit, episode=episode, step=step, time=time.isoformat())
             publisher.put(codec.encode(point))
 
     def event(self, event: Event) -> None:
-        """An event; a flood of refusals, or of writes, within a step is cut."""
+        """Publish an event, unless it is one of too many refusals or writes within a step."""
         if event.kind in _REFUSALS:
             self._events_left -= 1
             if self._events_left < 0:
@@ -110,5 +113,5 @@ class Publications:
                 return
         payload = codec.encode(event)
         self._put_event(payload)
-        if self._batches.wanted:
+        if self._batches.has_listeners:
             self._batches.add(_EVENT, payload)

@@ -1,7 +1,7 @@
-"""How long a node may take to end, whatever it is doing.
+"""A deadline for the end of a node, whatever it is doing.
 
-A signal only reaches a program's main thread between two lines of Python. So a thread of its own hears of the wish to
-end (the system writes the signal's number to a pipe) and sees to it that the node comes to its end.
+Python handles a signal only between two bytecodes of the main thread. A thread of its own therefore receives the
+request to end (the system writes the signal's number to a pipe) and makes sure that the node ends.
 """
 
 from __future__ import annotations
@@ -15,68 +15,71 @@ from time import monotonic
 
 from bridge.runtime.signals import TERMINATION_SIGNALS
 
-PATIENCE_S = 0.5
-"""How long an engine that is computing may go on when the node is to end."""
-LIMIT_S = 1.7
-"""How long a node may take to end by itself."""
+ENGINE_TIMEOUT_S = 0.5
+"""Time from the request to end until engines that are computing are interrupted."""
+SHUTDOWN_TIMEOUT_S = 1.7
+"""Time from the request to end until the process is ended."""
 
-_AGAIN_S = 0.2
-_ASKED, _OVER = 0, 255  # beside the numbers of signals
+_INTERRUPT_INTERVAL_S = 0.2
+_REQUESTED, _CLOSED = 0, 255  # no signal has these numbers
 
 
-class Ending:
-    """Sees to it that a node ends once it is asked to; `with Ending(...) as ending`, in the main thread.
+class ShutdownGuard:
+    """Makes a node end once it is asked to; `with ShutdownGuard(...) as guard`, in the main thread.
 
     Args:
-        stop_waiting: makes the node stop waiting; called after `PATIENCE_S`, then repeatedly, with the number of
-            signals so far.
-        give_up: ends the process; None leaves it be.
-        limit_s: when; of a node that was asked a second time by a signal, after `LIMIT_S`.
+        stop_waiting: makes the node stop waiting for engines; called after `ENGINE_TIMEOUT_S`, then repeatedly, with
+            the number of signals so far.
+        end_process: called after `timeout_s`; None never ends the process.
+        timeout_s: time for the node to end by itself; `SHUTDOWN_TIMEOUT_S` after a second signal.
     """
 
     def __init__(
-        self, stop_waiting: Callable[[int], None], give_up: Callable[[], None] | None, limit_s: float = LIMIT_S
+        self,
+        stop_waiting: Callable[[int], None],
+        end_process: Callable[[], None] | None,
+        timeout_s: float = SHUTDOWN_TIMEOUT_S,
     ) -> None:
-        self._stop_waiting, self._give_up, self._limit_s = stop_waiting, give_up, limit_s
-        self._ear, self._mouth = os.pipe()
-        os.set_blocking(self._mouth, False)
-        self._thread = threading.Thread(target=self._run, name="ending", daemon=True)
-        self._former = -1
+        self._stop_waiting, self._end_process, self._timeout_s = stop_waiting, end_process, timeout_s
+        self._read_end, self._write_end = os.pipe()
+        os.set_blocking(self._write_end, False)
+        self._thread = threading.Thread(target=self._run, name="shutdown", daemon=True)
+        self._previous_wakeup = -1
 
-    def __enter__(self) -> Ending:
+    def __enter__(self) -> ShutdownGuard:
         self._thread.start()
-        self._former = signal.set_wakeup_fd(self._mouth, warn_on_full_buffer=False)
+        self._previous_wakeup = signal.set_wakeup_fd(self._write_end, warn_on_full_buffer=False)
         return self
 
     def __exit__(self, *_: object) -> None:
-        signal.set_wakeup_fd(self._former)
-        os.write(self._mouth, bytes([_OVER]))
+        signal.set_wakeup_fd(self._previous_wakeup)
+        os.write(self._write_end, bytes([_CLOSED]))
         self._thread.join()
-        os.close(self._ear)
-        os.close(self._mouth)
-        self._ear = self._mouth = -1
+        os.close(self._read_end)
+        os.close(self._write_end)
+        self._read_end = self._write_end = -1
 
-    def ask(self) -> None:
-        """Has the node end in time, as a signal does; any thread may, until `__exit__`."""
-        os.write(self._mouth, bytes([_ASKED]))
+    def request(self) -> None:
+        """Start the deadline, as a signal does; thread-safe until `__exit__`."""
+        os.write(self._write_end, bytes([_REQUESTED]))
 
     def _run(self) -> None:
-        signals, nudge_s, until_s = 0, 0.0, 0.0
-        while (heard := self._hear(nudge_s)) != _OVER:
+        signals, interrupt_s, end_s = 0, 0.0, 0.0
+        while (byte := self._read(interrupt_s)) != _CLOSED:
             now_s = monotonic()
-            asked = heard == _ASKED or heard in TERMINATION_SIGNALS
-            signals += asked and heard != _ASKED
-            if asked and not until_s:
-                nudge_s, until_s = now_s + PATIENCE_S, now_s + self._limit_s
-            if asked and signals > 1:
-                nudge_s, until_s = now_s, min(until_s, now_s + LIMIT_S)
-            if until_s and now_s >= until_s and self._give_up is not None:
-                self._give_up()
-            if until_s and now_s >= nudge_s:
+            requested = byte == _REQUESTED or byte in TERMINATION_SIGNALS
+            signals += requested and byte != _REQUESTED
+            if requested and not end_s:
+                interrupt_s, end_s = now_s + ENGINE_TIMEOUT_S, now_s + self._timeout_s
+            if requested and signals > 1:
+                interrupt_s, end_s = now_s, min(end_s, now_s + SHUTDOWN_TIMEOUT_S)
+            if end_s and now_s >= end_s and self._end_process is not None:
+                self._end_process()
+            if end_s and now_s >= interrupt_s:
                 self._stop_waiting(signals)
-                nudge_s = now_s + _AGAIN_S
+                interrupt_s = now_s + _INTERRUPT_INTERVAL_S
 
-    def _hear(self, until_s: float) -> int | None:
-        """What was heard; None if nothing was by then. 0: there is no time."""
+    def _read(self, until_s: float) -> int | None:
+        """Return the next byte from the pipe, or None at `until_s`; 0 waits without limit."""
         wait_s = max(until_s - monotonic(), 0.0) if until_s else None
-        return os.read(self._ear, 1)[0] if select.select([self._ear], [], [], wait_s)[0] else None
+        return os.read(self._read_end, 1)[0] if select.select([self._read_end], [], [], wait_s)[0] else None

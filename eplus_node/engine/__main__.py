@@ -1,4 +1,7 @@
-"""Run an engine: `python -m eplus_node.engine ORDERS FRAMES PARENT`."""
+"""Run an engine: `python -m eplus_node.engine ORDERS FRAMES PARENT`.
+
+The arguments are the descriptors of two sockets and the node's process id.
+"""
 
 from __future__ import annotations
 
@@ -10,21 +13,21 @@ import struct
 import sys
 from typing import NoReturn
 
-from eplus_node.engine.fork import begin, die_with_parent, leave
+from eplus_node.engine.fork import die_with_parent, leave, set_up_process
 from eplus_node.engine.process import Engine
 
 
-def main(descriptor: int, frames: int, parent: int) -> NoReturn:
-    """Reads the run's description from the socket and simulates."""
+def main(orders_descriptor: int, frames_descriptor: int, parent: int) -> NoReturn:
+    """Read the run's specification from the socket and simulate."""
     die_with_parent(parent)
-    link = socket.socket(fileno=descriptor)
-    length = struct.unpack("<I", link.recv(4, socket.MSG_WAITALL))[0]
-    spec = json.loads(link.recv(length, socket.MSG_WAITALL))
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the node's to answer
+    orders = socket.socket(fileno=orders_descriptor)
+    length = struct.unpack("<I", orders.recv(4, socket.MSG_WAITALL))[0]
+    spec = json.loads(orders.recv(length, socket.MSG_WAITALL))
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the node handles Ctrl-C
     signal.signal(signal.SIGTERM, lambda *_: leave(0))
-    begin(spec)
-    gc.disable()  # nothing here makes cycles
-    Engine(link, socket.socket(fileno=frames), spec).run()
+    set_up_process(spec)
+    gc.disable()  # an engine creates no reference cycles
+    Engine(orders, socket.socket(fileno=frames_descriptor), spec).run()
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The node's side of an engine: start it, exchange a frame a timestep, notice its death, clear up."""
+"""The node's side of an engine: start it, exchange a frame per timestep, detect its death, clean up."""
 
 from __future__ import annotations
 
@@ -30,21 +30,21 @@ from models.err_file import explain
 from topics.errors import EngineDied, EngineUnresponsive, ForkFailed, ModelError
 
 LOG = "engine.log"
-"""What an engine says on standard error, in its folder."""
+"""Name of the file in the engine's folder that receives its standard error."""
 
 T = TypeVar("T")
-_FINISH_S = 30.0
-_END_S = 5.0
-# Fewer page tables, so that a fork copies less: it takes half the time (docs/performance.md).
+_FINISH_TIMEOUT_S = 30.0
+_EXIT_TIMEOUT_S = 5.0
+# Huge pages mean fewer page tables for a fork to copy: a fork takes half the time (docs/performance.md).
 _HUGE_PAGES = {"GLIBC_TUNABLES": "glibc.malloc.hugetlb=1"}
 _FAILED, _LAST = float(FrameKind.FAILED), float(FrameKind.LAST)
-_OF_A_CHILD = ("folder", "keep", "parent", "cpus", "poll", "branch")
+_CHILD_FIELDS = ("folder", "keep", "parent", "cpus", "poll", "branch")
 
 
-def _start(run: EngineSpec) -> tuple[SocketPair, Process]:
-    """Starts an engine as a program, which waits to be told what to simulate."""
+def _start(spec: EngineSpec) -> tuple[SocketPair, Process]:
+    """Start an engine process, which waits for its run description."""
     ours, theirs = socket_pairs()
-    with theirs, (run.folder / LOG).open("wb") as log:
+    with theirs, (spec.folder / LOG).open("wb") as log:
         process = subprocess.Popen(
             [*ISOLATED, "eplus_node.engine", *map(str, theirs.descriptors), str(os.getpid())],
             pass_fds=theirs.descriptors,
@@ -56,38 +56,38 @@ def _start(run: EngineSpec) -> tuple[SocketPair, Process]:
     return ours, process
 
 
-def start_all(of: Iterable[T], make: Callable[[T], EngineClient]) -> list[EngineClient]:
-    """An engine for each; where one cannot be made, those made so far end."""
-    made: list[EngineClient] = []
+def start_all(items: Iterable[T], start: Callable[[T], EngineClient]) -> list[EngineClient]:
+    """Start an engine for each item; if one cannot be started, close those started so far."""
+    started: list[EngineClient] = []
     try:
-        for each in of:
-            made.append(make(each))  # noqa: PERF401  # a comprehension would lose those made so far
+        for item in items:
+            started.append(start(item))  # noqa: PERF401  # a comprehension would lose those started so far
     except BaseException:
-        for link in made:
-            link.close()
+        for client in started:
+            client.close()
         raise
-    return made
+    return started
 
 
 class EngineClient:
-    """A running engine. `step` and `last` are those of its latest frame.
+    """A running engine. `step` and `last` describe its latest frame.
 
     Args:
-        run: what it simulates.
-        forked: the sockets and the process of a child that another engine has made of itself; else one is started.
-        registry: of the node's engines; also says how long this one may stand still while it is waited for.
+        spec: what it simulates.
+        forked: sockets and process of a fork of another engine; None starts a new engine.
+        registry: the node's engines; also defines how long an engine may be unresponsive.
     """
 
     def __init__(
-        self, run: EngineSpec, forked: tuple[SocketPair, Process] | None = None, registry: EngineRegistry | None = None
+        self, spec: EngineSpec, forked: tuple[SocketPair, Process] | None = None, registry: EngineRegistry | None = None
     ) -> None:
-        self._run, self._registry = run, registry or EngineRegistry()
-        points = run.points
-        self._told = [i for i, a in enumerate(points.actuators) if a.feedback]
+        self._spec, self._registry = spec, registry or EngineRegistry()
+        points = spec.points
+        self._with_feedback = [i for i, a in enumerate(points.actuators) if a.feedback]
         values = len(points.sensors) + len(points.meters)
-        self._frame_bytes = memoryview(bytearray(8 * (2 + values + len(self._told))))
+        self._frame_bytes = memoryview(bytearray(8 * (2 + values + len(self._with_feedback))))
         self._frame: NDArray[np.float64] = np.frombuffer(self._frame_bytes)
-        self._said = self._frame_bytes.cast("d")
+        self._header = self._frame_bytes.cast("d")
         self._values_bytes = self._frame_bytes[16 : 16 + 8 * values]
         self._feedback_bytes = self._frame_bytes[16 + 8 * values :]
         self._finish = struct.pack("=dd", OrderKind.FINISH, 0.0) + bytes(8 * len(points.actuators))
@@ -97,50 +97,50 @@ class EngineClient:
         self._interrupted = False
         if forked is None:
             self._registry.check_open()
-        self._ends, self._process = forked or _start(run)
-        self._socket, self._frames = self._ends
-        self._descriptor, self._frames_descriptor = self._socket.fileno(), self._frames.fileno()
+        self._sockets, self._process = forked or _start(spec)
+        self._orders, self._frames = self._sockets
+        self._orders_descriptor, self._frames_descriptor = self._orders.fileno(), self._frames.fileno()
         self._frame_buffers = [self._frame_bytes]
-        self._polling = Polling(enabled=run.poll)
+        self._polling = Polling(enabled=spec.poll)
         self._registry.add(self)
         if self._registry.closing:
-            self.interrupt()  # the node has been told to end meanwhile
+            self.interrupt()  # the node was told to end in the meantime
         if forked is None:
-            self._tell_spec()
+            self._send_spec()
 
-    def _tell_spec(self) -> None:
-        spec = json.dumps(self._run.spec()).encode()
+    def _send_spec(self) -> None:
+        text = json.dumps(self._spec.fields()).encode()
         try:
-            with suppress(ConnectionError):  # an engine that has ended is noticed by whoever waits for it
-                send_all(self._socket, struct.pack("<I", len(spec)) + spec, self._look())
+            with suppress(ConnectionError):  # the next `receive` detects that the engine has ended
+                send_all(self._orders, struct.pack("<I", len(text)) + text, self._watchdog())
         except BaseException:
             self.close()
             raise
 
-    def fork(self, run: EngineSpec) -> EngineClient:
-        """A child of this engine, which waits: it goes on from the same sample in the folder of `run`, on its own.
+    def fork(self, spec: EngineSpec) -> EngineClient:
+        """Fork this engine. The fork waits at the same sample and has the folder of `spec`.
 
         Raises:
-            EngineDied: this engine has ended, or its child has at once, or does not answer.
-            ForkFailed: the system cannot fork it; it waits on.
+            EngineDied: this engine has ended, or its fork ended at once or does not answer.
+            ForkFailed: the system cannot fork the engine, which keeps waiting at its sample.
         """
         try:
             ours, theirs = socket_pairs()
         except OSError as error:
-            raise ForkFailed(f"the node has no socket for a fork: {error.strerror}") from None
-        # Only what differs: a short text comes in one piece, with its socket.
-        told = run.spec()
-        spec = json.dumps({name: told[name] for name in _OF_A_CHILD}).encode()
-        order = struct.pack("=dd", OrderKind.FORK, len(spec)) + bytes(self._order_bytes)
-        with theirs, suppress(OSError):  # an engine that has ended is noticed below
-            self._socket.sendall(order)
-            socket.send_fds(self._socket, [spec], theirs.descriptors)
+            raise ForkFailed(f"cannot open sockets for a fork: {error.strerror}") from None
+        # Only the fields that differ: a short text arrives in one piece, with its sockets.
+        fields = spec.fields()
+        text = json.dumps({name: fields[name] for name in _CHILD_FIELDS}).encode()
+        order = struct.pack("=dd", OrderKind.FORK, len(text)) + bytes(self._order_bytes)
+        with theirs, suppress(OSError):  # `_forked_pid` detects that the engine has ended
+            self._orders.sendall(order)
+            socket.send_fds(self._orders, [text], theirs.descriptors)
         try:
-            pid = self._forked(ours.frames)
+            pid = self._forked_pid(ours.frames)
         except BaseException:
             ours.close()
             raise
-        child = EngineClient(run, (ours, ForkedProcess(pid)), self._registry)
+        child = EngineClient(spec, (ours, ForkedProcess(pid)), self._registry)
         try:
             self.receive()
         except BaseException:
@@ -148,15 +148,15 @@ class EngineClient:
             raise
         return child
 
-    def _forked(self, frames: socket.socket) -> int:
-        """The process id of a child that was ordered, which says it itself as well; raises as `fork` does."""
-        said = read_process_id(self._frames, self._look())
-        if said < 0:
+    def _forked_pid(self, frames: socket.socket) -> int:
+        """Return the process id of the ordered fork, from this engine or from the fork; raise as `fork` does."""
+        reply = read_process_id(self._frames, self._watchdog())
+        if reply < 0:
             self.receive()
-            raise ForkFailed(f"the system cannot fork an engine of {self.rss_bytes / 1e6:.0f} MB: {os.strerror(-said)}")
-        pid = read_process_id(frames, self._look(said)) or said
+            raise ForkFailed(f"cannot fork an engine of {self.rss_bytes / 1e6:.0f} MB: {os.strerror(-reply)}")
+        pid = read_process_id(frames, self._watchdog(reply)) or reply
         if not pid:
-            raise EngineDied(self._last_words())
+            raise EngineDied(self._exit_report())
         return pid
 
     @property
@@ -166,12 +166,12 @@ class EngineClient:
 
     @property
     def alive(self) -> bool:
-        """Whether the process runs."""
+        """Whether the process is running."""
         return self._process.poll() is None
 
     @property
     def rss_bytes(self) -> int:
-        """Resident memory of the process; 0 if it has ended."""
+        """Resident memory of the process; 0 once it has ended."""
         try:
             return int(psutil.Process(self._process.pid).memory_info().rss)
         except psutil.Error:
@@ -179,54 +179,54 @@ class EngineClient:
 
     @property
     def private_bytes(self) -> int:
-        """Memory of the process that it shares with no other; 0 if it has ended."""
+        """Memory that the process shares with no other; 0 once it has ended."""
         try:
             return int(psutil.Process(self._process.pid).memory_full_info().uss)
         except psutil.Error:
             return 0
 
     @property
-    def run(self) -> EngineSpec:
-        """What it simulates."""
-        return self._run
+    def spec(self) -> EngineSpec:
+        """Specification of its run."""
+        return self._spec
 
     def interrupt(self) -> None:
-        """Ends a process that is computing, so that whoever waits for its frame is told; any thread may."""
+        """Kill the process, so that the thread waiting for its frame gets `EngineDied`; thread-safe."""
         self._interrupted = True
         self._process.kill()
 
     @property
     def step(self) -> int:
-        """The number of the latest sample."""
+        """Number of the latest sample."""
         return int(self._frame[1])
 
     def values_bytes(self) -> bytes:
-        """The latest sensors and meters, raw."""
+        """Return the latest sensors and meters as raw float64."""
         return bytes(self._values_bytes)
 
     def effective_bytes(self, commanded: bytes) -> bytes:
-        """What each actuator really was, raw: as EnergyPlus tells, else as `commanded`."""
-        if len(self._told) * 8 == len(commanded):
+        """Return the effective value of each actuator as raw float64: EnergyPlus's feedback, else `commanded`."""
+        if len(self._with_feedback) * 8 == len(commanded):
             return bytes(self._feedback_bytes)
         effective = np.frombuffer(commanded).copy()
-        effective[self._told] = np.frombuffer(self._feedback_bytes)
+        effective[self._with_feedback] = np.frombuffer(self._feedback_bytes)
         return effective.tobytes()
 
     def receive(self) -> None:
-        """Waits for the next frame.
+        """Wait for the next frame.
 
         Raises:
-            ModelError: EnergyPlus gave up; with its own words.
-            EngineDied: the process ended without a word.
-            EngineUnresponsive: it did not answer, used no processor time, and was killed.
+            ModelError: EnergyPlus failed; the text contains its own message.
+            EngineDied: the process ended.
+            EngineUnresponsive: the process neither answered nor used processor time, and was killed.
         """
         got, size = self._polling.wait(self._try_read, self._read), len(self._frame_bytes)
-        if got < size and not (got and fill(self._frames, self._frame_bytes[got:], self._look())):
-            raise EngineDied(self._last_words())
-        said = self._said[0]
-        if said == _FAILED:
-            raise ModelError(self._refusal(int(self._frame[1])))
-        self.last = said == _LAST
+        if got < size and not (got and fill(self._frames, self._frame_bytes[got:], self._watchdog())):
+            raise EngineDied(self._exit_report())
+        kind = self._header[0]
+        if kind == _FAILED:
+            raise ModelError(self._model_error(int(self._frame[1])))
+        self.last = kind == _LAST
 
     def _try_read(self) -> int | None:
         try:
@@ -245,17 +245,17 @@ class EngineClient:
             return 0
 
     def _read_slow(self) -> int:
-        """Waits for a frame that takes its time, and looks after the engine meanwhile."""
-        return len(self._frame_bytes) if fill(self._frames, self._frame_bytes, self._look()) else 0
+        """Wait for a frame and watch the engine in the meantime."""
+        return len(self._frame_bytes) if fill(self._frames, self._frame_bytes, self._watchdog()) else 0
 
-    def _look(self, pid: int = 0) -> Callable[[], None]:
-        """What looks after the engine, or a child `pid` in its place, while it is waited for."""
+    def _watchdog(self, pid: int = 0) -> Callable[[], None]:
+        """Return a check of the engine, or of its fork `pid`, to be called repeatedly while waiting for it."""
         process = ForkedProcess(pid) if pid else self._process
         watch = IdleWatch(process.pid)
 
-        def look() -> None:
+        def check() -> None:
             if self._interrupted:
-                raise EngineDied("the engine process was ended, since the node ends")
+                raise EngineDied("the engine process was killed because the node ends")
             limit_s = self._registry.unresponsive_s
             if watch.look() < limit_s:
                 return
@@ -266,68 +266,68 @@ class EngineClient:
                 f"{self.step}, and was killed"
             )
 
-        return look
+        return check
 
     def send(self, actuators: bytes) -> None:
-        """Orders the next timestep with these actuator values (float64); NaN releases an actuator."""
+        """Order the next timestep with these actuator values (raw float64); NaN relinquishes an actuator."""
         order = self._step + actuators
         try:
-            written = os.write(self._descriptor, order)
+            written = os.write(self._orders_descriptor, order)
             if written < len(order):
-                send_all(self._socket, order[written:], self._look())
+                send_all(self._orders, order[written:], self._watchdog())
         except BlockingIOError:
-            send_all(self._socket, order, self._look())
+            send_all(self._orders, order, self._watchdog())
         except (BrokenPipeError, ConnectionResetError):
-            raise EngineDied(self._last_words()) from None
+            raise EngineDied(self._exit_report()) from None
 
     def end(self, *, failed: bool) -> None:
-        """Ends the run; where its files are kept, EnergyPlus may finish them, unless it has failed."""
-        if self._run.keep_output and not failed:
+        """End the run. If its output is kept and it has not failed, let EnergyPlus finish its files."""
+        if self._spec.keep_output and not failed:
             self.finish()
         else:
             self.close()
 
     def finish(self) -> None:
-        """Lets EnergyPlus end the run early and write its files, then closes."""
-        look, until_s = self._look(), monotonic() + _FINISH_S
-        with suppress(OSError, EngineDied):  # it has ended already, or is ended now
-            self._socket.sendall(self._finish)
+        """Let EnergyPlus end the run early and write its files, then close."""
+        check, until_s = self._watchdog(), monotonic() + _FINISH_TIMEOUT_S
+        with suppress(OSError, EngineDied):  # it has ended already, or was killed
+            self._orders.sendall(self._finish)
             while monotonic() < until_s:
                 with suppress(subprocess.TimeoutExpired):
                     self._process.wait(LOOK_S)
                     break
-                look()
+                check()
         self.close()
 
     def close(self) -> None:
-        """Ends the process and clears its folder unless that is kept; twice is fine."""
-        self._ends.close()
+        """End the process and remove its folder unless its output is kept; idempotent."""
+        self._sockets.close()
         if self._process.poll() is None:
             self._process.kill()
         self._process.wait()
         self._registry.remove(self)
-        if not self._run.keep_output:
-            shutil.rmtree(self._run.folder, ignore_errors=True)
+        if not self._spec.keep_output:
+            shutil.rmtree(self._spec.folder, ignore_errors=True)
 
-    def _ended(self) -> int:
-        """How a process ended that has closed its sockets."""
+    def _exit_code(self) -> int:
+        """Wait for a process that has closed its sockets; kill it if it does not end."""
         try:
-            return self._process.wait(_END_S)
+            return self._process.wait(_EXIT_TIMEOUT_S)
         except subprocess.TimeoutExpired:
             self._process.kill()
             return self._process.wait()
 
-    def _refusal(self, length: int) -> str:
+    def _model_error(self, length: int) -> str:
         raw = bytearray(length)
-        fill(self._frames, memoryview(raw), self._look())
+        fill(self._frames, memoryview(raw), self._watchdog())
         text = raw.decode(errors="replace")
-        self._ended()
-        return f"{text}. {explain(self._run.folder, 'EnergyPlus gave no reason in eplusout.err')}"
+        self._exit_code()
+        return f"{text}. {explain(self._spec.folder, 'EnergyPlus gave no reason in eplusout.err')}"
 
-    def _last_words(self) -> str:
-        code = self._ended()
+    def _exit_report(self) -> str:
+        code = self._exit_code()
         how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with code {code}"
-        log = self._run.folder / LOG
-        said = log.read_text(errors="replace").strip().splitlines()[-3:] if log.exists() else []
-        words = explain(self._run.folder, "\n  ".join(["its last words:", *said]) if said else "it left no word")
-        return f"the engine process {how} after sample {self.step}; {words}"
+        log = self._spec.folder / LOG
+        lines = log.read_text(errors="replace").strip().splitlines()[-3:] if log.exists() else []
+        output = "\n  ".join(["its last output:", *lines]) if lines else "it printed no error"
+        return f"the engine process {how} after sample {self.step}; {explain(self._spec.folder, output)}"

@@ -1,4 +1,4 @@
-"""An engine's process: its parent, scratch folder and cores, and how it is forked."""
+"""The operating-system side of an engine: fork it, end it, set its parent-death signal, scratch folder and cores."""
 
 from __future__ import annotations
 
@@ -11,20 +11,21 @@ import stat
 import sys
 from typing import Any, NoReturn
 
-_own_folder = ""
+_scratch_folder = ""
 
 
 def leave(code: int) -> NoReturn:
-    """Ends the process as a forked child may: no exit handlers; its scratch folder goes with it."""
-    if _own_folder:
-        shutil.rmtree(_own_folder, ignore_errors=True)
+    """Remove the scratch folder and exit without exit handlers, as a forked child must."""
+    if _scratch_folder:
+        shutil.rmtree(_scratch_folder, ignore_errors=True)
     os._exit(code)
 
 
 def die_with_parent(parent: int) -> None:
-    """Has the kernel kill this process when the node ends, however it ends (Linux only).
+    """Make the kernel kill this process when the node ends, in whatever way (Linux only).
 
-    SIGKILL, as a process that is stopped, or deep in EnergyPlus, acts on nothing else. A forked child has to ask anew.
+    SIGKILL is the only signal that also ends a process that is stopped or deep in EnergyPlus. A forked child does not
+    inherit the setting.
     """
     if sys.platform.startswith("linux"):
         set_parent_death_signal = 1
@@ -33,27 +34,30 @@ def die_with_parent(parent: int) -> None:
             leave(0)
 
 
-_SYS_CLONE = 56  # x86-64, as the wheel's EnergyPlus
+_SYS_CLONE = 56  # on x86-64, the platform of EnergyPlus's wheel
 _CLONE_PARENT = 0x00008000
 
 
 def clone() -> int:
-    """Forks: 0 in the child. The child's parent is the parent's own, the node, which so learns how it ends."""
+    """Fork the process and return the child's process id; 0 in the child.
+
+    The node becomes the parent of the child, so that it can wait for the child's exit code.
+    """
     child = ctypes.CDLL(None, use_errno=True).syscall(_SYS_CLONE, _CLONE_PARENT | signal.SIGCHLD, 0, 0, 0, 0)
     if child < 0:
         raise OSError(ctypes.get_errno(), "the engine cannot be forked")
     return int(child)
 
 
-_TELLING = ("eplusout.err", "engine.log")
+_COPIED_FILES = ("eplusout.err", "engine.log")
+"""Written files that explain why an engine failed."""
 
 
-def own_files(folder: str) -> None:
-    """Gives a forked child its own open files: parent and child would move each other's place in them.
+def reopen_files(folder: str) -> None:
+    """Reopen all open files of a forked child, which would otherwise share file offsets with its parent.
 
-    Files that are read are opened anew at the same place, also if they have been removed meanwhile. Of those that
-    are written, the ones that tell why an engine failed, and those that are read again, are copied into `folder`; the
-    rest is nobody's any more.
+    Files open for reading are reopened at the same offset, even if they have been removed. Files open for writing are
+    copied into `folder` if they explain why an engine failed or are also read; all others are replaced by /dev/null.
     """
     for name in os.listdir("/proc/self/fd"):
         descriptor, link = int(name), f"/proc/self/fd/{name}"
@@ -61,24 +65,24 @@ def own_files(folder: str) -> None:
             if not stat.S_ISREG(os.fstat(descriptor).st_mode):
                 continue
             flags = fcntl.fcntl(descriptor, fcntl.F_GETFL)
-            place = os.lseek(descriptor, 0, os.SEEK_CUR)
+            offset = os.lseek(descriptor, 0, os.SEEK_CUR)
             base = os.path.basename(os.readlink(link)).removesuffix(" (deleted)")
         except OSError:
-            continue  # the descriptor of the listing itself
+            continue  # the descriptor of this listing
         path, access = link, flags & os.O_ACCMODE
         if access != os.O_RDONLY:
-            path = os.path.join(folder, base) if access == os.O_RDWR or base in _TELLING else os.devnull
+            path = os.path.join(folder, base) if access == os.O_RDWR or base in _COPIED_FILES else os.devnull
         if path not in (link, os.devnull):
             shutil.copyfile(link, path)
-        again = os.open(path, flags & ~(os.O_CREAT | os.O_EXCL | os.O_TRUNC))
-        os.lseek(again, place, os.SEEK_SET)
-        os.dup2(again, descriptor)
-        os.close(again)
+        reopened = os.open(path, flags & ~(os.O_CREAT | os.O_EXCL | os.O_TRUNC))
+        os.lseek(reopened, offset, os.SEEK_SET)
+        os.dup2(reopened, descriptor)
+        os.close(reopened)
 
 
-def begin(spec: dict[str, Any]) -> None:
-    """Sets the scratch folder that goes with this process, and the cores on which it runs."""
-    global _own_folder
-    _own_folder = "" if spec["keep"] else spec["folder"]
+def set_up_process(spec: dict[str, Any]) -> None:
+    """Set the scratch folder, which `leave` removes, and the CPU affinity."""
+    global _scratch_folder
+    _scratch_folder = "" if spec["keep"] else spec["folder"]
     if spec["cpus"]:
         os.sched_setaffinity(0, spec["cpus"])

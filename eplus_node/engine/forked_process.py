@@ -12,39 +12,39 @@ from typing import Protocol
 
 
 class Process(Protocol):
-    """A process of ours."""
+    """A child process, as `subprocess.Popen` or a `ForkedProcess`."""
 
     @property
     def pid(self) -> int:
-        """Its number."""
+        """Process id."""
 
     def poll(self) -> int | None:
-        """How it ended (negative: by that signal), None while it runs."""
+        """Return the exit code (negative: killed by that signal), or None while the process runs."""
 
     def wait(self, timeout: float | None = None) -> int:
-        """Waits for its end; `subprocess.TimeoutExpired`."""
+        """Wait for the process to end and return its exit code; raise `subprocess.TimeoutExpired`."""
 
     def kill(self) -> None:
-        """Ends it."""
+        """Kill the process; no effect once it has ended."""
 
 
 class ForkedProcess:
-    """A child that an engine made of itself for this process."""
+    """A fork of an engine. Its parent is this process; see `eplus_node.engine.fork.clone`."""
 
     def __init__(self, pid: int) -> None:
         self.pid = pid
         self._code: int | None = None
-        self._lock = threading.Lock()  # one thread may wait for it while another kills it
+        self._lock = threading.Lock()  # one thread may wait while another kills the process
 
     def poll(self) -> int | None:
-        """See `Process`."""
+        """Return the exit code, or None while the process runs."""
         with self._lock:
             return self._reap()
 
     def wait(self, timeout: float | None = None) -> int:
-        """See `Process`."""
+        """Wait for the process to end and return its exit code."""
         if self._code is None:
-            with suppress(ChildProcessError):  # another thread has reaped it meanwhile
+            with suppress(ChildProcessError):  # another thread has reaped it
                 self._wait(timeout)
         code = self.poll()
         assert code is not None
@@ -55,17 +55,17 @@ class ForkedProcess:
             os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOWAIT)
             return
         try:
-            watch = os.pidfd_open(self.pid)
+            descriptor = os.pidfd_open(self.pid)
         except ProcessLookupError:
             return
         try:
-            if not select.select([watch], [], [], timeout)[0]:
+            if not select.select([descriptor], [], [], timeout)[0]:
                 raise subprocess.TimeoutExpired(f"engine {self.pid}", timeout)
         finally:
-            os.close(watch)
+            os.close(descriptor)
 
     def kill(self) -> None:
-        """See `Process`."""
+        """Kill the process unless it has ended."""
         with self._lock:
             if self._reap() is None:
                 os.kill(self.pid, signal.SIGKILL)

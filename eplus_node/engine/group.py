@@ -1,4 +1,4 @@
-"""The engines of a node, which step together: one for each slot, and beside them the baseline's, if there is one."""
+"""The engines of a node, which step together: one per slot and, with a baseline, a second one per slot."""
 
 from __future__ import annotations
 
@@ -10,157 +10,157 @@ from eplus_node.engine.client import EngineClient, start_all
 
 
 class EngineGroup:
-    """Engines at their samples. Arrays are raw float64, in slot order.
+    """Engines waiting at their samples. Arrays are raw float64 in slot order.
 
     Args:
-        links: an engine for each slot.
-        baselines: for each slot one that nobody commands; empty if there are none.
+        clients: one engine per slot.
+        baselines: one engine per slot that receives no commands; empty without a baseline.
 
     Attributes:
-        links, baselines: those.
+        clients, baselines: as above.
+        effective: effective values of all actuators; shape (slots, actuators).
+        source_index: sources of these values, uint16 of the same shape.
     """
 
-    def __init__(self, links: Sequence[EngineClient], baselines: Sequence[EngineClient] = ()) -> None:
-        self.links = [*links]
+    def __init__(self, clients: Sequence[EngineClient], baselines: Sequence[EngineClient] = ()) -> None:
+        self.clients = [*clients]
         self.baselines = [*baselines]
-        self._width = 8 * len(links[0].run.points.actuators)
-        self._ruler_width = self._width // 4  # uint16 beside float64
-        self._nobody = np.full(self._width // 8, np.nan).tobytes()
+        self._row_bytes = 8 * len(clients[0].spec.points.actuators)
+        self._source_bytes = self._row_bytes // 4  # uint16 beside float64
+        self._relinquished = np.full(self._row_bytes // 8, np.nan).tobytes()
         self.effective = b""
         self.source_index = b""
 
     def begin(self, slots: Sequence[int]) -> None:
-        """What holds at an episode's first sample: nobody rules."""
-        rows, who = self._rows(self.effective), self._parts(self.source_index, self._ruler_width)
+        """Set effective values and sources at the first sample of an episode, under baseline control."""
+        effective, sources = self._rows(self.effective), self._split(self.source_index, self._source_bytes)
         for slot in slots:
-            rows[slot], who[slot] = self.links[slot].effective_bytes(self._nobody), bytes(self._ruler_width)
-        self.effective, self.source_index = b"".join(rows), b"".join(who)
+            effective[slot] = self.clients[slot].effective_bytes(self._relinquished)
+            sources[slot] = bytes(self._source_bytes)
+        self.effective, self.source_index = b"".join(effective), b"".join(sources)
 
-    def step(self, values: bytes, source_index: bytes, moving: Sequence[int]) -> list[bool]:
-        """Simulates a timestep in the slots that move.
+    def step(self, values: bytes, source_index: bytes, active_slots: Sequence[int]) -> list[bool]:
+        """Simulate a timestep in the active slots.
 
         Args:
-            values: for each actuator, NaN releasing it; shape (slots, actuators).
-            source_index: who set them, uint16 of that shape.
-            moving: slots.
+            values: commands; NaN relinquishes an actuator; shape (slots, actuators).
+            source_index: sources of these commands, uint16 of the same shape.
+            active_slots: slots that step.
 
         Returns:
-            For each of `moving`, whether this was its last sample.
+            For each active slot, whether this was its last sample.
 
         Raises:
             SimulatorError: an engine failed or died.
         """
-        links = self.links
-        if len(links) == 1 and not self.baselines:
-            (link,) = links
-            link.send(values)
-            link.receive()
-            self.effective, self.source_index = link.effective_bytes(values), source_index
-            return [link.last]
-        return self._step_all(values, source_index, moving)
+        clients = self.clients
+        if len(clients) == 1 and not self.baselines:
+            (client,) = clients
+            client.send(values)
+            client.receive()
+            self.effective, self.source_index = client.effective_bytes(values), source_index
+            return [client.last]
+        return self._step_all(values, source_index, active_slots)
 
-    def _step_all(self, values: bytes, source_index: bytes, moving: Sequence[int]) -> list[bool]:
-        links, wanted = self.links, self._rows(values)
-        for slot in moving:
-            links[slot].send(wanted[slot])
-        beside = [self.baselines[slot] for slot in moving] if self.baselines else []
-        for link in beside:
-            link.send(self._nobody)
-        for link in beside:
-            link.receive()
-        for slot in moving:
-            links[slot].receive()
-        if len(moving) == len(links):
-            effective = [link.effective_bytes(row) for link, row in zip(links, wanted, strict=True)]
+    def _step_all(self, values: bytes, source_index: bytes, active_slots: Sequence[int]) -> list[bool]:
+        clients, commands = self.clients, self._rows(values)
+        for slot in active_slots:
+            clients[slot].send(commands[slot])
+        baselines = [self.baselines[slot] for slot in active_slots] if self.baselines else []
+        for baseline in baselines:
+            baseline.send(self._relinquished)
+        for baseline in baselines:
+            baseline.receive()
+        for slot in active_slots:
+            clients[slot].receive()
+        if len(active_slots) == len(clients):
+            effective = [client.effective_bytes(row) for client, row in zip(clients, commands, strict=True)]
         else:
-            effective, source_index = self._of_those(wanted, source_index, moving)
+            effective, source_index = self._merge(commands, source_index, active_slots)
         self.effective, self.source_index = b"".join(effective), source_index
-        return [links[slot].last for slot in moving]
+        return [clients[slot].last for slot in active_slots]
 
-    def _of_those(
-        self, wanted: Sequence[bytes], source_index: bytes, moving: Sequence[int]
+    def _merge(
+        self, commands: Sequence[bytes], source_index: bytes, active_slots: Sequence[int]
     ) -> tuple[list[bytes], bytes]:
-        """What was applied and who rules, by slot, where only some have gone on."""
-        width = self._ruler_width
-        effective, who, whose = (
-            self._rows(self.effective),
-            self._parts(self.source_index, width),
-            self._parts(source_index, width),
-        )
-        for slot in moving:
-            effective[slot], who[slot] = self.links[slot].effective_bytes(wanted[slot]), whose[slot]
-        return effective, b"".join(who)
+        """Return effective values and sources of all slots when only some of them have stepped."""
+        width = self._source_bytes
+        effective, sources = self._rows(self.effective), self._split(self.source_index, width)
+        stepped = self._split(source_index, width)
+        for slot in active_slots:
+            effective[slot], sources[slot] = self.clients[slot].effective_bytes(commands[slot]), stepped[slot]
+        return effective, b"".join(sources)
 
     def _rows(self, raw: bytes) -> list[bytes]:
-        return self._parts(raw, self._width)
+        return self._split(raw, self._row_bytes)
 
-    def _parts(self, raw: bytes, width: int) -> list[bytes]:
-        return [raw[slot * width : (slot + 1) * width] for slot in range(len(self.links))]
+    def _split(self, raw: bytes, width: int) -> list[bytes]:
+        return [raw[slot * width : (slot + 1) * width] for slot in range(len(self.clients))]
 
     def values_bytes(self) -> bytes:
-        """The latest sensors and meters, shape (slots, points)."""
-        if len(self.links) == 1:
-            return self.links[0].values_bytes()
-        return b"".join([link.values_bytes() for link in self.links])
+        """Return the latest sensors and meters; shape (slots, points)."""
+        if len(self.clients) == 1:
+            return self.clients[0].values_bytes()
+        return b"".join([client.values_bytes() for client in self.clients])
 
     def baseline_bytes(self) -> bytes:
-        """The baseline's latest sensors and meters, shape (slots, points); empty if there is none."""
-        return b"".join([link.values_bytes() for link in self.baselines])
+        """Return the baseline's latest sensors and meters; shape (slots, points), empty without a baseline."""
+        return b"".join([client.values_bytes() for client in self.baselines])
 
     def baseline_effective(self) -> bytes:
-        """What the building's own control set the baseline's actuators to, shape (slots, actuators); NaN: not told."""
-        return b"".join([link.effective_bytes(self._nobody) for link in self.baselines])
+        """Return the baseline's effective values; shape (slots, actuators), NaN where EnergyPlus has no feedback."""
+        return b"".join([client.effective_bytes(self._relinquished) for client in self.baselines])
 
     @property
     def all(self) -> list[EngineClient]:
-        """All of them."""
-        return [*self.links, *self.baselines]
+        """All engines, baselines last."""
+        return [*self.clients, *self.baselines]
 
     @property
     def alive(self) -> bool:
-        """Whether all processes run, but for those that have come to their last sample."""
-        return all(link.alive or link.last for link in self.all)
+        """Whether all processes are running, except those that have sent their last sample."""
+        return all(client.alive or client.last for client in self.all)
 
     def raise_if_dead(self) -> None:
-        """Raises what a dead one has to say: `SimulatorError`; nothing if all live."""
-        for link in self.all:
-            if not (link.alive or link.last):
-                link.receive()
+        """Raise the `SimulatorError` of an engine that has died, if any."""
+        for client in self.all:
+            if not (client.alive or client.last):
+                client.receive()
 
     @property
     def rss_bytes(self) -> int:
-        """Resident memory of all, shared pages counted once for each."""
-        return sum(link.rss_bytes for link in self.all)
+        """Resident memory of all engines; shared pages count once per engine."""
+        return sum(client.rss_bytes for client in self.all)
 
     @property
     def private_bytes(self) -> int:
-        """Memory that is one process's alone, of all."""
-        return sum(link.private_bytes for link in self.all)
+        """Memory of all engines that belongs to a single process."""
+        return sum(client.private_bytes for client in self.all)
 
-    def fork(self, child: Callable[[EngineClient], EngineClient]) -> EngineGroup:
-        """A copy that stands at the same samples; `child` forks one engine.
+    def fork(self, fork_engine: Callable[[EngineClient], EngineClient]) -> EngineGroup:
+        """Return a copy at the same samples; `fork_engine` forks one engine.
 
         Raises:
-            SimulatorError: one cannot be forked; then none is.
+            SimulatorError: an engine cannot be forked; no forks remain.
         """
-        made, slots = start_all(self.all, child), len(self.links)
-        copy = EngineGroup(made[:slots], made[slots:])
+        forks, slots = start_all(self.all, fork_engine), len(self.clients)
+        copy = EngineGroup(forks[:slots], forks[slots:])
         copy.effective, copy.source_index = self.effective, self.source_index
         return copy
 
-    def of_slot(self, slot: int, made: Sequence[EngineClient]) -> EngineGroup:
-        """Engines forked from those of one slot: each stands where that one does."""
-        copy = EngineGroup(made)
-        copy.effective = self._rows(self.effective)[slot] * len(made)
-        copy.source_index = self._parts(self.source_index, self._ruler_width)[slot] * len(made)
+    def of_slot(self, slot: int, forks: Sequence[EngineClient]) -> EngineGroup:
+        """Return a group of forks of one slot's engine, all with the state of that slot."""
+        copy = EngineGroup(forks)
+        copy.effective = self._rows(self.effective)[slot] * len(forks)
+        copy.source_index = self._split(self.source_index, self._source_bytes)[slot] * len(forks)
         return copy
 
     def interrupt(self) -> None:
-        """Ends those that are computing, so that whoever waits for them is told; any thread may."""
-        for link in self.all:
-            link.interrupt()
+        """Kill all engines, so that threads waiting for them continue; thread-safe."""
+        for client in self.all:
+            client.interrupt()
 
     def end(self, *, failed: bool = False) -> None:
-        """Ends all; where its files are kept, EnergyPlus may finish them. Twice is fine."""
-        for link in self.all:
-            link.end(failed=failed)
+        """End all engines; where output is kept, EnergyPlus may finish its files. Idempotent."""
+        for client in self.all:
+            client.end(failed=failed)

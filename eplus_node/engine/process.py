@@ -1,7 +1,7 @@
-"""The engine: EnergyPlus in a process of its own, exchanging one frame a timestep over sockets.
+"""The engine: EnergyPlus in a process of its own that exchanges one frame per timestep with its node.
 
-Run as `python -m eplus_node.engine ORDERS FRAMES PARENT`: two descriptors and the node's process id. No Zenoh, no
-NumPy, no threads: a process like this can be forked while it waits.
+`python -m eplus_node.engine` runs it; `protocol.py` describes the frames. It imports neither Zenoh nor NumPy and starts
+no thread, so that the process can be forked while it waits.
 """
 
 from __future__ import annotations
@@ -16,26 +16,33 @@ from math import isfinite
 from typing import Any, NoReturn
 
 from bridge.runtime.polling import Polling
-from eplus_node.engine.fork import begin, clone, die_with_parent, leave, own_files
-from eplus_node.engine.memory import SaturationCache, collapse_huge_pages
+from eplus_node.engine.fork import clone, die_with_parent, leave, reopen_files, set_up_process
+from eplus_node.engine.huge_pages import collapse_huge_pages
+from eplus_node.engine.memory import SaturationCache
 from eplus_node.engine.protocol import PROCESS_ID, FrameKind, OrderKind
 
 RUN_PERIOD = 3
-"""EnergyPlus's `kind_of_sim` of a weather-file run period."""
+"""EnergyPlus's `kind_of_sim` for a run period that reads a weather file."""
 
-_OFTEN = 4
+_FORKS_BEFORE_COLLAPSE = 4
 
-# Plain numbers for each timestep: Python 3.11 looks at an enum's member by raising and catching an error.
+# Plain numbers on the hot path: in Python 3.11, looking up an enum's member raises and catches an error.
 _SAMPLE, _STEP, _FORK = float(FrameKind.SAMPLE), float(OrderKind.STEP), float(OrderKind.FORK)
 
 
 class Engine:
-    """One simulation and its exchange."""
+    """One simulation and its exchange with the node.
 
-    def __init__(self, link: socket.socket, frames: socket.socket, spec: dict[str, Any]) -> None:
+    Args:
+        orders: the socket on which the node's orders arrive.
+        frames: the socket to which frames are sent.
+        spec: the fields of an `EngineSpec`.
+    """
+
+    def __init__(self, orders: socket.socket, frames: socket.socket, spec: dict[str, Any]) -> None:
         from pyenergyplus.api import EnergyPlusAPI
 
-        self.link, self.frames = link, frames
+        self.orders, self.frames = orders, frames
         self.spec = spec
         self.api = EnergyPlusAPI()
         self.state = self.api.state_manager.new_state()
@@ -51,27 +58,27 @@ class Engine:
         self.zone_steps = 0
         self.zone_step_min = 0.0
         self.minute = 0.0
-        self.in_run_period = False  # in the run period, warm-up included
-        self.warmed_up = False  # after the warm-up
+        self.in_run_period = False  # including its warm-up
+        self.warmed_up = False
         self.finishing = False
         self.forked, self.forks = False, 0
-        self.saturation = SaturationCache.shrink(self.state)
+        self.saturation = SaturationCache.shrink(self.state) if spec["shrink_caches"] else None
         self.out = array("d", [0.0]) * (2 + len(spec["sensors"]) + len(spec["meters"]) + len(spec["feedback"]))
         self.command = array("d", [0.0]) * (2 + len(spec["actuators"]))
         self.command_bytes = memoryview(self.command).cast("B")
         self.command_buffers = [self.command_bytes]
-        self.descriptor, self.frames_descriptor = link.fileno(), frames.fileno()
+        self.orders_descriptor, self.frames_descriptor = orders.fileno(), frames.fileno()
         self.polling = Polling(enabled=spec["poll"])
         self.out_size = len(self.out) * self.out.itemsize
-        how = [(aggregation, system) for _, _, aggregation, system in spec["sensors"]]
-        # Variables of the zone kind have one value a zone timestep; only the others are gathered.
-        self.averaged = [i for i, (aggregation, system) in enumerate(how) if system and aggregation != "instant"]
-        self.summed = [how[i][0] == "sum" for i in self.averaged]
+        kinds = [(aggregation, system) for _, _, aggregation, system in spec["sensors"]]
+        # Variables of the zone kind have one value per zone timestep; only the others are aggregated.
+        self.aggregated = [i for i, (aggregation, system) in enumerate(kinds) if system and aggregation != "instant"]
+        self.summed = [kinds[i][0] == "sum" for i in self.aggregated]
         self.totals: list[float] = []
         self.warmup_totals: list[float] = []
 
     def _bind_library(self) -> None:
-        # PyDLL: the getters take a fraction of a microsecond and nobody else wants the GIL.
+        # PyDLL keeps the GIL: the getters take a fraction of a microsecond and there is no other thread.
         library = ctypes.PyDLL(self.api.api._name)
         pointer, integer, real = ctypes.c_void_p, ctypes.c_int, ctypes.c_double
 
@@ -88,11 +95,11 @@ class Engine:
         self.zone_step_h = bind("zoneTimeStep", real, pointer)
 
     def run(self) -> NoReturn:
-        """Simulates to the end, or as far as the node wants it, and leaves the process."""
+        """Simulate until the run period or the node ends the run, then exit the process."""
         runtime = self.api.runtime
         runtime.callback_begin_new_environment(self.state, self._guarded(self._on_environment))
-        runtime.callback_after_new_environment_warmup_complete(self.state, self._guarded(self._on_warm))
-        if self.averaged:
+        runtime.callback_after_new_environment_warmup_complete(self.state, self._guarded(self._on_warmed_up))
+        if self.aggregated:
             runtime.callback_end_system_timestep_after_hvac_reporting(self.state, self._guarded(self._on_system_step))
         runtime.callback_end_zone_timestep_after_zone_reporting(self.state, self._guarded(self._on_zone_step))
         spec = self.spec
@@ -107,7 +114,7 @@ class Engine:
         leave(0)
 
     def _guarded(self, callback: Any) -> Any:
-        # ctypes would print an exception and go on with the simulation.
+        # ctypes would print an exception and continue the simulation.
         def guarded(state: int) -> None:
             try:
                 callback(state)
@@ -117,15 +124,15 @@ class Engine:
         return guarded
 
     def fail(self, text: str) -> NoReturn:
-        """Says why and leaves."""
+        """Send the error to the node and exit."""
         raw = text.encode()
         self.out[0], self.out[1] = FrameKind.FAILED, len(raw)
         try:
             self.frames.sendall(self.out)
             self.frames.sendall(raw)
         except OSError:
-            leave(0)  # the node is gone; there is nobody to tell
-        os._exit(1)  # the node reads eplusout.err and clears the folder
+            leave(0)  # the node has ended
+        os._exit(1)  # the node reads eplusout.err and removes the folder
 
     def _on_environment(self, state: int) -> None:
         if self.api.exchange.kind_of_sim(state) != RUN_PERIOD:
@@ -139,59 +146,57 @@ class Engine:
         self.sensors = [exchange.get_variable_handle(state, v, k) for v, k, *_ in spec["sensors"]]
         self.feedback = [exchange.get_variable_handle(state, v, k) for v, k in spec["feedback"]]
         self.actuators = [exchange.get_actuator_handle(state, *names) for names in spec["actuators"]]
-        # EnergyPlus 25.2 answers -1 for the first meter in its list, though reading index 0 works
-        # (getMeterHandle takes 0 for "not found"); the survey gives the index of each.
+        # EnergyPlus 25.2 returns -1 for the first meter in its list, although reading index 0 works
+        # (getMeterHandle treats 0 as "not found"); the discovery of points provides the index of each.
         self.meters = [int(handle) for _, handle in spec["meters"]]
-        for (name, handle), found in zip(spec["meters"], self.meters, strict=True):
-            said = exchange.get_meter_handle(state, name)
-            if said != found and not (found == 0 and said == -1):
-                raise LookupError(f"meter {name!r} has handle {said}, {handle} expected")
-        wanted = [*spec["sensors"], *spec["feedback"], *spec["actuators"]]
-        for names, found in zip(wanted, [*self.sensors, *self.feedback, *self.actuators], strict=True):
-            if found < 0:
+        for (name, _), expected in zip(spec["meters"], self.meters, strict=True):
+            handle = exchange.get_meter_handle(state, name)
+            if handle != expected and not (expected == 0 and handle == -1):
+                raise LookupError(f"meter {name!r} has handle {handle}, expected {expected}")
+        points = [*spec["sensors"], *spec["feedback"], *spec["actuators"]]
+        for names, handle in zip(points, [*self.sensors, *self.feedback, *self.actuators], strict=True):
+            if handle < 0:
                 raise LookupError(f"EnergyPlus has no {' / '.join(map(str, names))} in this run")
-        self.averaged_handles = [self.sensors[i] for i in self.averaged]
+        self.aggregated_handles = [self.sensors[i] for i in self.aggregated]
 
     def _on_system_step(self, state: int) -> None:
-        """Gathers means and sums as EnergyPlus's reports do: value times its share of the zone timestep."""
+        """Add to means and sums as EnergyPlus's reports do: value times its share of the zone timestep."""
         if not self.in_run_period:
             return
-        # EnergyPlus weighs by differences of the minute within the hour, whose rounding goes on from step to
-        # step until the hour ends: only so the sum is the same to the last bit.
+        # EnergyPlus computes weights from differences of the minute within the hour, whose rounding errors carry
+        # over from step to step until the hour ends. Only the same arithmetic gives the same sum to the last bit.
         end = self.minute + self.system_step_h(state) * 60.0
         share = (end - self.minute) / self.zone_step_min
         self.minute = end
         if share == 1.0 and not self.totals:
-            return  # one system timestep fills the zone timestep: its value is read at the end
-        values = map(self.get_variable, repeat(state), self.averaged_handles)
+            return  # the system timestep fills the zone timestep, whose value is read at its end
+        values = map(self.get_variable, repeat(state), self.aggregated_handles)
         parts = [v if s else v * share for v, s in zip(values, self.summed, strict=True)]
         self.totals = [a + b for a, b in zip(self.totals, parts, strict=True)] if self.totals else parts
 
     def _gather(self, state: int) -> None:
         values = list(map(self.get_variable, repeat(state), self.sensors))
         if self.totals:
-            for place, total in zip(self.averaged, self.totals, strict=True):
-                values[place] = total
+            for index, total in zip(self.aggregated, self.totals, strict=True):
+                values[index] = total
             self.totals = []
         if self.step:
             values.extend(map(self.get_meter, repeat(state), self.meters))
         else:
-            values.extend([0.0] * len(self.meters))  # nothing has been metered yet
+            values.extend([0.0] * len(self.meters))  # meters start with the first timestep
         values.extend(map(self.get_variable, repeat(state), self.feedback))
         if not isfinite(sum(values)):
-            self._refuse_strange(values)
+            self._raise_not_finite(values)
         self.out[2:] = array("d", values)
 
-    def _refuse_strange(self, values: list[float]) -> None:
+    def _raise_not_finite(self, values: list[float]) -> None:
         spec = self.spec
-        names = [*spec["sensors"], *spec["meters"], *spec["feedback"]]
-        for names_of, value in zip(names, values, strict=True):
+        points = [*spec["sensors"], *spec["meters"], *spec["feedback"]]
+        for (name, key, *_), value in zip(points, values, strict=True):
             if not isfinite(value):
-                raise ArithmeticError(
-                    f"EnergyPlus gives {value} for {names_of[0]!r} {names_of[1]!r} at step {self.step}"
-                )
+                raise ArithmeticError(f"EnergyPlus reports {value} for {name!r} {key!r} at step {self.step}")
 
-    def _on_warm(self, state: int) -> None:
+    def _on_warmed_up(self, state: int) -> None:
         if self.in_run_period and not self.warmed_up:
             self.warmed_up = True
             self.totals = self.warmup_totals
@@ -215,14 +220,14 @@ class Engine:
         if self.step < self.steps:
             self._exchange(state)
             return
-        self.out[1] = self.step  # sent by run(), once EnergyPlus has ended well
-        if self.spec["branch"]:  # its end would write into the folder of the one it was forked from
+        self.out[1] = self.step  # sent by run(), once EnergyPlus has ended without an error
+        if self.spec["branch"]:  # EnergyPlus's end of run would write into the folder of the forked engine
             self.out[0] = FrameKind.LAST
             self.frames.sendall(self.out)
             leave(0)
 
     def _exchange(self, state: int) -> None:
-        """Sends the sample, waits for the order, and sets or releases each actuator."""
+        """Send the sample, wait for an order, and set or relinquish each actuator."""
         out, command = self.out, self.command
         out[0], out[1] = _SAMPLE, self.step
         size = len(self.command_bytes)
@@ -233,15 +238,15 @@ class Engine:
                     self.frames.sendall(memoryview(out).cast("B")[written:])
                 got = self.polling.wait(self._try_read, self._read)
                 while got and got < size:
-                    more = self.link.recv_into(self.command_bytes[got:])
+                    more = self.orders.recv_into(self.command_bytes[got:])
                     got = got + more if more else 0
             except ConnectionError:
                 got = 0
             if not got:
-                leave(0)  # the node has gone or wants no more of this run
+                leave(0)  # the node has ended, or has closed this run
             if command[0] != _FORK:
                 break
-            self._fork()  # both then tell the sample that they stand at: the child its first, the parent again
+            self._fork()  # parent and child then both send the sample at which they wait
         if command[0] != _STEP:
             self.finishing = True
             self.api.runtime.stop_simulation(state)
@@ -254,43 +259,43 @@ class Engine:
                 self.reset_actuator(state, handle)
 
     def _fork(self) -> None:
-        """Becomes two: the child goes on with the sockets and the folder that the node hands over."""
+        """Fork the process; the child continues with the sockets and the folder that the node sent."""
         length = int(self.command[1])
-        raw, descriptors, _, _ = socket.recv_fds(self.link, length, 2)
-        told = json.loads(raw)
-        link, frames = (socket.socket(fileno=descriptor) for descriptor in descriptors)
+        raw, descriptors, _, _ = socket.recv_fds(self.orders, length, 2)
+        child_fields = json.loads(raw)
+        orders, frames = (socket.socket(fileno=descriptor) for descriptor in descriptors)
         self.forks += 1
-        # One that has gone on from a fork has its memory in small pages; that only matters if it is forked often.
-        if self.forked and self.forks >= _OFTEN and self.forks & (self.forks - 1) == 0:
+        # A forked engine that has simulated has its memory in small pages, which only matters if it is forked often.
+        if self.forked and self.forks >= _FORKS_BEFORE_COLLAPSE and self.forks & (self.forks - 1) == 0:
             collapse_huge_pages()
         try:
             child = clone()
         except OSError as error:
             child = -(error.errno or 1)
         if child:
-            link.close()
+            orders.close()
             frames.close()
             self.frames.sendall(PROCESS_ID.pack(child))
             return
-        die_with_parent(told["parent"])  # at once: whatever comes next may take a while
-        self.spec = spec = self.spec | told
+        die_with_parent(child_fields["parent"])  # first: what follows may take a while
+        self.spec = spec = self.spec | child_fields
         self.forked, self.forks = True, 0
-        self.link.close()
+        self.orders.close()
         self.frames.close()
-        self.link, self.frames = link, frames
-        self.descriptor, self.frames_descriptor = link.fileno(), frames.fileno()
+        self.orders, self.frames = orders, frames
+        self.orders_descriptor, self.frames_descriptor = orders.fileno(), frames.fileno()
         self.polling = Polling(enabled=spec["poll"])
         self.frames.sendall(PROCESS_ID.pack(os.getpid()))
-        begin(spec)
-        own_files(spec["folder"])
+        set_up_process(spec)
+        reopen_files(spec["folder"])
         if self.saturation:
             self.saturation.reset()
 
     def _try_read(self) -> int | None:
         try:
-            return self.link.recv_into(self.command_bytes, 0, socket.MSG_DONTWAIT)
+            return self.orders.recv_into(self.command_bytes, 0, socket.MSG_DONTWAIT)
         except BlockingIOError:
             return None
 
     def _read(self) -> int:
-        return os.readv(self.descriptor, self.command_buffers)
+        return os.readv(self.orders_descriptor, self.command_buffers)

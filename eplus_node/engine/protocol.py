@@ -1,20 +1,22 @@
-"""The frame protocol between a node and its engines.
+"""The protocol between a node and its engine: one frame per timestep each way, over two sockets.
 
-Orders come on one socket and frames go on
-another: on a shared one, whoever sleeps for the next order would be woken when the node reads a frame. Each frame is
-an array of native doubles of one fixed length:
+Orders arrive on one socket and frames leave on the other. On a shared socket, the thread that waits for the next order
+would be woken each time the node reads a frame. Each frame is an array of native doubles of a fixed length:
 
-    to the node:    [kind, step, sensors…, meters…, feedback…]      kind is one of `BusMessage`
-    from the node:  [order, step, actuators…]                       order is one of `OrderKind`; NaN releases
+    to the node:    [kind, step, sensors…, meters…, feedback…]      kind is one of `FrameKind`
+    from the node:  [order, step, actuators…]                       order is one of `OrderKind`; NaN relinquishes
 
-A `FORK` order has the length of a JSON text in place of the step; the text follows, and with it the child's
-sockets. The engine says the child's process id (a native 64-bit integer), or the negative number of the error where
-the system cannot fork, and waits on at its sample. The child says its process id on its own as well, should
-the engine end before it could, and then goes on as any engine.
+First of all, the node sends the length of a JSON text (a 32-bit little-endian integer) and the text: the fields of an
+`EngineSpec`.
 
-A `FAILED` frame has the length of a UTF-8 text in place of the step, and the text follows.
-Sample 0 is the state after warm-up. The last sample is sent once EnergyPlus has ended the run by itself,
-so that it stands for a run that was good to its end.
+A `FORK` order contains the length of a JSON text in place of the step. The text follows, together with the child's
+sockets. The engine replies with the child's process id (a native 64-bit integer), or with the negative error number if
+the system cannot fork, and keeps waiting at its sample. The child sends its process id on its own socket as well, in
+case the engine ends before it can reply, and then continues as any other engine.
+
+A `FAILED` frame contains the length of a UTF-8 text in place of the step, and the text follows.
+
+Sample 0 is the state after warm-up. The last sample is sent once EnergyPlus has ended the run without an error.
 """
 
 from __future__ import annotations
@@ -23,6 +25,7 @@ import struct
 from enum import IntEnum
 
 PROCESS_ID = struct.Struct("=q")
+"""Reply to a `FORK` order."""
 
 
 class FrameKind(IntEnum):

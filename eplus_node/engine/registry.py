@@ -1,4 +1,4 @@
-"""The engines of a node, wherever they are: simulating, waiting, started ahead, or on their way."""
+"""All open engines of a node, so that a node that ends can kill them from any thread."""
 
 from __future__ import annotations
 
@@ -11,55 +11,55 @@ if TYPE_CHECKING:
     from eplus_node.engine.client import EngineClient
 
 UNRESPONSIVE_S = 10.0
-"""Default of the time after which an engine that neither answers nor uses processor time is given up."""
-_HURRY_S = 1.0
-"""The same for a node that ends."""
+"""Default time after which an engine that neither answers nor uses processor time is killed."""
+_CLOSING_UNRESPONSIVE_S = 1.0
+"""The same limit once the node is ending."""
 
 
 class EngineRegistry:
-    """All engines of a node that have not been closed; any thread may call it.
+    """All engines of a node that have not been closed; thread-safe.
 
     Args:
-        unresponsive_s: time in which an engine that is waited for must answer or use processor time.
+        unresponsive_s: time within which an engine that is waited for must answer or use processor time.
 
     Attributes:
-        closing: the node ends; no engine starts any more.
+        closing: whether the node is ending; no more engines start.
     """
 
     def __init__(self, unresponsive_s: float = UNRESPONSIVE_S) -> None:
         self._unresponsive_s = unresponsive_s
-        self._links: set[EngineClient] = set()
+        self._clients: set[EngineClient] = set()
         self._lock = threading.Lock()
         self.closing = False
 
     @property
     def unresponsive_s(self) -> float:
-        """Time in which an engine must answer or use processor time; short once the node ends."""
-        return min(self._unresponsive_s, _HURRY_S) if self.closing else self._unresponsive_s
+        """Time within which an engine must answer or use processor time; short once the node is ending."""
+        return min(self._unresponsive_s, _CLOSING_UNRESPONSIVE_S) if self.closing else self._unresponsive_s
 
     def check_open(self) -> None:
-        """Whether engines may start; `EngineDied` if the node ends."""
+        """Raise `EngineDied` if the node is ending and no engine may start."""
         if self.closing:
-            raise EngineDied("the node ends, and starts no engine any more")
+            raise EngineDied("the node is ending and starts no more engines")
 
-    def add(self, link: EngineClient) -> None:
-        """Has it interrupted with all others."""
+    def add(self, client: EngineClient) -> None:
+        """Register an engine, so that `interrupt` kills it."""
         with self._lock:
-            self._links.add(link)
+            self._clients.add(client)
 
-    def remove(self, link: EngineClient) -> None:
-        """It has ended; twice is fine."""
+    def remove(self, client: EngineClient) -> None:
+        """Unregister an engine that has ended; idempotent."""
         with self._lock:
-            self._links.discard(link)
+            self._clients.discard(client)
 
     def close(self) -> None:
-        """Lets no engine start any more, and gives up soon those that do not answer."""
+        """Let no more engines start, and shorten the time allowed to unresponsive ones."""
         self.closing = True
 
     def interrupt(self) -> None:
-        """Kills all engines, so that whoever waits for one is told; none starts any more."""
+        """Kill all engines, so that threads waiting for them continue; no more engines start."""
         self.close()
         with self._lock:
-            links = [*self._links]
-        for link in links:
-            link.interrupt()
+            clients = [*self._clients]
+        for client in clients:
+            client.interrupt()

@@ -1,4 +1,4 @@
-"""The sockets between a node and an engine."""
+"""The two socket pairs between a node and an engine."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from bridge.runtime.idle_watch import LOOK_S
 from eplus_node.engine.protocol import PROCESS_ID
 
 _SOCKET_BYTES = 1 << 20
-# The kernel's own timeout costs nothing where the answer comes in time.
+# The kernel's receive timeout costs nothing when the answer arrives in time.
 _TIMEOUT = struct.pack("@ll", int(LOOK_S), int(LOOK_S % 1 * 1e6))
 
 
@@ -22,51 +22,51 @@ def _socket_pair() -> tuple[socket.socket, socket.socket]:
     return pair
 
 
-def fill(link: socket.socket, into: memoryview, look: Callable[[], None]) -> bool:
-    """Reads until `into` is full; false if the other side has ended. `look` is called while nothing comes."""
-    while into:
+def fill(source: socket.socket, buffer: memoryview, check: Callable[[], None]) -> bool:
+    """Read until `buffer` is full and return True; False if the other side has closed. Call `check` while waiting."""
+    while buffer:
         try:
-            got = link.recv_into(into)
+            received = source.recv_into(buffer)
         except BlockingIOError:
-            look()
+            check()
             continue
         except ConnectionResetError:
             return False
-        if not got:
+        if not received:
             return False
-        into = into[got:]
+        buffer = buffer[received:]
     return True
 
 
-def send_all(link: socket.socket, data: bytes, look: Callable[[], None]) -> None:
-    """Sends all of it; `look` is called while the other side takes nothing."""
+def send_all(target: socket.socket, data: bytes, check: Callable[[], None]) -> None:
+    """Send all of `data`; call `check` while the other side does not read."""
     rest = memoryview(data)
     while rest:
         try:
-            rest = rest[link.send(rest) :]
+            rest = rest[target.send(rest) :]
         except BlockingIOError:
-            look()
+            check()
 
 
-def read_process_id(link: socket.socket, look: Callable[[], None]) -> int:
-    """A process id, or the negative number of an error; 0 if whoever should say it has ended."""
-    said = bytearray(PROCESS_ID.size)
-    return int(PROCESS_ID.unpack(said)[0]) if fill(link, memoryview(said), look) else 0
+def read_process_id(source: socket.socket, check: Callable[[], None]) -> int:
+    """Read a process id or a negative error number; 0 if the other side has closed."""
+    raw = bytearray(PROCESS_ID.size)
+    return int(PROCESS_ID.unpack(raw)[0]) if fill(source, memoryview(raw), check) else 0
 
 
 class SocketPair(NamedTuple):
-    """One side's sockets: orders go to the engine on one, frames to the node on the other."""
+    """The sockets of one side: one for orders to the engine, one for frames to the node."""
 
     orders: socket.socket
     frames: socket.socket
 
     @property
     def descriptors(self) -> list[int]:
-        """Their numbers."""
+        """File descriptors of both sockets."""
         return [end.fileno() for end in self]
 
     def close(self) -> None:
-        """Closes both; twice is fine."""
+        """Close both sockets; idempotent."""
         for end in self:
             end.close()
 
@@ -78,7 +78,7 @@ class SocketPair(NamedTuple):
 
 
 def socket_pairs() -> tuple[SocketPair, SocketPair]:
-    """The node's side and the engine's."""
+    """Create the sockets of the node's side and of the engine's side."""
     orders = _socket_pair()
     try:
         frames = _socket_pair()

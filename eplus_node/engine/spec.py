@@ -1,4 +1,4 @@
-"""What an engine simulates."""
+"""The specification of an engine's run."""
 
 from __future__ import annotations
 
@@ -12,10 +12,14 @@ from models.points.selection import Points
 
 @dataclass(frozen=True, slots=True)
 class EngineSpec:
-    """What one engine simulates: prepared files, the number of timesteps, the points in order.
+    """Specification of an engine's run: prepared files, number of timesteps, points in order.
 
-    `cpus`: where it may run; empty leaves it to the system. `branch`: it ends at its last sample, without EnergyPlus's
-    own end of a run.
+    Attributes:
+        keep_output: keep the folder and let EnergyPlus finish its files.
+        cpus: cores on which the engine may run; empty leaves it to the system.
+        poll: whether the engine polls for orders before it sleeps.
+        branch: end the process at its last sample, without EnergyPlus's own end of run.
+        shrink_caches: see `eplus_node.engine.memory`.
     """
 
     model: Path
@@ -28,9 +32,10 @@ class EngineSpec:
     cpus: tuple[int, ...] = ()
     poll: bool = False
     branch: bool = False
+    shrink_caches: bool = True
 
-    def spec(self) -> dict[str, Any]:
-        """The description that the engine reads first."""
+    def fields(self) -> dict[str, Any]:
+        """Return the fields that the engine reads, as JSON built-ins."""
         points = self.points
         return {
             "model": str(self.model),
@@ -43,6 +48,7 @@ class EngineSpec:
             "cpus": self.cpus,
             "poll": self.poll,
             "branch": self.branch,
+            "shrink_caches": self.shrink_caches,
             "sensors": [
                 (s.variable, s.key, str(s.aggregation), system)
                 for s, system in zip(points.sensors, points.system, strict=True)

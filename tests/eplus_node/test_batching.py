@@ -79,7 +79,7 @@ def test_the_rest_goes_at_the_end_and_nothing_after_it():
 
 def test_it_is_wanted_while_somebody_listens():
     bench = Bench()
-    assert not bench.batches.wanted
+    assert not bench.batches.has_listeners
     for matching in (True, False):
         bench.batches._on_listeners(SimpleNamespace(matching=matching))  # type: ignore[arg-type]
-        assert bench.batches.wanted is matching
+        assert bench.batches.has_listeners is matching

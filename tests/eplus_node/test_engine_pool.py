@@ -18,7 +18,8 @@ from support.nodes import runs, until
 from eplus_node.config import Plan, read_config
 from eplus_node.config import plan as read_plan
 from eplus_node.engine.client import EngineClient
-from eplus_node.engine.pool import EnginePool, EngineTemplate
+from eplus_node.engine.pool import EnginePool
+from eplus_node.engine.template import EngineTemplate
 from topics.errors import EngineDied, ForkFailed, SimulatorError
 from topics.messages import EngineStart, State
 
@@ -212,7 +213,7 @@ def test_an_engine_that_was_started_ahead_and_dies_within_a_reset_is_replaced(fo
     supply.prefetch(0)
     assert supply.next_episode(None, 1, untouched=False) is EngineStart.PREFETCHED
     noise = supply.files.noise_parameters
-    ahead = supply._ahead
+    ahead = supply._prefetched
     assert ahead is not None
     ended(ahead.engine)
     second = supply.engine(1)

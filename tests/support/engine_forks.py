@@ -124,7 +124,7 @@ def fault():
     except FileNotFoundError:
         return ""
 
-clone, own_files = engine.clone, engine.own_files
+clone, reopen_files = engine.clone, engine.reopen_files
 
 def faulty_clone():
     what = fault()
@@ -135,12 +135,12 @@ def faulty_clone():
         os.kill(os.getpid(), signal.SIGKILL)
     return child
 
-def faulty_own_files(folder):
+def faulty_reopen_files(folder):
     if fault() == "the disk is full":
         raise OSError(errno.ENOSPC, "No space left on device")
-    own_files(folder)
+    reopen_files(folder)
 
-engine.clone, engine.own_files = faulty_clone, faulty_own_files
+engine.clone, engine.reopen_files = faulty_clone, faulty_reopen_files
 main(*map(int, sys.argv[2:]))
 """
 

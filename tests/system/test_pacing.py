@@ -391,7 +391,7 @@ def test_the_node_says_what_its_pace_is(bus: Bus) -> None:
         bus.resume("office")
         told = [codec.decode(Event, events.recv().payload.to_bytes()) for _ in range(4)]
     assert {event.kind for event in told} == {EventKind.PACE}
-    assert [event.text for event in told] == ["paused", "60 times the wall clock", "timesteps to go: 1", "goes on"]
+    assert [event.text for event in told] == ["paused", "60 times the wall clock", "steps left: 1", "resumed"]
     assert told[0].source == "me"
 
 
@@ -403,8 +403,12 @@ def test_the_node_says_what_its_pace_is(bus: Bus) -> None:
         (lambda bus: bus.pace("office", float("nan")), InvalidConfig, "speed.*finite"),
         (lambda bus: bus.pace("office", 2e9), InvalidConfig, "speed.*less than or equal to 1000000000"),
         (lambda bus: bus.pace("office", mode="quick"), InvalidConfig, "mode.*'lockstep', 'paced' or 'free'"),
-        (lambda bus: bus.pace("office"), RequestRejected, "a speed and the mode 'paced' go together"),
-        (lambda bus: bus.pace("office", 60, mode="free"), RequestRejected, "a speed and the mode 'paced' go together"),
+        (lambda bus: bus.pace("office"), RequestRejected, "only the mode 'paced' has a speed, and needs one"),
+        (
+            lambda bus: bus.pace("office", 60, mode="free"),
+            RequestRejected,
+            "only the mode 'paced' has a speed, and needs one",
+        ),
         (lambda bus: bus.step("office", 4), RequestRejected, "not paused; pause it first"),
         (lambda bus: bus.step("office", 0), InvalidConfig, "steps.*greater than or equal to 1"),
     ],

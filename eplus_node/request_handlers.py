@@ -1,0 +1,133 @@
+"""Requests and queries that a node server answers, except those on pace, episodes and branches."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+import psutil
+
+from bridge.exchange.episode import MAX_SOURCE_NAME
+from models.scenario.episode import series
+from models.scenario.schema import dump
+from models.weather.epw import find_column
+from topics import codec, keys
+from topics.errors import BadMessage
+from topics.fault_plan import FaultPlan
+from topics.messages import (
+    ANONYMOUS,
+    Ack,
+    Claim,
+    EventKind,
+    Manifest,
+    Message,
+    Query,
+    ScenarioText,
+    Status,
+    Stop,
+    WeatherQuery,
+    WeatherSeries,
+    Write,
+)
+
+if TYPE_CHECKING:
+    from eplus_node.server import NodeServer
+
+
+class RequestHandlers:
+    """Claims, writes, faults, weather, status and stop of one node server; for its thread, unless noted."""
+
+    def __init__(self, server: NodeServer) -> None:
+        self._server = server
+
+    def declare(self, status: Callable[[Query], bytes] | None = None) -> None:
+        """Answer requests; `status` replaces the server's own."""
+        server, subscriptions = self._server, self._server.subscriptions
+        subscriptions.listen(keys.ACTUATOR, self._write)
+        subscriptions.answer_latest(keys.MANIFEST, lambda: codec.encode(self._manifest()))
+        subscriptions.answer_latest(keys.SAMPLE, lambda: server.latest_sample)
+        subscriptions.answer(keys.SCENARIO, lambda _: codec.encode(ScenarioText(text=dump(server.plan.scenario))))
+        subscriptions.answer(keys.STATUS, status or (lambda query: codec.encode(self.status(memory=query.memory))))
+        subscriptions.request(keys.CLAIM, Claim, self._claim)
+        subscriptions.request(keys.WEATHER, WeatherQuery, self._weather)
+        subscriptions.request(keys.STOP, Stop, self._stop, on_receipt=server.on_stop)
+        subscriptions.request(keys.FAULTS, FaultPlan, self._set_faults)
+
+    def _claim(self, claim: Claim) -> Message:
+        server, exchange = self._server, self._server.exchange
+        # A controller that joins within a step has the whole deadline; one that replaces another has the rest of it.
+        awaited, controllers = exchange.awaiting(), len(exchange.claims.by_name)
+        server.publish_events(exchange.claim(claim))
+        if claim.required and (not awaited or len(exchange.claims.by_name) > controllers):
+            server.pacing.wait(exchange.now_s)
+        return Ack(episode=exchange.episode)
+
+    def _write(self, name: str, payload: bytes, encoding: str) -> None:
+        server = self._server
+        try:
+            write = codec.decode(Write, payload, encoding)
+        except BadMessage as error:
+            source = codec.text_field(payload, "source", MAX_SOURCE_NAME) or ANONYMOUS
+            server.event(server.exchange.rejected(f"{name}: {error}", source))
+            return
+        server.event(server.exchange.write(name, write, server.elapsed_s))
+
+    def _set_faults(self, faults: FaultPlan) -> Message:
+        server = self._server
+        server.inject(faults)
+        server.publications.manifest(server.manifest)
+        names = ", ".join(faults.names) or "none"
+        server.event(server.exchange.event(EventKind.FAULT, f"faults are set: {names}"))
+        return Ack(episode=server.exchange.episode)
+
+    def _weather(self, query: WeatherQuery) -> Message:
+        server = self._server
+        server.check_slot(query.slot)
+        values, step_s = series(server.weather_file(query.slot), server.plan.period, query.columns)
+        columns = [find_column(name) for name in query.columns]
+        return WeatherSeries(
+            episode=server.exchange.episode[query.slot],
+            columns=[column.name for column in columns],
+            units=[column.unit for column in columns],
+            step_s=step_s,
+            values=np.ascontiguousarray(values, "<f8").tobytes(),
+        )
+
+    def _stop(self, _: Stop) -> Message:
+        self._server.subscriptions.post(self._server.stop_serving)
+        return Ack(episode=self._server.exchange.episode)
+
+    def _manifest(self) -> Manifest:
+        return self._server.manifest.model_copy(update={"statistics": self._server.statistics()})
+
+    def status(self, *, memory: bool) -> Status:
+        """Return the present state of the server; thread-safe. `memory` takes some milliseconds per engine."""
+        server = self._server
+        exchange, counts, pacing = server.exchange, server.exchange.counts, server.pacing
+        return Status(
+            node=server.manifest.node,
+            state=exchange.state,
+            building=server.plan.building.name,
+            weather=server.manifest.weather,
+            mode=exchange.mode,
+            episode=exchange.episode,
+            step=exchange.step,
+            speed=pacing.pace.speed,
+            paused=pacing.paused,
+            policy=exchange.policy,
+            steps=server.plan.period.steps,
+            time=[server.plan.period.time(step).isoformat() for step in exchange.step],
+            controllers=exchange.controllers(),
+            accepted=counts.accepted,
+            rejected=counts.rejected,
+            late=counts.late,
+            duplicate=counts.duplicate,
+            failure=server.failure,
+            failure_error=server.failure_error,
+            node_rss_bytes=psutil.Process().memory_info().rss,
+            engine_rss_bytes=server.engines.rss_bytes,
+            statistics=server.statistics(),
+            faults=server.injection.active() if server.injection is not None else [],
+            engine_private_bytes=server.engines.private_bytes if memory else 0,
+        )
