@@ -21,7 +21,7 @@ NODE_ARGUMENTS = (
     "building", "weather", "scenario", "file", "config", "variant", "sensors", "meters", "actuators", "begin", "end",
     "steps_per_hour", "weather_order", "weather_noise", "sizing", "edits", "time", "aggregation", "actions", "control",
     "discrete", "terminate", "output_dir", "keep_last", "baseline", "branches", "faults",
-    "unresponsive_s",
+    "unresponsive_s", "shrink_caches",
 )  # fmt: skip
 """The arguments that become settings of a node."""
 

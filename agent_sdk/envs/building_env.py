@@ -139,6 +139,7 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
         baseline: bool | None = None,
         branches: int | None = None,
         unresponsive_s: float | None = None,
+        shrink_caches: bool | None = None,
         faults: str | Path | None = None,
         affinity: Affinity | str = Affinity.SEPARATE_CORES,
         render_mode: str | None = None,
