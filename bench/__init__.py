@@ -1,1 +1,1 @@
-"""What a step costs, as ratios within one run. Never a timed test."""
+"""Benchmarks: costs as ratios within one run. They are no tests."""

@@ -1,8 +1,10 @@
-"""What a step, a reset, a branch, a vector step cost; all in one run, as tables and as JSON in `bench/results/`.
+"""Measure the costs of steps, resets, branches, vector steps and monitors.
 
-Each round measures every kind once, in bursts of a fraction of a second, each kind in processes of its own that stand
-still meanwhile; whatever else the machine does falls on all of them. What counts are the ratios within a round, over
-the half of the rounds in which others took least of the cores.
+The results are printed as tables and written as JSON to `bench/results/`.
+
+Each round measures every kind once, in bursts of a fraction of a second. Each kind has processes of its own, which are
+idle between its bursts, so that other load on the machine affects all kinds alike. Results are the ratios within a
+round, over the half of the rounds in which other processes used the least processor time.
 """
 
 from __future__ import annotations
@@ -40,43 +42,43 @@ print(time.perf_counter() - start, [m for m in ("rerun", "pyenergyplus") if m in
 
 
 def import_time() -> tuple[float, str]:
-    """Median seconds of `import agent_sdk`, and which of Rerun and EnergyPlus it loads."""
-    said = [
+    """Return the median seconds of `import agent_sdk`, and which of Rerun and EnergyPlus it loads."""
+    outputs = [
         subprocess.run([sys.executable, "-c", IMPORT], capture_output=True, text=True, check=True).stdout.split(" ", 1)
         for _ in range(5)
     ]
-    return statistics.median(float(seconds) for seconds, _ in said), said[0][1].strip()
+    return statistics.median(float(seconds) for seconds, _ in outputs), outputs[0][1].strip()
 
 
 def main() -> None:
-    """Measures, prints, writes."""
+    """Run the benchmarks, print the tables, write the results."""
     parser = argparse.ArgumentParser(prog="python -m bench", description=__doc__)
-    parser.add_argument("parts", nargs="*", metavar="PART", help=f"{', '.join(PARTS)}; all if left out")
-    parser.add_argument("--quick", action="store_true", help="few rounds: a look, no figures to keep")
-    parser.add_argument("--plot", type=Path, metavar="FOLDER", help="draw the part growth there")
-    asked = parser.parse_args()
-    if unknown := [part for part in asked.parts if part not in PARTS]:
-        parser.error(f"no part {', '.join(unknown)}; there are: {', '.join(PARTS)}")
+    parser.add_argument("parts", nargs="*", metavar="PART", help=f"{', '.join(PARTS)}; default: all")
+    parser.add_argument("--quick", action="store_true", help="few rounds; the figures are not reliable")
+    parser.add_argument("--plot", type=Path, metavar="FOLDER", help="plot the results of the part growth into FOLDER")
+    options = parser.parse_args()
+    if unknown := [part for part in options.parts if part not in PARTS]:
+        parser.error(f"unknown part {', '.join(unknown)}; choose from {', '.join(PARTS)}")
     console, results = Console(), {}
-    for part in asked.parts or PARTS:
+    for part in options.parts or PARTS:
         with console.status(f"measuring {part}"):
-            results[part] = PARTS[part].measure(quick=asked.quick)
+            results[part] = PARTS[part].measure(quick=options.quick)
         PARTS[part].show(results[part], console)
     seconds, loads = import_time()
-    console.print(f"import agent_sdk: {seconds:.2f} s; of Rerun and EnergyPlus it loads {loads}")
-    if asked.plot and "growth" in results:
-        for path in growth.plot(results["growth"], asked.plot):
-            console.print(f"drawn: {path}")
-    console.print(f"written to {_write({**results, 'quick': asked.quick, 'import_s': seconds})}")
+    console.print(f"import agent_sdk: {seconds:.2f} s; loads of Rerun and EnergyPlus: {loads}")
+    if options.plot and "growth" in results:
+        for path in growth.plot(results["growth"], options.plot):
+            console.print(f"plot written to {path}")
+    console.print(f"results written to {_write({**results, 'quick': options.quick, 'import_s': seconds})}")
 
 
 def _write(results: dict[str, Any]) -> Path:
     target = Path(__file__).parent / "results"
     target.mkdir(exist_ok=True)
-    written = target / f"{datetime.now(UTC):%Y%m%dT%H%M%S}.json"
-    about = {"version": VERSION, "python": platform.python_version(), "machine": platform.machine()}
-    written.write_text(json.dumps({**about, **results}, indent=1))
-    return written
+    path = target / f"{datetime.now(UTC):%Y%m%dT%H%M%S}.json"
+    environment = {"version": VERSION, "python": platform.python_version(), "machine": platform.machine()}
+    path.write_text(json.dumps({**environment, **results}, indent=1))
+    return path
 
 
 if __name__ == "__main__":

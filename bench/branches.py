@@ -1,4 +1,4 @@
-"""Part `branches`: milliseconds of a snapshot, of going back and of a branch at mid-episode, and their memory."""
+"""Part `branches`: time of a snapshot, of a reset to it and of a branch within an episode, and memory of a branch."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from rich.table import Table
 from bench import pace, scenes
 
 SCENES = ("five-zone", "office-medium")
-MID = 2000
+MID_EPISODE = 2000
 MEMORY_AFTER = (0, 100, 3000)
 SEASONS = (10_000, 19_000, 28_000)
-"""Steps from 1 July on: in October, January and April."""
+"""Steps after 1 July: in October, January and April."""
 
 
 def measure(*, quick: bool) -> dict[str, Any]:
-    """Of each building, in a process of its own."""
-    found = {}
+    """Measure each building in a process of its own."""
+    results = {}
     for scene in SCENES:
         command = [sys.executable, "-m", "bench.branches", scene, *(("5",) if quick else ("40", *map(str, SEASONS)))]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode:
             raise RuntimeError(f"{' '.join(command)} failed:\n{done.stderr[-3000:]}")
-        found[scene] = json.loads(done.stdout.splitlines()[-1])
-    return found
+        results[scene] = json.loads(done.stdout.splitlines()[-1])
+    return results
 
 
 def _timed(times: list[float], work: Callable[[], Any]) -> Any:
@@ -43,7 +43,7 @@ def _timed(times: list[float], work: Callable[[], Any]) -> Any:
 
 
 class _Episode:
-    """An episode at mid-way."""
+    """An episode at step `MID_EPISODE`."""
 
     def __init__(self, scene: str) -> None:
         self.env = scenes.environment(scene)
@@ -52,83 +52,82 @@ class _Episode:
         actuators = self.inner.manifest.actuators
         self.action = scenes.setpoints(actuators)[: self.env.action_space.shape[0]].astype(np.float32)
         self.steps = 0
-        self.go_on(MID)
+        self.step_until(MID_EPISODE)
 
-    def go_on(self, until: int) -> None:
-        """Steps on, as far as a number of steps."""
+    def step_until(self, until: int) -> None:
+        """Step until the episode has this number of steps."""
         for _ in range(until - self.steps):
             self.env.step(self.action)
         self.steps = max(self.steps, until)
 
     def times(self, count: int) -> dict[str, dict[str, float]]:
-        """Milliseconds of each of them."""
+        """Return milliseconds of each operation, repeated `count` times."""
         branch: list[float] = []
-        first: list[float] = []
+        first_step: list[float] = []
         snapshot: list[float] = []
-        back: list[float] = []
+        reset: list[float] = []
         for _ in range(count):
             self.env.step(self.action)
-            with _timed(branch, self.inner.branch) as made:
-                _timed(first, partial(made.step, self.action))
+            with _timed(branch, self.inner.branch) as branched:
+                _timed(first_step, partial(branched.step, self.action))
         for _ in range(count):
             self.env.step(self.action)
             _timed(snapshot, self.inner.snapshot).close()
         with self.inner.snapshot() as kept:
             for _ in range(count):
                 self.env.step(self.action)
-                _timed(back, lambda: self.env.reset(options={"snapshot": kept}))
-        found = {"branch": branch, "first step of a branch": first, "snapshot": snapshot, "going back": back}
-        return {title: pace.spread(figures) for title, figures in found.items()}
+                _timed(reset, lambda: self.env.reset(options={"snapshot": kept}))
+        times = {"branch": branch, "first step of a branch": first_step, "snapshot": snapshot, "reset to it": reset}
+        return {title: pace.spread(figures) for title, figures in times.items()}
 
     def memory_mb(self) -> dict[str, float]:
-        """Private megabytes of a branch's engine by steps since the fork, and of the engine that goes on beside it."""
+        """Return private megabytes of a branch's engine by the number of steps since the fork."""
         bus, node = self.inner.link.bus, self.inner.manifest.node
-        found, done = {}, 0
-        with self.inner.branch() as made:
+        memory_mb, done = {}, 0
+        with self.inner.branch() as branch:
             for steps in MEMORY_AFTER:
                 for _ in range(steps - done):
-                    made.step(self.action)
+                    branch.step(self.action)
                 done = steps
-                told = bus.status(node, memory=True)
-                found[str(steps)] = told.branches[0].private_bytes / 1e6
-        return found
+                memory_mb[str(steps)] = bus.status(node, memory=True).branches[0].private_bytes / 1e6
+        return memory_mb
 
-    def season_mb(self, at: int) -> float:
-        """Private megabytes of a branch's engine 100 steps after it was made, at a step of the year."""
-        self.go_on(at)
+    def season_mb(self, step: int) -> float:
+        """Return private megabytes of a branch's engine 100 steps after the fork, at a step of the year."""
+        self.step_until(step)
         bus, node = self.inner.link.bus, self.inner.manifest.node
-        with self.inner.branch() as made:
+        with self.inner.branch() as branch:
             for _ in range(100):
-                made.step(self.action)
+                branch.step(self.action)
             return float(bus.status(node, memory=True).branches[0].private_bytes / 1e6)
 
 
 def main() -> None:
-    """Measures what the command line says: a scene, how often, and at which steps the memory once more."""
+    """Measure one scene: SCENE COUNT [STEP ...], with the memory of branches created at these steps."""
     scene, count, *seasons = sys.argv[1:]
     episode = _Episode(scene)
     try:
-        found = {"ms": episode.times(int(count)), "memory_mb": episode.memory_mb()}
-        found["seasons_mb"] = {at: episode.season_mb(int(at)) for at in seasons}
+        results = {"ms": episode.times(int(count)), "memory_mb": episode.memory_mb()}
+        results["seasons_mb"] = {step: episode.season_mb(int(step)) for step in seasons}
     finally:
         episode.env.close()
-    print(json.dumps(found))
+    print(json.dumps(results))
 
 
 def show(results: dict[str, Any], console: Console) -> None:
-    """Two tables."""
+    """Print a table of times and one of memory."""
     titles = [*next(iter(results.values()))["ms"]]
     table = Table("", *titles, title="milliseconds, median (quartiles)")
     memory = Table("", *(f"{steps} steps" for steps in MEMORY_AFTER), title="private MB of a branch after")
-    for scene, found in results.items():
-        cells = (found["ms"][title] for title in titles)
+    for scene, result in results.items():
+        cells = (result["ms"][title] for title in titles)
         table.add_row(scene, *(f"{c['median']:.1f} ({c['low']:.1f}-{c['high']:.1f})" for c in cells))
-        memory.add_row(scene, *(f"{mb:.1f}" for mb in found["memory_mb"].values()))
+        memory.add_row(scene, *(f"{mb:.1f}" for mb in result["memory_mb"].values()))
     console.print(table)
     console.print(memory)
-    for scene, found in results.items():
-        for at, mb in found["seasons_mb"].items():
-            console.print(f"{scene}: {mb:.1f} MB after 100 steps of a branch made at step {at}")
+    for scene, result in results.items():
+        for step, mb in result["seasons_mb"].items():
+            console.print(f"{scene}: {mb:.1f} MB after 100 steps of a branch created at step {step}")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The least that a step across processes can cost: the same hand-overs, with bare bytes and nothing done to them.
+"""A lower bound for a step across processes: the same messages between the same processes, as bare bytes.
 
 EnergyPlus in a process of its own, two pipes, a process with a Zenoh session, a unix socket, and this process.
 """
@@ -22,17 +22,17 @@ from bridge.runtime.affinity import Affinity
 from bridge.transport.session import open_session
 
 _SAMPLE, _COMMAND = "sample", "command"
-_MOST = 1 << 16
-_PATIENCE_S = 60.0
+_MAX_BYTES = 1 << 16
+_TIMEOUT_S = 60.0
 
 Simulate = Callable[[Callable[[], bytes], Callable[[bytes], None]], None]
 
 
 class Chain:
-    """Steps an engine by bare bytes; `with Chain(run, folder, placement) as chain`.
+    """Steps an engine with bare bytes; `with Chain(run, folder, placement) as chain`.
 
     Args:
-        run: a `bench.worker.InProcess`, which simulates in a process forked from this one.
+        run: a `bench.worker.InProcess` that simulates in a process forked from this one.
         folder: for the socket.
         placement: `node` or `together`; see `bridge.runtime.affinity`.
     """
@@ -42,7 +42,7 @@ class Chain:
         endpoint = f"unixsock-stream/{folder}/chain"
         self._action: NDArray[np.float64] = run.action
         with ExitStack() as undo:
-            orders, frames = os.pipe(), os.pipe()  # both processes are forked before there is a Zenoh session here
+            orders, frames = os.pipe(), os.pipe()  # fork both processes before this one opens a Zenoh session
             self._fork(undo, lambda: _engine(run, orders[0], frames[1], core), (orders[1], frames[0]))
             self._fork(undo, lambda: _node(endpoint, frames[0], orders[1], core), (orders[0], frames[1]))
             for end in (*orders, *frames):
@@ -53,11 +53,11 @@ class Chain:
                 commands = undo.enter_context(session.declare_publisher(_COMMAND))
             if placement is Affinity.TOGETHER:
                 affinity.set_affinity(core)
-            until = time.monotonic() + _PATIENCE_S
+            until = time.monotonic() + _TIMEOUT_S
             while not commands.matching_status.matching and time.monotonic() < until:
                 time.sleep(0.01)
             self._recv, self._put = samples.recv, commands.put
-            self._put(b"")  # asks for sample 0
+            self._put(b"")  # requests sample 0
             self._recv()
             self._close = undo.pop_all()
 
@@ -68,16 +68,16 @@ class Chain:
         self._close.close()
 
     def step(self) -> None:
-        """Sends a command and waits for the next sample."""
+        """Send a command and wait for the next sample."""
         self._put(self._action.tobytes())
         np.frombuffer(self._recv().payload.to_bytes()).astype(np.float32)
 
     @staticmethod
-    def _fork(undo: ExitStack, work: Callable[[], None], others: tuple[int, ...]) -> None:
+    def _fork(undo: ExitStack, work: Callable[[], None], unused: tuple[int, ...]) -> None:
         child = os.fork()
         if child == 0:
             try:
-                for end in others:
+                for end in unused:
                     os.close(end)
                 work()
             finally:
@@ -91,7 +91,7 @@ def _engine(run: Any, orders: int, frames: int, core: int | None) -> None:
 
     def exchange(state: Any) -> None:
         os.write(frames, np.array(run.read(state)).tobytes())
-        order = os.read(orders, _MOST)
+        order = os.read(orders, _MAX_BYTES)
         if not order:
             os._exit(0)
         run.set(state, np.frombuffer(order).tolist())
@@ -105,6 +105,6 @@ def _node(endpoint: str, frames: int, orders: int, core: int | None) -> None:
         commands = session.declare_subscriber(_COMMAND, FifoChannel(16))
         samples = session.declare_publisher(_SAMPLE)
         commands.recv()
-        while frame := os.read(frames, _MOST):
+        while frame := os.read(frames, _MAX_BYTES):
             samples.put(frame)
             os.write(orders, commands.recv().payload.to_bytes())

@@ -1,9 +1,10 @@
-"""The controllers that come along beside each building's own control: a week in winter and a week in summer.
+"""Compare the controllers of the package with each building's baseline control, in one winter and one summer week.
 
     python -m bench.controllers --page docs/controllers.md
     python -m bench.controllers --building shop --building office
 
-Prints a table in Markdown of energy and degree-hours outside the comfort band, or puts it between the marks of a page.
+It prints a Markdown table of energy and degree-hours outside the comfort band, or writes it between the markers of a
+page.
 """
 
 from __future__ import annotations
@@ -26,32 +27,32 @@ _KWH = ("electricity_kwh", "natural_gas_kwh")
 
 
 def scenarios() -> list[str]:
-    """An id for each building of the Sinergym pack, with continuous actions and mixed weather where it has them."""
-    found: dict[str, list[str]] = {}
+    """Return one id per building of the Sinergym pack, preferably with continuous actions and mixed weather."""
+    by_building: dict[str, list[str]] = {}
     for name in pack_ids():
         parts = name.split("-")
         if len(parts) > 2 and "stochastic" not in parts:
-            found.setdefault(parts[0], []).append(name)
-    theirs = [min(ids, key=_preference) for ids in found.values()]
-    return theirs + [f"{building}-{WEATHERS[0]}-continuous-v1" for building in BUNDLED]
+            by_building.setdefault(parts[0], []).append(name)
+    from_pack = [min(ids, key=_preference) for ids in by_building.values()]
+    return from_pack + [f"{building}-{WEATHERS[0]}-continuous-v1" for building in BUNDLED]
 
 
 def _preference(name: str) -> tuple[bool, bool]:
     return name.split("-")[1] not in _WEATHER, "continuous" not in name
 
 
-def rows(wanted: Iterable[str]) -> Iterable[str]:
-    """A row of Markdown for each scenario, season and controller."""
-    for name in wanted:
+def rows(names: Iterable[str]) -> Iterable[str]:
+    """Yield a Markdown row for each scenario and season."""
+    for name in names:
         for season, (begin, end) in SEASONS.items():
-            found = evaluate(name, CONTROLLERS, begin=begin, end=end, affinity="off")
-            by_controller = {row["controller"]: row for row in found.table()}
+            results = evaluate(name, CONTROLLERS, begin=begin, end=end, affinity="off")
+            by_controller = {row["controller"]: row for row in results.table()}
             cells = [_cell(by_controller.get(controller)) for controller in CONTROLLERS]
             yield f"| {name.removesuffix('-v1')} | {season} | {' | '.join(cells)} |"
 
 
 def _cell(row: Mapping[str, float | None] | None) -> str:
-    """Energy in kWh, degree-hours in use and at all hours; empty where the controller does not fit."""
+    """Return energy in kWh, degree-hours when occupied and in total; empty if the controller does not fit."""
     if row is None:
         return ""
     fuels = [row[name] for name in _KWH if row.get(name) is not None] or [row["hvac_electricity_kwh"]]
@@ -60,28 +61,28 @@ def _cell(row: Mapping[str, float | None] | None) -> str:
 
 
 def table(lines: Iterable[str]) -> str:
-    """The lines below their head."""
-    head = ("scenario", "week of", *CONTROLLERS)
-    return "\n".join([f"| {' | '.join(head)} |", f"|{'---|' * len(head)}", *lines])
+    """Return the table of these lines with its header."""
+    header = ("scenario", "week of", *CONTROLLERS)
+    return "\n".join([f"| {' | '.join(header)} |", f"|{'---|' * len(header)}", *lines])
 
 
 def main() -> int:
-    """Simulates, and prints the table or puts it into a page."""
+    """Simulate, and print the table or write it into a page."""
     parser = argparse.ArgumentParser(prog="bench.controllers", description=__doc__)
-    parser.add_argument("--building", action="append", help="only ids that begin with this; repeated")
-    parser.add_argument("--page", type=Path, help="a page to put the table into, between its marks")
-    asked = parser.parse_args()
-    wanted = [name for name in scenarios() if not asked.building or name.startswith(tuple(asked.building))]
-    if asked.page is None:
+    parser.add_argument("--building", action="append", help="only ids with this prefix; can be repeated")
+    parser.add_argument("--page", type=Path, help="page to write the table into, between its markers")
+    options = parser.parse_args()
+    names = [name for name in scenarios() if not options.building or name.startswith(tuple(options.building))]
+    if options.page is None:
         print(table(()))
-        for line in rows(wanted):
+        for line in rows(names):
             print(line, flush=True)
         return 0
-    before, mark, rest = asked.page.read_text().partition(BEGIN)
+    before, mark, rest = options.page.read_text().partition(BEGIN)
     _, closing, after = rest.partition(END)
     if not mark or not closing:
-        parser.error(f"--page: {asked.page} needs the lines {BEGIN!r} and {END!r}")
-    asked.page.write_text(f"{before}{BEGIN}\n{table(rows(wanted))}\n{END}{after}")
+        parser.error(f"--page: {options.page} must contain the lines {BEGIN!r} and {END!r}")
+    options.page.write_text(f"{before}{BEGIN}\n{table(rows(names))}\n{END}{after}")
     return 0
 
 

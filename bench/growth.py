@@ -1,4 +1,4 @@
-"""Part `growth`: how the cost grows with the points of a sample, the slots of a node, and the nodes of a machine."""
+"""Part `growth`: cost by the number of points in a sample, slots in a node and nodes on a machine."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ SLOTS = (1, 2, 4, 8, 16, 32)
 NODES = (1, 2, 4, 8)
 SCENE = "five-zone"
 _UNITS = {
-    "points": ("sensors in a sample", "µs a step"),
+    "points": ("sensors in a sample", "µs per step"),
     "slots": ("slots", "transitions/s"),
     "nodes": ("nodes", "transitions/s"),
 }
 
 
 def measure(*, quick: bool) -> dict[str, Any]:
-    """For each of the three: figures by kind and number."""
+    """Return, for each of the three, figures by kind and number."""
     count, seconds = (3, 0.2) if quick else (12, 0.4)
     return {"points": _points(count), "slots": _slots(count, seconds), "nodes": _nodes(count, seconds)}
 
 
-def _told(found: list[pace.Round], kinds: dict[str, dict[int, str]]) -> dict[str, Any]:
+def _summary(rounds: list[pace.Round], kinds: dict[str, dict[int, str]]) -> dict[str, Any]:
     lines = {
-        kind: {str(number): pace.figures(found, title) for number, title in titles.items()}
+        kind: {str(number): pace.figures(rounds, title) for number, title in titles.items()}
         for kind, titles in kinds.items()
     }
-    return {"lines": lines, "others": pace.others(found)}
+    return {"lines": lines, "others": pace.other_load(rounds)}
 
 
 def _points(count: int) -> dict[str, Any]:
@@ -46,9 +46,9 @@ def _points(count: int) -> dict[str, Any]:
         measures = {}
         for kind, worker in kinds.items():
             for number in POINTS:
-                started = stack.enter_context(Worker(worker, POINTS_SCENE, sensors=number))
-                measures[titles[kind][number]] = pace.steps_of(started, POINTS_STEPS)
-        return _told(pace.rounds(measures, count), titles)
+                process = stack.enter_context(Worker(worker, POINTS_SCENE, sensors=number))
+                measures[titles[kind][number]] = pace.steps_of(process, POINTS_STEPS)
+        return _summary(pace.rounds(measures, count), titles)
 
 
 def _slots(count: int, seconds: float) -> dict[str, Any]:
@@ -57,14 +57,14 @@ def _slots(count: int, seconds: float) -> dict[str, Any]:
     cores = sorted(os.sched_getaffinity(0))
     with ExitStack() as stack:
         bare = [
-            stack.enter_context(Worker("bare", SCENE, core=cores[place % len(cores)])) for place in range(max(SLOTS))
+            stack.enter_context(Worker("bare", SCENE, core=cores[index % len(cores)])) for index in range(max(SLOTS))
         ]
         measures = {}
         for number in SLOTS:
             envs = stack.enter_context(Worker("vector", SCENE, count=number, mode="vector_entry_point"))
             measures[f"slots {number}"] = pace.rate_of([envs], seconds, each=number)
             measures[f"bare {number}"] = pace.rate_of(bare[:number], seconds)
-        return _told(pace.rounds(measures, count), titles)
+        return _summary(pace.rounds(measures, count), titles)
 
 
 def _nodes(count: int, seconds: float) -> dict[str, Any]:
@@ -72,40 +72,40 @@ def _nodes(count: int, seconds: float) -> dict[str, Any]:
     with ExitStack() as stack:
         envs = [stack.enter_context(Worker("env", SCENE)) for _ in range(max(NODES))]
         measures = {f"nodes {number}": pace.rate_of(envs[:number], seconds) for number in NODES}
-        return _told(pace.rounds(measures, count), titles)
+        return _summary(pace.rounds(measures, count), titles)
 
 
 def show(results: dict[str, Any], console: Console) -> None:
-    """A table for each of the three."""
-    for what, found in results.items():
-        across, unit = _UNITS[what]
-        numbers = [*next(iter(found["lines"].values()))]
-        table = Table(across, *numbers, title=unit)
-        for kind, line in found["lines"].items():
+    """Print a table for each of the three."""
+    for part, result in results.items():
+        label, unit = _UNITS[part]
+        numbers = [*next(iter(result["lines"].values()))]
+        table = Table(label, *numbers, title=unit)
+        for kind, line in result["lines"].items():
             table.add_row(kind, *(f"{line[number]['median']:.0f}" for number in numbers))
         console.print(table)
 
 
 def plot(results: dict[str, Any], folder: Path) -> list[Path]:
-    """`perf-points.png`, `perf-slots.png` and `perf-nodes.png`; the lines are medians, the bands quartiles."""
+    """Write `perf-points.png`, `perf-slots.png` and `perf-nodes.png`: medians as lines, quartiles as bands."""
     from matplotlib.figure import Figure
 
     folder.mkdir(parents=True, exist_ok=True)
-    written = []
-    for what, found in results.items():
+    paths = []
+    for part, result in results.items():
         figure = Figure(figsize=(6.4, 3.6), layout="constrained")
         axes = figure.subplots()
-        for kind, line in found["lines"].items():
+        for kind, line in result["lines"].items():
             numbers = [int(number) for number in line]
-            axes.plot(numbers, [one["median"] for one in line.values()], marker="o", label=kind)
-            low, high = ([one[end] for one in line.values()] for end in ("low", "high"))
+            axes.plot(numbers, [figures["median"] for figures in line.values()], marker="o", label=kind)
+            low, high = ([figures[end] for figures in line.values()] for end in ("low", "high"))
             axes.fill_between(numbers, low, high, alpha=0.2)
-        axes.set_xscale("log", base=10 if what == "points" else 2)
+        axes.set_xscale("log", base=10 if part == "points" else 2)
         axes.set_xticks(numbers, [str(number) for number in numbers])
-        axes.set(xlabel=_UNITS[what][0], ylabel=_UNITS[what][1], ylim=(0, None))
+        axes.set(xlabel=_UNITS[part][0], ylabel=_UNITS[part][1], ylim=(0, None))
         axes.legend()
         axes.grid(alpha=0.3)
-        target = folder / f"perf-{what}.png"
+        target = folder / f"perf-{part}.png"
         figure.savefig(target, dpi=120)
-        written.append(target)
-    return written
+        paths.append(target)
+    return paths

@@ -1,4 +1,4 @@
-"""Monitors for a measurement: `zenostat monitor --save` in processes of their own."""
+"""Monitors for a measurement: processes of `zenostat monitor --save`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pathlib import Path
 
 @contextmanager
 def listening(endpoint: str, count: int) -> Iterator[None]:
-    """`count` monitors on the bus, each writing a Rerun recording."""
+    """Run `count` monitors on the bus, each writing a Rerun recording."""
     with tempfile.TemporaryDirectory(prefix="zenostat-bench-") as folder:
         monitors = []
         for number in range(count):
@@ -21,7 +21,7 @@ def listening(endpoint: str, count: int) -> Iterator[None]:
             monitors.append(subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True))
         for monitor in monitors:
             assert monitor.stdout is not None
-            monitor.stdout.readline()  # it says when it listens
+            monitor.stdout.readline()  # it prints a line once it is listening
         try:
             yield
         finally:

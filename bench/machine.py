@@ -1,4 +1,4 @@
-"""What the machine does besides: the share of its cores that others took."""
+"""Other load on the machine: the share of its cores that other processes used."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _TICK_S = 1.0 / os.sysconf("SC_CLK_TCK")
 
 def _busy_s() -> float:
     with open("/proc/stat") as file:
-        user, nice, system, _idle, _waits, irq, soft, steal = map(int, file.readline().split()[1:9])
+        user, nice, system, _idle, _iowait, irq, soft, steal = map(int, file.readline().split()[1:9])
     return (user + nice + system + irq + soft + steal) * _TICK_S
 
 
@@ -27,14 +27,14 @@ def _own_s() -> dict[int, float]:
     return spent
 
 
-class Others:
-    """Counts from its beginning on what others, and the host, took of the cores; Linux only."""
+class OtherLoad:
+    """Processor time that other processes and the host have used since its creation; Linux only."""
 
     def __init__(self) -> None:
         self._wall, self._busy, self._own = os.times().elapsed, _busy_s(), _own_s()
 
     def share(self) -> float:
-        """0 to 1, of all cores."""
+        """Return the share of all cores, 0 to 1."""
         wall = os.times().elapsed - self._wall
         own = sum(spent - self._own.get(pid, 0.0) for pid, spent in _own_s().items())
         return max(0.0, (_busy_s() - self._busy - own) / (wall * (os.cpu_count() or 1)))

@@ -1,4 +1,4 @@
-"""Part `monitors`: what monitors that record to Rerun cost a step."""
+"""Part `monitors`: cost per step of monitors that record to Rerun."""
 
 from __future__ import annotations
 
@@ -14,30 +14,30 @@ from bench.pace import Worker
 SCENES = {"five-zone": 4000, "office-small": 2000}
 COUNTS = (0, 1, 3, 10)
 _SETTLE_S = 0.5
-"""For the monitors' backlog, which would fall on the next kind."""
+"""Pause in which monitors work off their backlog, which would slow the next kind."""
 
 
 def measure(*, quick: bool) -> dict[str, Any]:
-    """Microseconds a step by number of monitors, and times none."""
-    return {scene: _of(scene, steps, 3 if quick else 9) for scene, steps in SCENES.items()}
+    """Return microseconds per step by number of monitors, and the ratio to no monitors."""
+    return {scene: _measure(scene, steps, 3 if quick else 9) for scene, steps in SCENES.items()}
 
 
-def _of(scene: str, steps: int, count: int) -> dict[str, Any]:
+def _measure(scene: str, steps: int, count: int) -> dict[str, Any]:
     with ExitStack() as stack:
         workers = {str(m): stack.enter_context(Worker("env", scene, monitors=m)) for m in COUNTS}
         kinds = {title: pace.steps_of(worker, steps) for title, worker in workers.items()}
-        found = pace.rounds(kinds, count, settle_s=_SETTLE_S)
+        rounds = pace.rounds(kinds, count, settle_s=_SETTLE_S)
     return {
-        "us": {title: pace.figures(found, title) for title in workers},
-        "ratio": {title: pace.figures(found, title, "0") for title in workers},
-        "others": pace.others(found),
+        "us": {title: pace.figures(rounds, title) for title in workers},
+        "ratio": {title: pace.figures(rounds, title, "0") for title in workers},
+        "others": pace.other_load(rounds),
     }
 
 
 def show(results: dict[str, Any], console: Console) -> None:
-    """A table."""
-    table = Table("", *(f"{count} monitors" for count in COUNTS), title="env.step, times that without a monitor")
-    for scene, found in results.items():
-        ratios = (found["ratio"][str(count)] for count in COUNTS)
+    """Print a table."""
+    table = Table("", *(f"{count} monitors" for count in COUNTS), title="env.step, ratio to no monitor")
+    for scene, result in results.items():
+        ratios = (result["ratio"][str(count)] for count in COUNTS)
         table.add_row(scene, *(f"{r['median']:.2f} ({r['low']:.2f}-{r['high']:.2f})" for r in ratios))
     console.print(table)

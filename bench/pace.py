@@ -1,7 +1,7 @@
-"""Bursts: workers that stand still between them take turns, so that whatever else the machine does falls on all.
+"""Bursts: workers that take turns and are idle in between, so that other load on the machine affects all alike.
 
-A worker is a process of its own, `python -m bench.worker`; it is told on its standard input how far to go and says on
-its standard output what it took.
+A worker is a process of its own, `python -m bench.worker`. It reads bursts from standard input and writes measurements
+to standard output.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from bench.machine import Others
+from bench.machine import OtherLoad
 
-_PATIENCE_S = 300.0
-_SOON_S = 0.05
+_TIMEOUT_S = 300.0
+_LEAD_S = 0.05
 SKIPPED = 32
-"""First steps of a burst that do not count: the caches are another worker's."""
+"""First steps of a burst, which do not count: the caches contain another worker's data."""
 
 
-class Over(Exception):
-    """No more bursts are wanted."""
+class EndOfBursts(Exception):
+    """There are no more bursts."""
 
 
 @dataclass(frozen=True, slots=True)
 class Burst:
-    """How far to go: `steps`, or as far as the monotonic clock is at `until`; what is before `after` does not count."""
+    """Length of a burst: `steps`, or until the monotonic clock reaches `until`; steps before `after` do not count."""
 
     steps: int = 1 << 60
     after: float = 0.0
@@ -43,15 +43,15 @@ class Burst:
 
 
 @dataclass(frozen=True, slots=True)
-class Took:
-    """What was counted of a burst: steps and seconds."""
+class Measurement:
+    """Counted steps of a burst, and their duration in seconds."""
 
     steps: int
     seconds: float
 
     @property
     def us(self) -> float:
-        """Microseconds a step."""
+        """Microseconds per step."""
         return 1e6 * self.seconds / self.steps
 
 
@@ -61,41 +61,41 @@ class Pace:
     def __init__(self) -> None:
         self._burst, self._count = Burst(), 0
         self._from: float | None = None
-        self._answers = os.dup(1)
-        os.dup2(2, 1)  # whatever else a program prints
+        self._output = os.dup(1)
+        os.dup2(2, 1)  # other output of the program goes to standard error
 
     def begin(self, **about: Any) -> None:
-        """Says that it is ready and waits for the first burst; `Over` if there is none."""
-        self._say(about)
+        """Report that it is ready and wait for the first burst; raise `EndOfBursts` if there is none."""
+        self._write(about)
         self._wait()
 
     def tick(self) -> None:
-        """A step is done; waits where a burst is. `Over` if there are no more."""
+        """Count a step; at the end of a burst, wait for the next one and raise `EndOfBursts` if there are no more."""
         now = time.perf_counter()
         self._count += 1
         if self._from is None:
             if self._count >= SKIPPED and now >= self._burst.after:
                 self._from, self._count = now, 0
         elif self._count >= self._burst.steps or now >= self._burst.until:
-            self._say(asdict(Took(self._count, now - self._from)))
+            self._write(asdict(Measurement(self._count, now - self._from)))
             self._wait()
 
-    def _say(self, what: dict[str, Any]) -> None:
-        os.write(self._answers, json.dumps(what).encode() + b"\n")
+    def _write(self, fields: dict[str, Any]) -> None:
+        os.write(self._output, json.dumps(fields).encode() + b"\n")
 
     def _wait(self) -> None:
         line = sys.stdin.readline()
         if not line:
-            raise Over
+            raise EndOfBursts
         self._burst, self._count = Burst(**json.loads(line)), 0
         self._from = None
 
 
 class Worker:
-    """A worker that stands ready; `with Worker(kind, scene, ...) as worker`.
+    """A worker that is ready; `with Worker(kind, scene, ...) as worker`.
 
     Attributes:
-        about: what it said of itself.
+        about: fields that the worker reported when it was ready.
     """
 
     def __init__(self, kind: str, scene: str, env: Mapping[str, str] | None = None, **options: Any) -> None:
@@ -114,7 +114,7 @@ class Worker:
         )
         self._close.callback(self._end)
         try:
-            self.about = self._answer()
+            self.about = self._read()
         except BaseException:
             self._close.close()
             raise
@@ -134,93 +134,94 @@ class Worker:
             self._process.kill()
             self._process.wait()
 
-    def _answer(self) -> dict[str, Any]:
+    def _read(self) -> dict[str, Any]:
         assert self._process.stdout is not None
-        ready, _, _ = select.select([self._process.stdout], [], [], _PATIENCE_S)
+        ready, _, _ = select.select([self._process.stdout], [], [], _TIMEOUT_S)
         line = self._process.stdout.readline() if ready else ""
         if not line:
             self._log.seek(0)
-            raise RuntimeError(f"{self.title} gave no figure:\n{self._log.read()[-3000:]}")
-        said: dict[str, Any] = json.loads(line)
-        return said
+            raise RuntimeError(f"{self.title} reported no measurement:\n{self._log.read()[-3000:]}")
+        fields: dict[str, Any] = json.loads(line)
+        return fields
 
-    def go(self, burst: Burst) -> None:
-        """Tells it to go; `took` waits."""
+    def start(self, burst: Burst) -> None:
+        """Start a burst; `measurement` waits for its end."""
         assert self._process.stdin is not None
         self._process.stdin.write(json.dumps(asdict(burst)) + "\n")
         self._process.stdin.flush()
 
-    def took(self) -> Took:
-        """What the burst took."""
-        return Took(**self._answer())
+    def measurement(self) -> Measurement:
+        """Return the measurement of the burst."""
+        return Measurement(**self._read())
 
-    def run(self, burst: Burst) -> Took:
-        """A burst of its own."""
-        self.go(burst)
-        return self.took()
+    def run(self, burst: Burst) -> Measurement:
+        """Run a burst and return its measurement."""
+        self.start(burst)
+        return self.measurement()
 
 
 def per_second(workers: Sequence[Worker], seconds: float) -> float:
-    """Steps a second of all workers together, in a burst at the same time."""
-    begin = time.perf_counter() + _SOON_S
+    """Return the steps per second of all workers together, in simultaneous bursts."""
+    begin = time.perf_counter() + _LEAD_S
     for worker in workers:
-        worker.go(Burst(after=begin, until=begin + seconds))
-    return sum(1e6 / worker.took().us for worker in workers)
+        worker.start(Burst(after=begin, until=begin + seconds))
+    return sum(1e6 / worker.measurement().us for worker in workers)
 
 
 def rate_of(workers: Sequence[Worker], seconds: float, *, each: int = 1) -> Callable[[], float]:
-    """Measures transitions a second of all together; `each`: how many a step of one worker is."""
+    """Return a measurement of transitions per second of all workers; a step of a worker has `each` transitions."""
     return lambda: each * per_second(workers, seconds)
 
 
 @dataclass(frozen=True, slots=True)
 class Round:
-    """One figure of each kind, measured one after the other, and what others took of the cores meanwhile."""
+    """One figure of each kind, measured one after the other, and the other load in the meantime, 0 to 1."""
 
     figures: dict[str, float]
-    others: float
+    other_load: float
 
 
 def rounds(kinds: Mapping[str, Callable[[], float]], count: int, *, settle_s: float = 0.0) -> list[Round]:
-    """Measures each kind once a round, beginning with another one each time.
+    """Measure each kind once per round, starting with a different one each time.
 
     Args:
-        kinds: measures one by its title.
-        settle_s: pause after each, for those whose processes have something left to do.
+        kinds: measurements by title.
+        count: number of rounds.
+        settle_s: pause after each measurement, for processes that have work left.
     """
-    found, titles = [], [*kinds]
+    results, titles = [], [*kinds]
     for number in range(count):
-        others, figures = Others(), {}
+        load, figures = OtherLoad(), {}
         for title in titles[number % len(titles) :] + titles[: number % len(titles)]:
             figures[title] = kinds[title]()
             time.sleep(settle_s)
-        found.append(Round(figures, others.share()))
-    return found
+        results.append(Round(figures, load.share()))
+    return results
 
 
-def quieter(found: Sequence[Round]) -> list[Round]:
-    """The half of the rounds in which others took least."""
-    return sorted(found, key=lambda one: one.others)[: max(1, (len(found) + 1) // 2)]
+def quieter(results: Sequence[Round]) -> list[Round]:
+    """Return the half of the rounds with the least other load."""
+    return sorted(results, key=lambda result: result.other_load)[: max(1, (len(results) + 1) // 2)]
 
 
-def figures(found: Sequence[Round], of: str, against: str | None = None) -> dict[str, float]:
-    """Median and quartiles of one kind over the quieter half of the rounds; of its ratio to another one's."""
-    kept = quieter(found)
-    return spread([one.figures[of] / (one.figures[against] if against else 1.0) for one in kept])
+def figures(results: Sequence[Round], title: str, reference: str | None = None) -> dict[str, float]:
+    """Return median and quartiles of one kind, or of its ratio to another, over the quieter half of the rounds."""
+    kept = quieter(results)
+    return spread([one.figures[title] / (one.figures[reference] if reference else 1.0) for one in kept])
 
 
 def steps_of(worker: Worker, steps: int) -> Callable[[], float]:
-    """Measures microseconds a step."""
+    """Return a measurement of microseconds per step."""
     return lambda: worker.run(Burst(steps=steps)).us
 
 
-def others(found: Sequence[Round]) -> dict[str, float]:
-    """What others took in the rounds that are counted, 0 to 1."""
-    return spread([one.others for one in quieter(found)])
+def other_load(results: Sequence[Round]) -> dict[str, float]:
+    """Return median and quartiles of the other load in the quieter half of the rounds, 0 to 1."""
+    return spread([result.other_load for result in quieter(results)])
 
 
 def spread(figures: Sequence[float]) -> dict[str, float]:
-    """Median and quartiles."""
+    """Return median and quartiles."""
     if len(figures) < 2:
         return {"median": figures[0], "low": figures[0], "high": figures[0]}
     low, median, high = statistics.quantiles(figures, n=4, method="inclusive")

@@ -1,4 +1,4 @@
-"""Part `resets`: milliseconds of a reset that forks and of one that starts an engine, in one environment."""
+"""Part `resets`: time of a reset that forks an engine and of one that starts an engine, in one environment."""
 
 from __future__ import annotations
 
@@ -19,38 +19,38 @@ SCENES = ("five-zone", "office-small", "office-medium", "outpatient")
 
 
 def measure(*, quick: bool) -> dict[str, Any]:
-    """Of each building, in a process of its own."""
-    found = {}
+    """Measure each building in a process of its own."""
+    results = {}
     for scene in SCENES:
         command = [sys.executable, "-m", "bench.resets", scene, *(("5", "1") if quick else ("25", "5"))]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode:
             raise RuntimeError(f"{' '.join(command)} failed:\n{done.stderr[-3000:]}")
-        found[scene] = json.loads(done.stdout.splitlines()[-1])
-    return found
+        results[scene] = json.loads(done.stdout.splitlines()[-1])
+    return results
 
 
 def _reset_ms(env: Any, expected: EngineStart) -> float:
-    env.step(env.action_space.low)  # else the engine that waits untouched would do
+    env.step(env.action_space.low)  # otherwise the untouched engine would be reused
     begin = time.perf_counter()
     _, info = env.reset()
     spent_ms = 1e3 * (time.perf_counter() - begin)
     if info["engine_start"] != expected:
-        raise RuntimeError(f"the reset was {info['engine_start']}, {expected} expected")
+        raise RuntimeError(f"expected engine_start {expected}, got {info['engine_start']}")
     return spent_ms
 
 
-def _end_waiting(env: Any) -> None:
-    """Ends the engine that waits to be forked, which is the oldest: the next reset has to start one."""
+def _kill_template(env: Any) -> None:
+    """Kill the template engine, which is the oldest, so that the next reset has to start an engine."""
     engines = psutil.Process(env.unwrapped.local_node.pid).children()
-    waiting = min(engines, key=lambda engine: engine.create_time())
-    waiting.kill()
-    while waiting.is_running() and waiting.status() != psutil.STATUS_ZOMBIE:
+    template = min(engines, key=lambda engine: engine.create_time())
+    template.kill()
+    while template.is_running() and template.status() != psutil.STATUS_ZOMBIE:
         time.sleep(0.01)
 
 
 def main() -> None:
-    """Measures what the command line says: a scene, and how often each."""
+    """Measure one scene: SCENE FORKS STARTS."""
     forks, starts = map(int, sys.argv[2:])
     env = scenes.environment(sys.argv[1])
     try:
@@ -59,7 +59,7 @@ def main() -> None:
         forked = [_reset_ms(env, EngineStart.FORKED) for _ in range(forks)]
         started = []
         for _ in range(starts):
-            _end_waiting(env)
+            _kill_template(env)
             started.append(_reset_ms(env, EngineStart.STARTED))
     finally:
         env.close()
@@ -67,13 +67,13 @@ def main() -> None:
 
 
 def show(results: dict[str, Any], console: Console) -> None:
-    """A table."""
-    table = Table("", "forked (ms)", "quartiles", "started (ms)", "times", title="env.reset")
+    """Print a table."""
+    table = Table("", "forked (ms)", "quartiles", "started (ms)", "ratio", title="env.reset")
     for scene, ms in results.items():
         forked, started = ms["forked"], ms["started"]["median"]
         quartiles = f"{forked['low']:.1f} to {forked['high']:.1f}"
-        times = f"{started / forked['median']:.0f}"
-        table.add_row(scene, f"{forked['median']:.1f}", quartiles, f"{started:.0f}", times)
+        ratio = f"{started / forked['median']:.0f}"
+        table.add_row(scene, f"{forked['median']:.1f}", quartiles, f"{started:.0f}", ratio)
     console.print(table)
 
 

@@ -1,4 +1,4 @@
-"""Part `steps`: what `env.step` costs across processes, against EnergyPlus in a thread with two queues."""
+"""Part `steps`: cost of `env.step` across processes, compared with EnergyPlus in a thread with two queues."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from bench import pace
 from bench.pace import Worker
 
 SCENES = {"five-zone": 8000, "office-small": 3000, "office-medium": 2000}
-"""And the steps of a burst: some seconds, so that what each side has learnt of the other's waiting counts."""
+"""Steps per burst by scene: enough for some seconds, so that each side has adapted its polling to the other."""
 KINDS: dict[str, tuple[str, dict[str, Any]]] = {
     "EnergyPlus alone": ("bare", {}),
     "callback in its process": ("callback", {}),
@@ -28,33 +28,33 @@ REFERENCE = "thread and two queues"
 
 
 def measure(*, quick: bool) -> dict[str, Any]:
-    """Microseconds a step of each kind, and times the reference."""
-    return {scene: _of(scene, steps, 3 if quick else 9) for scene, steps in SCENES.items()}
+    """Return microseconds per step of each kind, and the ratio to the reference."""
+    return {scene: _measure(scene, steps, 3 if quick else 9) for scene, steps in SCENES.items()}
 
 
-def _of(scene: str, steps: int, count: int) -> dict[str, Any]:
+def _measure(scene: str, steps: int, count: int) -> dict[str, Any]:
     with ExitStack() as stack:
         workers = {
             title: stack.enter_context(Worker(kind, scene, **options)) for title, (kind, options) in KINDS.items()
         }
-        found = pace.rounds({title: pace.steps_of(worker, steps) for title, worker in workers.items()}, count)
+        rounds = pace.rounds({title: pace.steps_of(worker, steps) for title, worker in workers.items()}, count)
         memory = workers["env.step, default (apart)"].about["memory_mb"]
     return {
-        "us": {title: pace.figures(found, title) for title in KINDS},
-        "ratio": {title: pace.figures(found, title, REFERENCE) for title in KINDS},
+        "us": {title: pace.figures(rounds, title) for title in KINDS},
+        "ratio": {title: pace.figures(rounds, title, REFERENCE) for title in KINDS},
         "memory_mb": memory,
-        "others": pace.others(found),
-        "rounds": [one.figures for one in found],
+        "others": pace.other_load(rounds),
+        "rounds": [result.figures for result in rounds],
     }
 
 
 def show(results: dict[str, Any], console: Console) -> None:
-    """A table for each building."""
-    for scene, found in results.items():
-        table = Table("", "us a step", "times queues", "quartiles", title=scene)
+    """Print a table for each scene."""
+    for scene, result in results.items():
+        table = Table("", "µs per step", "ratio to queues", "quartiles", title=scene)
         for title in KINDS:
-            times = found["ratio"][title]
-            quartiles = f"{times['low']:.2f} to {times['high']:.2f}"
-            table.add_row(title, f"{found['us'][title]['median']:.0f}", f"{times['median']:.2f}", quartiles)
+            ratio = result["ratio"][title]
+            quartiles = f"{ratio['low']:.2f} to {ratio['high']:.2f}"
+            table.add_row(title, f"{result['us'][title]['median']:.0f}", f"{ratio['median']:.2f}", quartiles)
         console.print(table)
-        console.print(f"node and engines: {found['memory_mb']:.0f} MB; others took {found['others']['median']:.0%}")
+        console.print(f"node and engines: {result['memory_mb']:.0f} MB; other load {result['others']['median']:.0%}")

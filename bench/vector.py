@@ -1,4 +1,4 @@
-"""Part `vector`: transitions a second of a vector environment, against engines without any exchange."""
+"""Part `vector`: transitions per second of a vector environment, compared with bare engines and with Gymnasium's."""
 
 from __future__ import annotations
 
@@ -21,35 +21,35 @@ ASYNC, SYNC = "AsyncVectorEnv", "SyncVectorEnv"
 
 
 def measure(*, quick: bool) -> dict[str, Any]:
-    """Transitions a second of each kind, and its ratio to the best of the bare engines or to `AsyncVectorEnv`.
+    """Return transitions per second of each kind, and the ratio to the best bare engines or to `AsyncVectorEnv`.
 
-    The two comparisons are apart: the more processes a machine holds, the slower are those of many, also where all
-    others stand still.
+    The two comparisons run one after the other: kinds with many processes get slower the more processes there are, even
+    if these are idle.
     """
     seconds, count = (0.3, 3) if quick else (2.0, 8)
     with ExitStack() as stack:
         engines = pace.rounds(_of_engines(stack, seconds), count)
-    for one in engines:  # the best of the bare engines, round by round
-        one.figures[BEST] = max(rate for title, rate in one.figures.items() if title.startswith("bare"))
+    for result in engines:  # the best bare engines of each round
+        result.figures[BEST] = max(rate for title, rate in result.figures.items() if title.startswith("bare"))
     with ExitStack() as stack:
         environments = pace.rounds(_of_environments(stack, seconds), count)
-    return {"of_bare": _told(engines, BEST), "of_async": _told(environments, ASYNC)}
+    return {"of_bare": _summary(engines, BEST), "of_async": _summary(environments, ASYNC)}
 
 
-def _told(found: list[pace.Round], against: str) -> dict[str, Any]:
-    titles = [*found[0].figures]
+def _summary(rounds: list[pace.Round], reference: str) -> dict[str, Any]:
+    titles = [*rounds[0].figures]
     return {
-        "per_second": {title: pace.figures(found, title) for title in titles},
-        "ratio": {title: pace.figures(found, title, against) for title in titles},
-        "others": pace.others(found),
-        "rounds": [one.figures for one in found],
+        "per_second": {title: pace.figures(rounds, title) for title in titles},
+        "ratio": {title: pace.figures(rounds, title, reference) for title in titles},
+        "others": pace.other_load(rounds),
+        "rounds": [result.figures for result in rounds],
     }
 
 
 def _of_engines(stack: ExitStack, seconds: float) -> dict[str, Callable[[], float]]:
     cores, kinds = sorted(os.sched_getaffinity(0)), {}
-    for count in BARE:  # each with workers of its own: in one that took part in all, the years would end
-        bare = [_start(stack, "bare", core=cores[place % len(cores)]) for place in range(count)]
+    for count in BARE:  # with workers of their own: shared ones would reach the end of the run period
+        bare = [_start(stack, "bare", core=cores[index % len(cores)]) for index in range(count)]
         kinds[f"bare, {count}"] = pace.rate_of(bare, seconds)
     kinds["engines together, no bus"] = pace.rate_of([_start(stack, "engines", count=SLOTS)], seconds, each=SLOTS)
     kinds["slots, no environment"] = pace.rate_of([_start(stack, "slots", count=SLOTS)], seconds, each=SLOTS)
@@ -70,13 +70,13 @@ def _start(stack: ExitStack, kind: str, **options: Any) -> Worker:
 
 
 def show(results: dict[str, Any], console: Console) -> None:
-    """A table for each of the two comparisons."""
-    for which, against in (("of_bare", BEST), ("of_async", ASYNC)):
-        found = results[which]
-        table = Table("", "transitions/s", f"times {against}", "quartiles", title=f"{SLOTS} slots, {SCENE}")
-        for title, rate in found["per_second"].items():
-            ratio = found["ratio"][title]
+    """Print a table for each of the two comparisons."""
+    for key, reference in (("of_bare", BEST), ("of_async", ASYNC)):
+        result = results[key]
+        table = Table("", "transitions/s", f"ratio to {reference}", "quartiles", title=f"{SLOTS} slots, {SCENE}")
+        for title, rate in result["per_second"].items():
+            ratio = result["ratio"][title]
             quartiles = f"{ratio['low']:.2f} to {ratio['high']:.2f}"
             table.add_row(title, f"{rate['median']:.0f}", f"{ratio['median']:.2f}", quartiles)
         console.print(table)
-        console.print(f"others took {found['others']['median']:.0%}")
+        console.print(f"other load {result['others']['median']:.0%}")

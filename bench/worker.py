@@ -1,7 +1,4 @@
-"""One worker: simulates in bursts, as it is told (`bench.pace`).
-
-`python -m bench.worker KIND SCENE OPTIONS`
-"""
+"""A worker that simulates in bursts (`bench.pace`): `python -m bench.worker KIND SCENE OPTIONS`."""
 
 from __future__ import annotations
 
@@ -21,19 +18,19 @@ import numpy as np
 
 from bench import scenes
 from bench.listeners import listening
-from bench.pace import Over, Pace
+from bench.pace import EndOfBursts, Pace
 
 WARM_UP = 1000
 """Steps before the first burst."""
 
 
 class InProcess:
-    """EnergyPlus in this process, as peers run it: through the wheel's own Python API."""
+    """EnergyPlus in this process, through the Python API of its wheel, as similar projects run it."""
 
-    def __init__(self, found: dict[str, Any], folder: Path) -> None:
+    def __init__(self, node_settings: dict[str, Any], folder: Path) -> None:
         from pyenergyplus.api import EnergyPlusAPI
 
-        checked, files = scenes.prepared(found, folder)
+        checked, files = scenes.prepared(node_settings, folder)
         self.points = checked.points
         self.action = scenes.setpoints(self.points.actuators)
         self.arguments = ["-w", str(files.weather), "-d", str(folder), str(files.model)]
@@ -44,26 +41,26 @@ class InProcess:
             self.api.exchange.request_variable(self.state, sensor.variable, sensor.key)
 
     def run(self, exchange: Callable[[Any], None], tick: Callable[[], None] | None) -> None:
-        """Simulates; `exchange` at the end of each timestep, and `tick` after it."""
-        live = False
+        """Simulate; call `exchange` at the end of each timestep, and `tick` after it."""
+        warmed_up = False
 
         def step(state: Any) -> None:
             try:
                 exchange(state)
                 if tick is not None:
                     tick()
-            except Over:
-                os._exit(0)  # the files are in a folder of whoever started this worker
+            except EndOfBursts:
+                os._exit(0)  # the process that started this worker removes the files
 
         def warm(state: Any) -> None:
-            nonlocal live
-            if self.api.exchange.kind_of_sim(state) == 3 and not live:
-                live = True
+            nonlocal warmed_up
+            if self.api.exchange.kind_of_sim(state) == 3 and not warmed_up:
+                warmed_up = True
                 self._find(state)
                 step(state)
 
         def end(state: Any) -> None:
-            if live:
+            if warmed_up:
                 step(state)
 
         self.api.runtime.callback_after_new_environment_warmup_complete(self.state, warm)
@@ -78,28 +75,28 @@ class InProcess:
         ]
 
     def read(self, state: Any) -> list[float]:
-        """All points, as they are."""
+        """Return the values of all points."""
         exchange = self.api.exchange
         values = [exchange.get_variable_value(state, h) for h in self.sensors]
         return values + [exchange.get_meter_value(state, h) for h in self.points.meter_handles]
 
     def set(self, state: Any, values: Any) -> None:
-        """All actuators."""
+        """Set all actuators."""
         for handle, value in zip(self.actuators, values, strict=True):
             self.api.exchange.set_actuator_value(state, handle, value)
 
 
 def chain(run: InProcess, pace: Pace, *, affinity: str) -> None:
-    """Across processes over Zenoh as `env.step` is, with bare bytes and nothing done to them."""
+    """Step across processes over Zenoh like `env.step`, with bare bytes."""
     from bench.chain import Chain
     from bridge.runtime.affinity import Affinity
 
-    with Chain(run, Path(tempfile.mkdtemp()), Affinity(affinity)) as made:
-        _in_turn(made.step, pace)
+    with Chain(run, Path(tempfile.mkdtemp()), Affinity(affinity)) as chained:
+        _run(chained.step, pace)
 
 
 class _FirstTick:
-    """Begins at the first tick, which is sample 0."""
+    """Begins the bursts at the first tick, which is sample 0."""
 
     def __init__(self, pace: Pace) -> None:
         self._pace, self._begun = pace, False
@@ -113,12 +110,12 @@ class _FirstTick:
 
 
 def bare(run: InProcess, pace: Pace) -> None:
-    """EnergyPlus alone, with an empty callback."""
+    """Run EnergyPlus alone, with an empty callback."""
     run.run(lambda state: None, _FirstTick(pace))
 
 
 def callback(run: InProcess, pace: Pace) -> None:
-    """A callback in EnergyPlus's own process reads and writes the points."""
+    """Read and write the points in a callback in EnergyPlus's process."""
 
     def exchange(state: Any) -> None:
         run.read(state)
@@ -128,7 +125,7 @@ def callback(run: InProcess, pace: Pace) -> None:
 
 
 def queues(run: InProcess, pace: Pace) -> None:
-    """EnergyPlus in a thread, two queues of one entry: how peers make an environment of it."""
+    """Run EnergyPlus in a thread with two queues of one entry, as similar projects build an environment."""
     observations: queue.Queue[list[float]] = queue.Queue(maxsize=1)
     actions: queue.Queue[Any] = queue.Queue(maxsize=1)
 
@@ -144,12 +141,12 @@ def queues(run: InProcess, pace: Pace) -> None:
             actions.put(run.action)
             np.array(observations.get(), np.float32)
             pace.tick()
-    except Over:
+    except EndOfBursts:
         os._exit(0)
 
 
-def _in_turn(step: Callable[[], Any], pace: Pace, **about: Any) -> None:
-    """Steps in bursts, once what a forked engine writes to is its own."""
+def _run(step: Callable[[], Any], pace: Pace, **about: Any) -> None:
+    """Step in bursts, after a warm-up in which a forked engine copies the pages that it writes to."""
     for _ in range(WARM_UP):
         step()
     pace.begin(**about)
@@ -158,59 +155,59 @@ def _in_turn(step: Callable[[], Any], pace: Pace, **about: Any) -> None:
         pace.tick()
 
 
-def environment(found: dict[str, Any], pace: Pace, *, monitors: int = 0, **more: Any) -> None:
-    """`env.step` across processes over Zenoh."""
+def environment(node_settings: dict[str, Any], pace: Pace, *, monitors: int = 0, **arguments: Any) -> None:
+    """Call `env.step`, across processes over Zenoh."""
     import gymnasium as gym
 
     import agent_sdk  # noqa: F401  # registers the environments
 
-    identity = found.pop("scenario", "zenostat/Building-v1")
+    identity = node_settings.pop("scenario", "zenostat/Building-v1")
     with ExitStack() as stack:
-        env: Any = gym.make(identity, **found, **more)
+        env: Any = gym.make(identity, **node_settings, **arguments)
         stack.callback(env.close)
         stack.enter_context(listening(env.unwrapped.local_node.endpoint, monitors))
         env.reset(seed=0)
         action = scenes.setpoints(env.unwrapped.manifest.actuators)[: env.action_space.shape[0]].astype(np.float32)
         status = env.unwrapped.link.bus.status(env.unwrapped.manifest.node)
         memory_mb = (status.node_rss_bytes + status.engine_rss_bytes) / 1e6
-        _in_turn(lambda: env.step(action), pace, memory_mb=memory_mb)
+        _run(lambda: env.step(action), pace, memory_mb=memory_mb)
 
 
-def engines(found: dict[str, Any], pace: Pace, *, count: int) -> None:
-    """Engines of one node that step together by its sockets alone: no bus, no node, no controller."""
+def engines(node_settings: dict[str, Any], pace: Pace, *, count: int) -> None:
+    """Step the engines of one node together through their sockets alone: no bus, no node, no controller."""
     from eplus_node.engine.client import EngineClient
     from eplus_node.engine.group import EngineGroup
     from eplus_node.engine.spec import EngineSpec
 
     folder = Path(tempfile.mkdtemp())
-    checked, files = scenes.prepared(found, folder)
+    checked, files = scenes.prepared(node_settings, folder)
     cores, points, period = sorted(os.sched_getaffinity(0)), checked.points, checked.period
-    run = EngineSpec(files.model, files.weather, folder, period.steps, period.steps_per_hour, points)
+    spec = EngineSpec(files.model, files.weather, folder, period.steps, period.steps_per_hour, points)
     with ExitStack() as stack:
-        first = EngineClient(run)
+        first = EngineClient(spec)
         stack.callback(first.close)
         first.receive()
-        links = []
+        clients = []
         for number in range(count):
-            own = folder / f"slot-{number}"
-            own.mkdir()
-            links.append(first.fork(replace(run, folder=own, cpus=(cores[number % len(cores)],))))
-            stack.callback(links[-1].close)
-            links[-1].receive()
+            subfolder = folder / f"slot-{number}"
+            subfolder.mkdir()
+            clients.append(first.fork(replace(spec, folder=subfolder, cpus=(cores[number % len(cores)],))))
+            stack.callback(clients[-1].close)
+            clients[-1].receive()
         values = np.tile(scenes.setpoints(points.actuators), count).tobytes()
-        together, nobody = EngineGroup(links), bytes(len(values) // 8)
-        together.begin(range(count))
-        _in_turn(lambda: together.step(values, nobody, range(count)), pace)
+        group, source_index = EngineGroup(clients), bytes(len(values) // 8)
+        group.begin(range(count))
+        _run(lambda: group.step(values, source_index, range(count)), pace)
 
 
-def slots(found: dict[str, Any], pace: Pace, *, count: int, **more: Any) -> None:
-    """Slots of one node, without an environment around them: what the bus and the node take of it."""
+def slots(node_settings: dict[str, Any], pace: Pace, *, count: int, **arguments: Any) -> None:
+    """Step the slots of one node without an environment: the cost of bus and node."""
     from agent_sdk.bus.bus import connect
     from agent_sdk.bus.local_node import LocalNode
     from bridge.runtime.affinity import Affinity
 
-    placement = Affinity(more.get("affinity", Affinity.SEPARATE_CORES))
-    node = LocalNode({**found, "slots": count, "name": "bench"}, placement)
+    placement = Affinity(arguments.get("affinity", Affinity.SEPARATE_CORES))
+    node = LocalNode({**node_settings, "slots": count, "name": "bench"}, placement)
     with ExitStack() as stack:
         stack.callback(node.close)
         bus = stack.enter_context(connect(node.endpoint, affinity=placement, core=node.core))
@@ -224,24 +221,24 @@ def slots(found: dict[str, Any], pace: Pace, *, count: int, **more: Any) -> None
             link.send(values)
             link.receive()
 
-        _in_turn(step, pace)
+        _run(step, pace)
 
 
-def vector(found: dict[str, Any], pace: Pace, *, count: int, mode: str, **more: Any) -> None:
-    """A vector environment: our own (`vector_entry_point`), or Gymnasium's over single environments."""
+def vector(node_settings: dict[str, Any], pace: Pace, *, count: int, mode: str, **arguments: Any) -> None:
+    """Step a vector environment: Zenostat's (`vector_entry_point`), or Gymnasium's over single environments."""
     import gymnasium as gym
 
     import agent_sdk  # noqa: F401  # registers the environments
 
-    identity = found.pop("scenario", "zenostat/Building-v1")
+    identity = node_settings.pop("scenario", "zenostat/Building-v1")
     kwargs: dict[str, Any] = {"vector_kwargs": {"context": "spawn"}} if mode == "async" else {}
-    envs: Any = gym.make_vec(identity, num_envs=count, vectorization_mode=mode, **kwargs, **found, **more)
+    envs: Any = gym.make_vec(identity, num_envs=count, vectorization_mode=mode, **kwargs, **node_settings, **arguments)
     with ExitStack() as stack:
         stack.callback(envs.close)
         envs.reset(seed=0)
         width = envs.single_action_space.shape[0]
         action = np.tile([20.0, 25.0], (count, width // 2)).astype(np.float32)
-        _in_turn(lambda: envs.step(action), pace)
+        _run(lambda: envs.step(action), pace)
 
 
 IN_PROCESS: dict[str, Callable[..., None]] = {"bare": bare, "callback": callback, "queues": queues, "chain": chain}
@@ -249,18 +246,18 @@ ACROSS = {"env": environment, "engines": engines, "slots": slots, "vector": vect
 
 
 def main() -> None:
-    """Simulates what the command line says."""
+    """Run the worker that the command line names."""
     kind, scene, options = sys.argv[1], sys.argv[2], json.loads(sys.argv[3])
-    found, core = scenes.settings(scene, options.pop("sensors", None)), options.pop("core", None)
+    node_settings, core = scenes.settings(scene, options.pop("sensors", None)), options.pop("core", None)
     if core is not None:
         os.sched_setaffinity(0, {core})
     pace = Pace()
     if kind in IN_PROCESS:
-        with suppress(Over):
-            IN_PROCESS[kind](InProcess(found, Path(tempfile.mkdtemp())), pace, **options)
+        with suppress(EndOfBursts):
+            IN_PROCESS[kind](InProcess(node_settings, Path(tempfile.mkdtemp())), pace, **options)
         return
-    with suppress(Over):
-        ACROSS[kind](found, pace, **options)
+    with suppress(EndOfBursts):
+        ACROSS[kind](node_settings, pace, **options)
 
 
 if __name__ == "__main__":
