@@ -1,4 +1,4 @@
-"""What a node streams, gathered: on a clock that goes only when it is told to."""
+"""Batches of published messages, on a simulated clock."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from topics import codec
 from topics.messages import Batch
 
 
-class Bench:
-    """Batches whose timer and publisher are at hand."""
+class Setup:
+    """A batcher with a simulated timer and publisher."""
 
     def __init__(self) -> None:
         self.now_s = 10.0
@@ -25,61 +25,61 @@ class Bench:
     def put(self, payload: bytes) -> None:
         self.sent.append([(sent.topic, sent.payload) for sent in codec.decode(Batch, payload).messages])
 
-    def ring(self) -> None:
-        """The timer does what is due."""
+    def run_timer(self) -> None:
+        """Run the scheduled calls."""
         calls, self.calls = self.calls, []
         for _, call in calls:
             call()
 
 
-def test_what_comes_within_a_tenth_of_a_second_goes_in_one_batch_in_its_order():
-    bench = Bench()
-    said = [("event", b"a"), ("sample", b"b"), ("sample", b"b"), ("manifest", b"")]
-    for topic, payload in said:
-        bench.batches.add(topic, payload)
-        bench.now_s += BATCH_S / 5
-    assert bench.sent == []
-    assert [due_s for due_s, _ in bench.calls] == [10.0 + BATCH_S]
-    bench.ring()
-    assert bench.sent == [said]
-    assert bench.calls == []
+def test_batcher__sends_messages_within_a_batch_interval_in_one_batch_in_order():
+    setup = Setup()
+    messages = [("event", b"a"), ("sample", b"b"), ("sample", b"b"), ("manifest", b"")]
+    for topic, payload in messages:
+        setup.batches.add(topic, payload)
+        setup.now_s += BATCH_S / 5
+    assert setup.sent == []
+    assert [due_s for due_s, _ in setup.calls] == [10.0 + BATCH_S]
+    setup.run_timer()
+    assert setup.sent == [messages]
+    assert setup.calls == []
 
 
-def test_the_next_batch_is_due_a_tenth_of_a_second_after_its_own_first_message():
-    bench = Bench()
-    bench.batches.add("sample", b"1")
-    bench.ring()
-    bench.now_s = 20.0
-    bench.batches.add("sample", b"2")
-    assert [due_s for due_s, _ in bench.calls] == [20.0 + BATCH_S]
-    bench.ring()
-    assert bench.sent == [[("sample", b"1")], [("sample", b"2")]]
+def test_batcher__schedules_each_batch_from_its_first_message():
+    setup = Setup()
+    setup.batches.add("sample", b"1")
+    setup.run_timer()
+    setup.now_s = 20.0
+    setup.batches.add("sample", b"2")
+    assert [due_s for due_s, _ in setup.calls] == [20.0 + BATCH_S]
+    setup.run_timer()
+    assert setup.sent == [[("sample", b"1")], [("sample", b"2")]]
 
 
-def test_what_is_large_goes_in_several_batches_and_nothing_is_lost():
-    bench, payloads = Bench(), [bytes([number]) * 400_000 for number in range(10)]
+def test_batcher__splits_large_batches_without_loss():
+    setup, payloads = Setup(), [bytes([number]) * 400_000 for number in range(10)]
     for payload in payloads:
-        bench.batches.add("sample", payload)
-    bench.ring()
-    assert [payload for batch in bench.sent for _, payload in batch] == payloads
-    assert len(bench.sent) > 1
-    assert all(sum(len(payload) for _, payload in batch[:-1]) < 1 << 20 for batch in bench.sent)
+        setup.batches.add("sample", payload)
+    setup.run_timer()
+    assert [payload for batch in setup.sent for _, payload in batch] == payloads
+    assert len(setup.sent) > 1
+    assert all(sum(len(payload) for _, payload in batch[:-1]) < 1 << 20 for batch in setup.sent)
 
 
-def test_the_rest_goes_at_the_end_and_nothing_after_it():
-    bench = Bench()
-    bench.batches.add("event", b"stopped")
-    bench.batches.close()
-    assert bench.sent == [[("event", b"stopped")]]
-    bench.ring()
-    bench.batches.add("event", b"late")
-    bench.ring()
-    assert bench.sent == [[("event", b"stopped")]]
+def test_close__sends_pending_messages_and_nothing_afterwards():
+    setup = Setup()
+    setup.batches.add("event", b"stopped")
+    setup.batches.close()
+    assert setup.sent == [[("event", b"stopped")]]
+    setup.run_timer()
+    setup.batches.add("event", b"late")
+    setup.run_timer()
+    assert setup.sent == [[("event", b"stopped")]]
 
 
-def test_it_is_wanted_while_somebody_listens():
-    bench = Bench()
-    assert not bench.batches.has_listeners
+def test_has_listeners__follows_the_matching_status():
+    setup = Setup()
+    assert not setup.batches.has_listeners
     for matching in (True, False):
-        bench.batches._on_listeners(SimpleNamespace(matching=matching))  # type: ignore[arg-type]
-        assert bench.batches.has_listeners is matching
+        setup.batches._on_listeners(SimpleNamespace(matching=matching))  # type: ignore[arg-type]
+        assert setup.batches.has_listeners is matching

@@ -1,4 +1,4 @@
-"""Episodes that begin as a fork of an engine that waits: the same to the bit, and nothing is left of them."""
+"""Episodes whose engine is forked or prefetched: equal to fresh starts to the bit, and no resources are leaked."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ ALL = KINDS | {
 
 
 def play(env: BuildingEnv, *, steps: int | None = None) -> tuple[str, np.ndarray]:
-    """How the episode began, and all that came of it under the same actions each time."""
+    """Play an episode with fixed actions; return where its engine came from, and observations with rewards."""
     observation, info = env.reset()
     env.action_space.seed(11)
     rows, ended = [np.append(observation, 0.0)], False
@@ -39,11 +39,10 @@ def play_on(env: BuildingEnv) -> None:
 
 @pytest.mark.variants
 @pytest.mark.parametrize("kind", ALL)
-def test_a_fork_is_a_fresh_start_to_the_bit(kind: str, scratch: Path) -> None:
-    """An environment that keeps EnergyPlus's files starts each episode afresh; the other one forks.
+def test_fork__equals_a_fresh_start_to_the_bit(kind: str, scratch: Path) -> None:
+    """An environment that keeps EnergyPlus's output starts an engine per episode; the other one forks.
 
-    The second fork is made after the first episode was left in the middle, and while the waiting engine has been
-    waiting through a whole episode.
+    The second fork follows an episode that was ended early, after the template has waited for a whole episode.
     """
     packs.sinergym()
     fresh, forking = make(ALL[kind], output_dir=scratch / "kept"), make(ALL[kind])
@@ -60,30 +59,30 @@ def test_a_fork_is_a_fresh_start_to_the_bit(kind: str, scratch: Path) -> None:
     forking.close()
 
 
-def test_many_resets_leave_nothing(scratch: Path) -> None:
-    """No process, descriptor, file or folder more after fifty episodes than after three."""
+def test_resets__leak_no_resources(scratch: Path) -> None:
+    """After fifty episodes there are as many processes, descriptors, files and folders as after three."""
     env = make(SMALL)
     node = psutil.Process(env.local_node.pid)
 
-    def held() -> tuple[int, int, int]:
+    def resources() -> tuple[int, int, int]:
         return len(engines(env)), node.num_fds(), len(within(scratch))
 
     for _ in range(3):
         play(env, steps=2)
     until(lambda: len(engines(env)) == 2, "the former engines have ended")
-    before = held()
+    before = resources()
     for _ in range(50):
         assert play(env, steps=2)[0] == "forked"
-    until(lambda: held() == before, "all is as it was")
+    until(lambda: resources() == before, "all is as it was")
     env.close()
 
 
-def test_without_the_waiting_engine_the_next_one_is_started(scratch: Path) -> None:
-    """Its death harms no episode that runs."""
+def test_template__is_restarted_after_its_death(scratch: Path) -> None:
+    """Its death does not affect a running episode."""
     env = make(SMALL)
     _, expected = play(env)
     env.reset()
-    waiting, running = until(lambda: len(found := engines(env)) == 2 and found, "the former engine has ended")
+    waiting, running = until(lambda: len(running := engines(env)) == 2 and running, "the former engine has ended")
     env.action_space.seed(11)
     env.step(env.action_space.sample())
     waiting.kill()
@@ -99,7 +98,7 @@ def test_without_the_waiting_engine_the_next_one_is_started(scratch: Path) -> No
     env.close()
 
 
-def test_a_killed_fork_is_an_error_that_says_so_and_the_next_episode_runs(scratch: Path) -> None:
+def test_killed_fork__raises_and_the_next_episode_runs(scratch: Path) -> None:
     env = make(SMALL)
     _, expected = play(env)
     env.reset()
@@ -113,9 +112,8 @@ def test_a_killed_fork_is_an_error_that_says_so_and_the_next_episode_runs(scratc
     env.close()
 
 
-@pytest.mark.slow
-def test_the_engine_of_the_next_weather_is_started_ahead(scratch: Path) -> None:
-    """It is the one that a start at the time would have given; a seed that was not foreseen starts another."""
+def test_prefetch__equals_a_fresh_start_with_noise(scratch: Path) -> None:
+    """A prefetched engine has the weather of a fresh start; an unexpected seed starts another engine."""
     name = SMALL.replace("continuous", "continuous-stochastic")
     env, plain = make(name), make(name, output_dir=scratch / "kept")
 
@@ -143,7 +141,7 @@ def test_the_engine_of_the_next_weather_is_started_ahead(scratch: Path) -> None:
     plain.close()
 
 
-def test_weathers_in_turn_are_started_ahead(scratch: Path) -> None:
+def test_prefetch__weather_files_in_sequence(scratch: Path) -> None:
     names = ["USA_CO_Denver", "USA_FL_Miami"]
     env = make(SMALL, weather=names, weather_order="sequence")
     seen = []
@@ -156,11 +154,11 @@ def test_weathers_in_turn_are_started_ahead(scratch: Path) -> None:
     env.close()
 
 
-def test_an_engine_ahead_that_died_is_started_again(scratch: Path) -> None:
+def test_prefetch__replaces_an_engine_that_died(scratch: Path) -> None:
     env = make(SMALL, weather=["USA_CO_Denver", "USA_FL_Miami"], weather_order="sequence")
     env.reset()
     env.step([20.0, 25.0])
-    ahead = until(lambda: len(found := engines(env)) == 2 and found[-1], "the next engine is there")
+    ahead = until(lambda: len(running := engines(env)) == 2 and running[-1], "the next engine is there")
     ahead.kill()
     until(lambda: not runs(ahead), "it has ended")
     _, info = env.reset()

@@ -1,4 +1,4 @@
-"""Where the engine of an episode comes from when all does not go well, and which weather it then has."""
+"""The engine pool under failures: where the engine of an episode comes from, and which weather it has."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ IN_TURN = {"weather": ["USA_CO_Denver", "USA_FL_Miami"], "weather_order": "seque
 
 @contextmanager
 def no_room(env: Any) -> Iterator[None]:
-    """The folder for the engines' files is none."""
+    """Replace the folder for the engines' files by a file."""
     folder = env.local_node.folder
     aside = folder.with_name(f"{folder.name}-aside")
     folder.rename(aside)
@@ -43,22 +43,20 @@ def no_room(env: Any) -> Iterator[None]:
 
 @pytest.mark.variants
 @pytest.mark.parametrize("times", [2, 3])
-@pytest.mark.parametrize("given", [IN_TURN | {"name": SMALL}, {"name": STOCHASTIC}], ids=["in turn", "noise"])
-def test_a_seed_that_is_given_again_at_once_begins_the_same_sequence(
-    scratch: Path, given: dict[str, Any], times: int
-) -> None:
-    """Of weathers and of their noise: nothing of it is drawn twice, or left out."""
+@pytest.mark.parametrize("arguments", [IN_TURN | {"name": SMALL}, {"name": STOCHASTIC}], ids=["in turn", "noise"])
+def test_seed__repeated_at_once_begins_the_same_sequence(scratch: Path, arguments: dict[str, Any], times: int) -> None:
+    """No weather and no noise is drawn twice or skipped."""
 
     def drawn(env: Any, seeds: list[int | None]) -> list[Any]:
-        told = []
+        weather = []
         for seed in seeds:
             _, info = env.reset(seed=seed)
-            told.append((info["weather"], info["weather_noise"]))
+            weather.append((info["weather"], info["weather_noise"]))
             if seed is None:
                 env.step([20.0, 25.0])
-        return told
+        return weather
 
-    env, again = make(**given), make(**given)
+    env, again = make(**arguments), make(**arguments)
     expected = drawn(env, [5, None, None, None])
     assert drawn(again, [5] * times + [None] * 3)[times - 1 :] == expected
     env.close()
@@ -67,7 +65,7 @@ def test_a_seed_that_is_given_again_at_once_begins_the_same_sequence(
 
 @pytest.mark.variants
 @pytest.mark.parametrize(("name", "error"), [(SMALL, ForkFailed), (STOCHASTIC, EngineDied)])
-def test_a_node_without_room_for_files_says_so_and_begins_when_there_is_some(
+def test_reset__without_room_for_files_fails_and_recovers(
     scratch: Path, name: str, error: type[SimulatorError]
 ) -> None:
     env = make(name, **FOUR)
@@ -81,8 +79,8 @@ def test_a_node_without_room_for_files_says_so_and_begins_when_there_is_some(
     env.close()
 
 
-def test_what_cannot_be_started_ahead_is_started_when_it_is_due(scratch: Path) -> None:
-    """And has the weather that it would have had."""
+def test_prefetch__that_fails_starts_the_engine_at_the_reset(scratch: Path) -> None:
+    """The weather is the same."""
     env = make(SMALL, **IN_TURN, **FOUR)
     env.reset()
     env.step([20.0, 25.0])
@@ -105,7 +103,7 @@ def _rests(process: psutil.Process) -> bool:
     return bool(process.cpu_times() == before)
 
 
-def test_no_room_for_going_back_or_for_a_branch_leaves_the_episode(scratch: Path) -> None:
+def test_snapshot_and_branch__without_room_leave_the_episode_running(scratch: Path) -> None:
     env = make(STOCHASTIC, **FOUR)
     mine = plan(env, 1)
     straight = episode(env, mine, seed=4)
@@ -122,7 +120,7 @@ def test_no_room_for_going_back_or_for_a_branch_leaves_the_episode(scratch: Path
     env.close()
 
 
-def test_a_baseline_that_cannot_be_forked_leaves_no_process(scratch: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_baseline__that_cannot_be_forked_leaves_no_process(scratch: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     faults = Faults(scratch, monkeypatch)
     env = make(SMALL, **IN_TURN, **FOUR, baseline=True)
     for _ in range(2):
@@ -145,11 +143,11 @@ def _children(env: Any) -> list[psutil.Process]:
 
 @pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="there is one core")
 @pytest.mark.parametrize("affinity", ["node", "apart"])
-def test_the_engine_of_the_next_episode_starts_away_from_the_present_ones_core(scratch: Path, affinity: str) -> None:
+def test_prefetch__starts_on_other_cores_than_the_running_engine(scratch: Path, affinity: str) -> None:
     env = make(SMALL, **IN_TURN, **(FOUR | {"affinity": affinity}))
     env.reset()
     env.step([20.0, 25.0])
-    present, ahead = until(lambda: len(found := engines(env)) == 2 and found, "the next engine is there")
+    present, ahead = until(lambda: len(running := engines(env)) == 2 and running, "the next engine is there")
     own = present.cpu_affinity()
     assert len(own) == 1
     until(lambda: ahead.cpu_affinity() == sorted(os.sched_getaffinity(0) - {*own}), "it is on the others")
@@ -168,58 +166,56 @@ def noisy_plan() -> Plan:
     return read_plan(read_config({"scenario": STOCHASTIC, "begin": "07-03", "end": "07-03"}))
 
 
-def ended(link: EngineClient) -> None:
-    link.interrupt()
-    until(lambda: not link.alive, "the engine has ended")
+def ended(client: EngineClient) -> None:
+    client.interrupt()
+    until(lambda: not client.alive, "the engine has ended")
 
 
-def test_an_engine_that_waits_and_dies_within_a_reset_takes_no_file_of_its_successor(
-    folder: Path, small_plan: Plan
-) -> None:
-    """It lived when the reset chose to fork it, and had died when that was due."""
-    waiting = EngineTemplate()
-    supply = EnginePool(small_plan, folder, waiting)
-    first = supply.engine(0)
-    assert waiting.engine is not None
-    assert supply.next_episode(None, 1, untouched=False) is EngineStart.FORKED
-    ended(waiting.engine)
-    second = supply.engine(1)
+def test_template__that_dies_within_a_reset_leaves_the_files_of_its_successor(folder: Path, small_plan: Plan) -> None:
+    """It was alive when the reset chose to fork it, and dead when it was forked."""
+    template = EngineTemplate()
+    pool = EnginePool(small_plan, folder, template)
+    first = pool.engine(0)
+    assert template.engine is not None
+    assert pool.next_episode(None, 1, untouched=False) is EngineStart.FORKED
+    ended(template.engine)
+    second = pool.engine(1)
     assert second.step == 0
-    assert (supply.files.model.parent / "eplusout.err").exists()
-    for link in (first, second):
-        link.close()
-    supply.close()
+    assert (pool.files.model.parent / "eplusout.err").exists()
+    for client in (first, second):
+        client.close()
+    pool.close()
 
 
-def test_an_engine_that_was_to_be_used_again_and_dies_within_a_reset_takes_no_file_of_its_successor(
+def test_reused_engine__that_dies_within_a_reset_leaves_the_files_of_its_successor(
     folder: Path, noisy_plan: Plan
 ) -> None:
-    supply = EnginePool(noisy_plan, folder, EngineTemplate())
-    first = supply.engine(0)
-    assert supply.next_episode(None, 1, untouched=True) is EngineStart.REUSED
+    pool = EnginePool(noisy_plan, folder, EngineTemplate())
+    first = pool.engine(0)
+    assert pool.next_episode(None, 1, untouched=True) is EngineStart.REUSED
     ended(first)
-    second = supply.engine(1)
+    second = pool.engine(1)
     first.close()
     assert second.step == 0
-    assert (supply.files.model.parent / "eplusout.err").exists()
+    assert (pool.files.model.parent / "eplusout.err").exists()
     second.close()
-    supply.close()
+    pool.close()
 
 
-def test_an_engine_that_was_started_ahead_and_dies_within_a_reset_is_replaced(folder: Path, noisy_plan: Plan) -> None:
-    supply = EnginePool(noisy_plan, folder, EngineTemplate())
-    first = supply.engine(0)
-    assert supply.next_episode(None, 0, untouched=True) is EngineStart.REUSED
-    supply.prefetch(0)
-    assert supply.next_episode(None, 1, untouched=False) is EngineStart.PREFETCHED
-    noise = supply.files.noise_parameters
-    ahead = supply._prefetched
+def test_prefetched_engine__that_dies_within_a_reset_is_replaced(folder: Path, noisy_plan: Plan) -> None:
+    pool = EnginePool(noisy_plan, folder, EngineTemplate())
+    first = pool.engine(0)
+    assert pool.next_episode(None, 0, untouched=True) is EngineStart.REUSED
+    pool.prefetch(0)
+    assert pool.next_episode(None, 1, untouched=False) is EngineStart.PREFETCHED
+    noise = pool.files.noise_parameters
+    ahead = pool._prefetched
     assert ahead is not None
     ended(ahead.engine)
-    second = supply.engine(1)
+    second = pool.engine(1)
     assert second.step == 0
-    assert supply.files.noise_parameters == noise
-    assert supply.warnings
-    for link in (first, second):
-        link.close()
-    supply.close()
+    assert pool.files.noise_parameters == noise
+    assert pool.warnings
+    for client in (first, second):
+        client.close()
+    pool.close()

@@ -1,4 +1,4 @@
-"""All that is wrong with a scenario file is said at once, whichever part checks it."""
+"""All errors of a scenario file are reported together, whichever part detects them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ steps_per_hour: 7
 reward:
   kind: liner
 """
-WORDS = (
+EXPECTED = (
     "wheather: there is no such field; near names: 'weather'",
     "weather: it is missing",
     "no building 'offfice-small'; near names: 'office-small'",
@@ -31,42 +31,42 @@ WORDS = (
 )
 
 
-def _told(path: Path) -> list[str]:
+def _error_lines(path: Path) -> list[str]:
     with pytest.raises(InvalidConfig) as caught:
         plan(read_config({"scenario": str(path)}))
     return str(caught.value).splitlines()
 
 
-def test_unknown_fields_wrong_names_and_wrong_days_are_told_together(tmp_path: Path) -> None:
+def test_plan__reports_unknown_fields_names_and_dates_together(tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text(MINE)
-    text = "\n".join(_told(path))
-    assert [words for words in WORDS if words not in text] == []
+    text = "\n".join(_error_lines(path))
+    assert [words for words in EXPECTED if words not in text] == []
 
 
-def test_so_are_those_of_the_reward(scratch: Path) -> None:
+def test_make__reports_errors_of_the_reward_as_well(scratch: Path) -> None:
     path = scratch / "mine.yaml"
     path.write_text(MINE)
     with pytest.raises(InvalidConfig) as caught:
         gym.make("zenostat/Scenario-v1", file=path, affinity="off")
-    assert [words for words in (*WORDS, "no kind 'liner'") if words not in str(caught.value)] == []
+    assert [words for words in (*EXPECTED, "no kind 'liner'") if words not in str(caught.value)] == []
 
 
-def test_nothing_is_told_that_follows_from_another_error(tmp_path: Path) -> None:
+def test_plan__reports_no_consequences_of_another_error(tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text("building: [1]\nweather: USA_CO_Denver\ndiscret: 4\n")
-    (line,) = _told(path)
+    (line,) = _error_lines(path)
     assert "building:" in line
     assert "discret: there is no such field" in line
 
 
 @pytest.mark.parametrize("day", ["13-01", "00-10", "02-30", "2018-04-31", "07-00"])
-def test_a_day_of_no_year_does_not_blame_the_year(day: str) -> None:
-    with pytest.raises(InvalidConfig, match="is not a calendar date; write it as MM-DD") as caught:
+def test_parse_day__of_no_calendar_does_not_name_the_year(day: str) -> None:
+    with pytest.raises(InvalidConfig, match="is in no calendar; write it as MM-DD") as caught:
         parse_day(day, "begin", 2017)
     assert "2017" not in str(caught.value)
 
 
-def test_a_leap_day_of_a_common_year_blames_the_year() -> None:
-    with pytest.raises(InvalidConfig, match="'02-29' does not exist in 2017, the model's year; give another year"):
+def test_parse_day__leap_day_names_the_common_year() -> None:
+    with pytest.raises(InvalidConfig, match="'02-29' is not in the calendar of 2017, the model's year; name another"):
         parse_day("02-29", "begin", 2017)
