@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from eplus_node.config import Plan, plan, read_config
+from eplus_node.config import read_config
+from eplus_node.plan import Plan, plan
 from models.points.discovery import discover
 from models.scenario.episode import EpisodeFactory, EpisodeFiles, WeatherDraw
 from topics.messages import Actuator

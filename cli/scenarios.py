@@ -80,7 +80,8 @@ def show(
 
     Example: `zenostat scenarios show office-medium-USA_CO_Denver-discrete-v1 > mine.yaml`
     """
-    from eplus_node.config import plan, read_base, read_config
+    from eplus_node.config import read_base, read_config
+    from eplus_node.plan import plan
     from models.scenario.registry import expanded
     from models.scenario.schema import dump
 
@@ -117,7 +118,8 @@ def check(file: Annotated[Path, typer.Argument(help="Scenario file.")]) -> None:
     Example: `zenostat scenarios check mine.yaml`
     """
     from agent_sdk.rewards import read_reward
-    from eplus_node.config import plan, read_config
+    from eplus_node.config import read_config
+    from eplus_node.plan import plan
     from models.scenario.schema import load_scenario
 
     errors = ErrorCollector()

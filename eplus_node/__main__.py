@@ -14,8 +14,9 @@ import threading
 from typing import Any
 
 from bridge.runtime.signals import TERMINATION_SIGNALS
-from eplus_node.config import plan, read_config
+from eplus_node.config import read_config
 from eplus_node.node import Node
+from eplus_node.plan import plan
 from topics.errors import ZenostatError, to_wire
 
 

@@ -7,11 +7,11 @@ from functools import partial
 
 from bridge.exchange.episode import StepExchange
 from eplus_node.branches import BranchManager
-from eplus_node.config import Plan
 from eplus_node.engine.client import EngineClient, start_all
 from eplus_node.engine.pool import EnginePool
 from eplus_node.fault_injection import NO_FAULTS, FaultState
 from eplus_node.manifests import weather_fields
+from eplus_node.plan import Plan
 from eplus_node.server import NodeServer, Stopped
 from topics import keys
 from topics.errors import RequestRejected, SimulatorError

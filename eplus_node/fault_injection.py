@@ -12,7 +12,7 @@ from topics.errors import ErrorCollector
 from topics.fault_plan import FaultPlan
 
 if TYPE_CHECKING:
-    from eplus_node.config import Plan
+    from eplus_node.plan import Plan
 
 FaultState = tuple[FaultPlan, list[Any], dict[str, Any]]
 """A plan, and the states of its point faults and of its link faults."""

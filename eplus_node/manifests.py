@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from bridge.runtime import affinity
-from eplus_node.config import Plan
+from eplus_node.plan import Plan
 from models import energyplus
 from models.scenario.episode import WeatherSource
 from topics import VERSION

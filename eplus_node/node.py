@@ -15,13 +15,14 @@ from bridge.runtime.scratch import Scratch, sweep
 from bridge.runtime.signals import TERMINATION_SIGNALS, override_signals
 from bridge.transport.session import open_session
 from eplus_node.branches import BranchManager
-from eplus_node.config import NodeConfig, Plan, plan
+from eplus_node.config import NodeConfig
 from eplus_node.engine.group import EngineGroup
 from eplus_node.engine.pool import EnginePool
 from eplus_node.engine.registry import EngineRegistry
 from eplus_node.engine.template import EngineTemplate
 from eplus_node.episodes import EpisodeManager, start_engines
 from eplus_node.manifests import node_manifest
+from eplus_node.plan import Plan, plan
 from eplus_node.server import NodeServer, Observer
 from eplus_node.shutdown import SHUTDOWN_TIMEOUT_S, ShutdownGuard
 from topics import codec, keys

@@ -19,10 +19,10 @@ import zenoh
 from bridge.exchange.episode import StepExchange, Trigger
 from bridge.exchange.latency import LatencyWindow
 from bridge.runtime.timer import Timer
-from eplus_node.config import Plan
 from eplus_node.engine.group import EngineGroup
 from eplus_node.fault_injection import FaultInjection
 from eplus_node.pacing import Pacing
+from eplus_node.plan import Plan
 from eplus_node.publications import Publications
 from eplus_node.request_handlers import RequestHandlers
 from eplus_node.subscriptions import COMMAND_QUEUE, MAX_PENDING, Subscriptions

@@ -9,8 +9,9 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
-from eplus_node.config import Plan, kept_episodes
+from eplus_node.config import kept_episodes
 from eplus_node.engine.client import LOG
+from eplus_node.plan import Plan
 from models.scenario.episode import EpisodeFactory, EpisodeFiles, WeatherDraw
 from topics.errors import EngineDied, ForkFailed
 

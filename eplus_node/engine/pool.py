@@ -9,12 +9,12 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from eplus_node.config import Plan
 from eplus_node.engine.client import EngineClient
 from eplus_node.engine.episode_folders import EpisodeFolders, is_used, link_weather
 from eplus_node.engine.registry import EngineRegistry
 from eplus_node.engine.spec import EngineSpec
 from eplus_node.engine.template import EngineTemplate
+from eplus_node.plan import Plan
 from models.scenario.episode import EpisodeFiles, WeatherDraw, WeatherSampler, WeatherSource
 from topics.errors import EngineDied, ForkFailed, SimulatorError
 from topics.messages import EngineStart

@@ -71,7 +71,7 @@ def test_the_home_of_nobody_is_a_mistake_of_the_users() -> None:
 
 def read_and_find(given: dict[str, Any]) -> None:
     """What a node does with the settings before it starts anything."""
-    from eplus_node.config import plan
+    from eplus_node.plan import plan
 
     plan(read_config(for_node(given, "b")))
 

@@ -15,11 +15,12 @@ from support.engine_forks import FOUR, SMALL, Faults, engines, episode, go, make
 from support.nodes import SMALL as OFFICE
 from support.nodes import runs, until
 
-from eplus_node.config import Plan, read_config
-from eplus_node.config import plan as read_plan
+from eplus_node.config import read_config
 from eplus_node.engine.client import EngineClient
 from eplus_node.engine.pool import EnginePool
 from eplus_node.engine.template import EngineTemplate
+from eplus_node.plan import Plan
+from eplus_node.plan import plan as read_plan
 from topics.errors import EngineDied, ForkFailed, SimulatorError
 from topics.messages import EngineStart, State
 

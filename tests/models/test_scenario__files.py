@@ -18,7 +18,8 @@ from jsonschema import Draft202012Validator
 
 from agent_sdk.rewards import read_reward
 from cli.scenarios import scenario_schema
-from eplus_node.config import plan, read_config
+from eplus_node.config import read_config
+from eplus_node.plan import plan
 from models.scenario.schema import (
     ActionSpec,
     ActuatorSpec,

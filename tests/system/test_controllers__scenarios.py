@@ -18,7 +18,8 @@ import agent_sdk
 from agent_sdk.bus.sample import SampleView
 from agent_sdk.controllers import Agent, Controller, IncrementalRules, RandomController, RuleBasedController, action_of
 from agent_sdk.envs.spaces import action_space
-from eplus_node.config import plan, read_config
+from eplus_node.config import read_config
+from eplus_node.plan import plan
 from topics.messages import Manifest, Sample
 from topics.scenario_ids import BUILDINGS, WEATHERS, pack_ids
 

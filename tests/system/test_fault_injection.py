@@ -18,8 +18,9 @@ import agent_sdk
 from agent_sdk import Bus
 from agent_sdk.bus.controller_link import ControllerLink
 from bridge.faults import LinkFaults
-from eplus_node.config import plan, read_config
+from eplus_node.config import read_config
 from eplus_node.fault_injection import FaultInjection
+from eplus_node.plan import plan
 from topics import codec, keys
 from topics.errors import InvalidConfig
 from topics.fault_plan import FaultPlan

@@ -17,7 +17,8 @@ from support.nodes import command_of
 
 import agent_sdk
 from agent_sdk.envs.building_env import BuildingEnv
-from eplus_node.config import plan, read_config
+from eplus_node.config import read_config
+from eplus_node.plan import plan
 from models.catalog import find_weather
 from models.weather.epw import read
 from topics import codec

@@ -1,0 +1,171 @@
+"""Check the settings of a node before anything starts: building, weather, run period, points, task, faults."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from bridge.faults import read_plan
+from eplus_node.config import NodeConfig, scenario_of
+from eplus_node.fault_injection import FaultInjection
+from models import catalog
+from models.building import conflicts
+from models.building import model as building
+from models.building.model import Building
+from models.points import discovery, selection
+from models.points.discovery import PointCatalog
+from models.points.selection import Points
+from models.scenario.episode import WeatherSource
+from models.scenario.run_period import Period, check_steps_per_hour, parse_day
+from models.scenario.schema import ActuatorSpec, Scenario
+from models.scenario.task import task_of
+from models.weather import design_days, epw, noise
+from topics.errors import ErrorCollector, InvalidConfig, UnknownName
+from topics.fault_plan import FaultPlan, Loss
+from topics.keys import check_name
+from topics.messages import Aggregation, Mode, Policy, Task
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """A checked configuration: everything that can be determined before EnergyPlus runs.
+
+    Attributes:
+        warnings: objects of the model that override the scenario's actuators, and faults that would block the node.
+        faults: faults to inject.
+    """
+
+    config: NodeConfig
+    scenario: Scenario
+    building: Building
+    sources: tuple[WeatherSource, ...]
+    period: Period
+    points: Points
+    task: Task
+    warnings: tuple[str, ...]
+    faults: FaultPlan | None = None
+
+
+def plan(config: NodeConfig) -> Plan:
+    """Find and check the scenario: building, edits, weather, run period, points, task.
+
+    Raises:
+        UnknownName: no such scenario, building, weather or point.
+        InvalidConfig: invalid settings.
+        ModelError: EnergyPlus cannot read the model.
+    """
+    check_name(config.name, "the node's name")
+    errors = ErrorCollector()
+    scenario = scenario_of(config, errors)
+    building_name = scenario.building or None  # a missing or wrong name is an error already
+    plain = (
+        errors.collect(lambda: building.read_building(catalog.find_building(building_name))) if building_name else None
+    )
+    # Failed edits are reported; the unedited model serves to check the rest.
+    model = errors.collect(lambda: building.with_edits(plain, scenario.edits)) or plain if plain is not None else None
+    sources = tuple(errors.collect(lambda name=name: _source(name, scenario)) for name in scenario.weather if name)  # type: ignore[misc]
+    errors.collect(lambda: noise.checked(scenario.weather_noise))
+    output_dir = config.output_dir
+    if output_dir is not None:
+        errors.collect(lambda: _check_output_dir(output_dir))
+    period = chosen = task = None
+    if _dates_are_valid(scenario, errors) and model is not None:
+        period = errors.collect(lambda: model.period(scenario.begin, scenario.end, scenario.steps_per_hour))
+    valid_sources = [source for source in sources if source is not None]
+    if period is not None:
+        for source in valid_sources:
+            errors.collect(lambda source=source: epw.check_covers(source.header, period, source.name))  # type: ignore[misc]
+    if model is not None and valid_sources:
+        chosen = errors.collect(lambda: _points(model, scenario, valid_sources[0].path))
+    if chosen is not None:
+        task = errors.collect(lambda: task_of(scenario, chosen))
+    file = config.faults
+    injected = errors.collect(lambda: read_plan(file)) if file is not None else None
+    errors.raise_if_any()
+    assert model is not None
+    assert period is not None
+    assert chosen is not None
+    assert task is not None
+    warnings = tuple(conflicts.conflicts(model.objects, chosen.actuators)) + _lockstep_loss_warnings(config, injected)
+    planned = Plan(config, scenario, model, tuple(valid_sources), period, chosen, task, warnings, injected)
+    if injected is not None:
+        FaultInjection(injected, planned, config.slots)  # so that its errors are reported before anything starts
+    return planned
+
+
+def _dates_are_valid(scenario: Scenario, errors: ErrorCollector) -> bool:
+    """Collect the errors of the run period that need no model; return whether there are none."""
+    days = [(field, day) for field, day in (("begin", scenario.begin), ("end", scenario.end)) if day is not None]
+    valid = [errors.collect(lambda field=field, day=day: parse_day(day, field)) is not None for field, day in days]  # type: ignore[misc]
+    steps = scenario.steps_per_hour
+    if steps is not None:
+        valid.append(errors.collect(lambda: _is_checked(steps)) is not None)
+    return all(valid)
+
+
+def _is_checked(steps_per_hour: int) -> bool:
+    check_steps_per_hour(steps_per_hour)
+    return True
+
+
+def _check_output_dir(folder: Path) -> None:
+    if folder.exists() and not folder.is_dir():
+        raise InvalidConfig(f"output_dir={folder} is a file; name a folder")
+
+
+def _lockstep_loss_warnings(config: NodeConfig, faults: FaultPlan | None) -> tuple[str, ...]:
+    lost = [fault.name or fault.kind for fault in faults.faults if isinstance(fault, Loss)] if faults else []
+    if (
+        not lost
+        or config.mode is not Mode.LOCKSTEP
+        or (config.deadline_s is not None and config.policy is not Policy.WAIT)
+    ):
+        return ()
+    return (
+        f"the fault {', '.join(lost)} loses messages, and in lockstep the node then waits forever; "
+        "set a deadline and a policy (--deadline 0.5 --policy hold)",
+    )
+
+
+def _source(name: str, scenario: Scenario) -> WeatherSource:
+    entry = catalog.find_weather(name)
+    header = epw.read_header(entry.path)
+    if scenario.weather_noise:
+        epw.read(entry.path)
+    site = design_days.site(entry.path, header) if scenario.sizing == "weather" else None
+    return WeatherSource(entry.name, entry.path, header, site)
+
+
+def _points(model: Building, scenario: Scenario, any_weather: Path) -> Points:
+    offered = discovery.discover(model, any_weather)
+    actuators = None
+    if scenario.actuators is not None:
+        actuators = {name: _actuator(model, offered, name, spec) for name, spec in scenario.actuators.items()}
+    sensors = selection.default_sensors(offered) if scenario.sensors is None else {}
+    specs: dict[str, list[str]] = {name: list(spec) for name, spec in sensors.items()}
+    for name, sensor in (scenario.sensors or {}).items():
+        specs[name] = [sensor.variable, sensor.key, *([sensor.aggregation] if sensor.aggregation else [])]
+    if scenario.aggregation is not None:
+        summed = {v.name.casefold(): v.summed for v in offered.variables}
+        for spec in specs.values():
+            if len(spec) == 2:
+                reported = Aggregation.SUM if summed.get(spec[0].casefold()) else Aggregation.MEAN
+                spec.append(Aggregation.INSTANT if scenario.aggregation is Aggregation.INSTANT else reported)
+    chosen = selection.select_points(model, offered, specs, scenario.meters, actuators)
+    if actuators is not None:
+        return chosen
+    # Default actuators: those that have no effect are left out.
+    overridden = conflicts.overridden_actuators(model.objects, chosen.actuators)
+    return replace(chosen, actuators=tuple(a for a in chosen.actuators if a.name not in overridden))
+
+
+def _actuator(model: Building, offered: PointCatalog, name: str, spec: ActuatorSpec) -> list[object]:
+    """Return the names and bounds of an actuator; bounds that the scenario leaves out are those of the model."""
+    names = [spec.component_type, spec.control_type, spec.key]
+    if spec.low is None and spec.high is None:
+        return [*names]
+    try:
+        low, high = selection.actuator_bounds(model, selection.find_actuator(offered, name, *names))
+    except UnknownName:
+        return [*names]  # `select_points` reports it together with all other unknown names
+    return [*names, low if spec.low is None else spec.low, high if spec.high is None else spec.high]
