@@ -30,8 +30,9 @@ class NodeConfig(BaseModel):
         listen: endpoints; empty for a node that only connects to a router or another node.
         keys: a folder created by `zenostat keys init`; `certificate` names another certificate than `node`.
         unresponsive_s: time after which an engine that neither answers nor uses processor time is killed.
-        shrink_caches: shrink EnergyPlus's cache of saturation pressures in its memory (experimental): a step takes
-            about 9 % less, and a branch 16 MB less memory, with equal results. See `eplus_node.engine.memory`.
+        shrink_caches: shrink EnergyPlus's cache of saturation pressures in its memory (experimental). On by default
+            because a step takes about 9 % less time and a branch 16 MB less memory, with equal results. See
+            `eplus_node.engine.memory`.
         output_dir: a folder for EnergyPlus's output files, one folder per episode. The files of the running episode and
             of the last `keep_last` finished ones are kept (None: all, or as the Sinergym configuration defines).
     """

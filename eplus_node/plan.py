@@ -57,12 +57,7 @@ def plan(config: NodeConfig) -> Plan:
     check_name(config.name, "the node's name")
     errors = ErrorCollector()
     scenario = scenario_of(config, errors)
-    building_name = scenario.building or None  # a missing or wrong name is an error already
-    plain = (
-        errors.collect(lambda: building.read_building(catalog.find_building(building_name))) if building_name else None
-    )
-    # Failed edits are reported; the unedited model serves to check the rest.
-    model = errors.collect(lambda: building.with_edits(plain, scenario.edits)) or plain if plain is not None else None
+    model = _read_model(scenario, errors)
     sources = tuple(errors.collect(lambda name=name: _source(name, scenario)) for name in scenario.weather if name)  # type: ignore[misc]
     errors.collect(lambda: noise.checked(scenario.weather_noise))
     output_dir = config.output_dir
@@ -91,6 +86,17 @@ def plan(config: NodeConfig) -> Plan:
     if injected is not None:
         FaultInjection(injected, planned, config.slots)  # so that its errors are reported before anything starts
     return planned
+
+
+def _read_model(scenario: Scenario, errors: ErrorCollector) -> Building | None:
+    """Read and edit the model; if only the edits fail, return the unedited model, which serves to check the rest."""
+    name = scenario.building
+    if not name:
+        return None  # a missing or wrong name is an error already
+    plain = errors.collect(lambda: building.read_building(catalog.find_building(name)))
+    if plain is None:
+        return None
+    return errors.collect(lambda: building.with_edits(plain, scenario.edits)) or plain
 
 
 def _dates_are_valid(scenario: Scenario, errors: ErrorCollector) -> bool:

@@ -127,7 +127,7 @@ class NodeServer:
                     self._receive(wait=True)
         except Stopped:
             self.exchange.transition(Trigger.STOP)
-            self.event(self.exchange.event(EventKind.STOPPED, "the node was told to stop"))
+            self.event(self.exchange.event(EventKind.STOPPED, "the node was stopped by a request or a signal"))
 
     def stop_serving(self) -> None:
         """End the loop, in its own thread; a second call (a request, then the owner's end) has no effect."""

