@@ -278,8 +278,7 @@ class BranchManager:
 
     def _reject(self, _: object) -> Message:
         raise RequestRejected(
-            "a branch has a single episode and no snapshots or branches; "
-            f"send the request to its node {self._server.manifest.node!r}"
+            f"a branch has a single episode and no snapshots or branches; ask its node {self._server.manifest.node!r}"
         )
 
     def _allocate(self, prefix: str, *, from_snapshot: bool = False) -> tuple[str, Path]:
