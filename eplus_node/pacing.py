@@ -35,7 +35,7 @@ class Pacing:
         self._timesteps = 0  # since the start, of all episodes; the schedule counts them
         self._step_elapsed_s = 0.0  # elapsed in the timestep in which it was paused
         self._deadline_at_s = 0.0
-        self._timer_id: int | None = None
+        self._timer_event: sched.Event | None = None
 
     def declare(self) -> None:
         """Answer requests on pace, pauses and steps."""
@@ -61,7 +61,7 @@ class Pacing:
 
     def step_started(self) -> None:
         """Record that a timestep begins."""
-        if self._timer_id is not None:
+        if self._timer_event is not None:
             self.cancel()
         if self.steps_left:
             self.steps_left, self._step_elapsed_s = self.steps_left - 1, 0.0
@@ -89,9 +89,9 @@ class Pacing:
 
     def cancel(self) -> None:
         """Cancel the pending wake-up or deadline."""
-        timer_id, self._timer_id = self._timer_id, None
-        if timer_id is not None:
-            self._server.timer.cancel(timer_id)
+        event, self._timer_event = self._timer_event, None
+        if event is not None:
+            self._server.timer.cancel(event)
 
     @property
     def _is_stopped(self) -> bool:
@@ -101,7 +101,7 @@ class Pacing:
     def _call_at(self, due_s: float, call: Callable[[], None]) -> None:
         """Let the timer call `call` at `due_s`; replaces the previous call."""
         self.cancel()
-        self._timer_id = self._server.timer.at(due_s, call)
+        self._timer_event = self._server.timer.at(due_s, call)
 
     def _on_deadline(self) -> None:
         # The task may run after its step has ended; the present step then has a later deadline.

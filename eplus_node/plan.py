@@ -20,6 +20,7 @@ from models.scenario.run_period import Period, check_steps_per_hour, parse_day
 from models.scenario.schema import ActuatorSpec, Scenario
 from models.scenario.task import task_of
 from models.weather import design_days, epw, noise
+from models.weather.header import check_covers, read_header
 from topics.errors import ErrorCollector, InvalidConfig, UnknownName
 from topics.fault_plan import FaultPlan, Loss
 from topics.keys import check_name
@@ -59,7 +60,7 @@ def plan(config: NodeConfig) -> Plan:
     scenario = scenario_of(config, errors)
     model = _read_model(scenario, errors)
     sources = tuple(errors.collect(lambda name=name: _source(name, scenario)) for name in scenario.weather if name)  # type: ignore[misc]
-    errors.collect(lambda: noise.checked(scenario.weather_noise))
+    errors.collect(lambda: noise.resolve_columns(scenario.weather_noise))
     output_dir = config.output_dir
     if output_dir is not None:
         errors.collect(lambda: _check_output_dir(output_dir))
@@ -69,7 +70,7 @@ def plan(config: NodeConfig) -> Plan:
     valid_sources = [source for source in sources if source is not None]
     if period is not None:
         for source in valid_sources:
-            errors.collect(lambda source=source: epw.check_covers(source.header, period, source.name))  # type: ignore[misc]
+            errors.collect(lambda source=source: check_covers(source.header, period, source.name))  # type: ignore[misc]
     if model is not None and valid_sources:
         chosen = errors.collect(lambda: _points(model, scenario, valid_sources[0].path))
     if chosen is not None:
@@ -135,7 +136,7 @@ def _lockstep_loss_warnings(config: NodeConfig, faults: FaultPlan | None) -> tup
 
 def _source(name: str, scenario: Scenario) -> WeatherSource:
     entry = catalog.find_weather(name)
-    header = epw.read_header(entry.path)
+    header = read_header(entry.path)
     if scenario.weather_noise:
         epw.read(entry.path)
     site = design_days.site(entry.path, header) if scenario.sizing == "weather" else None
