@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from agent_sdk.wrappers.adapters import BuildingWrapper
 from agent_sdk.wrappers.base import EnvView, ResetBatch, StepBatch, Values, WrapperLogic
 from agent_sdk.wrappers.rng import SlotRandomStreams
 from agent_sdk.wrappers.time_table import Table
@@ -16,19 +17,7 @@ Context = Mapping[str, float | None]
 Schedule = Callable[[datetime, np.random.Generator], Context]
 
 
-class ChangingContext(WrapperLogic):
-    """Sets actuators that are in no action, each timestep, by the time at which the timestep begins.
-
-    Args:
-        schedule: a table of times (`{"07:00": {"occupants": 1.0}, "18:00": {"occupants": 0.0}}`, or with days,
-            `"07-01 07:00"`), each entry holding until the next; or a function of the time and of a random generator
-            that `reset(seed=)` rules. None for a value releases an actuator. What is not named keeps what it has.
-
-    Raises:
-        InvalidConfig: a table that cannot be. `InvalidAction` at a step: an actuator that the node does not have or
-            that an action sets, or a value out of bounds.
-    """
-
+class _Logic(WrapperLogic):
     def __init__(self, view: EnvView, schedule: Mapping[str, Context] | Schedule) -> None:
         super().__init__(view)
         self._table = None if callable(schedule) else Table(schedule, view.who)
@@ -80,3 +69,19 @@ class ChangingContext(WrapperLogic):
     def set_state(self, slots: Sequence[Mapping[str, Any]]) -> None:
         """See `WrapperLogic`."""
         self._randoms.set_state(slots)
+
+
+class ChangingContext(BuildingWrapper):
+    """Sets actuators that are in no action, each timestep, by the time at which the timestep begins.
+
+    Args:
+        schedule: a table of times (`{"07:00": {"occupants": 1.0}, "18:00": {"occupants": 0.0}}`, or with days,
+            `"07-01 07:00"`), each entry holding until the next; or a function of the time and of a random generator
+            that `reset(seed=)` rules. None for a value releases an actuator. What is not named keeps what it has.
+
+    Raises:
+        InvalidConfig: a table that cannot be. `InvalidAction` at a step: an actuator that the node does not have or
+            that an action sets, or a value out of bounds.
+    """
+
+    logic = _Logic

@@ -10,7 +10,7 @@ import numpy as np
 from gymnasium import Wrapper
 from gymnasium.vector import VectorWrapper
 
-from agent_sdk.wrappers.adapters import Single, Vector
+from agent_sdk.wrappers.adapters import BuildingWrapper
 from agent_sdk.wrappers.names import inside
 from topics import yaml12
 from topics.atomic_file import atomic_file
@@ -76,7 +76,7 @@ def _keepers(env: Any, mark: str = "") -> Iterator[_Keeper]:
     """From the outermost on; of what a `SyncVectorEnv` holds, `0/NormalizeObservation` and so on."""
     while isinstance(env, Wrapper | VectorWrapper):
         name, kind = mark + type(env).__name__, type(env).__name__
-        if isinstance(env, Single | Vector):
+        if isinstance(env, BuildingWrapper):
             yield _Keeper(name, env.get_state, env.set_state)
         elif kind in _STATISTICS and type(env).__module__.startswith("gymnasium."):
             yield _Keeper(name, *_of_gymnasium(env))

@@ -8,6 +8,7 @@ from datetime import date, datetime, timedelta
 import numpy as np
 from numpy.typing import NDArray
 
+from agent_sdk.wrappers.adapters import BuildingWrapper
 from agent_sdk.wrappers.base import EnvView, ObservationLogic, ResetBatch, StepBatch, Values, append
 from agent_sdk.wrappers.names import places
 from topics.messages import TimeField
@@ -39,20 +40,7 @@ def cyclic(parts: NDArray[np.float64]) -> NDArray[np.float64]:
     return pairs.reshape(*parts.shape[:-1], -1)
 
 
-class CyclicTime(ObservationLogic):
-    """Appends sine and cosine of the hour, the day of the week and the day of the year, each from -1 to 1.
-
-    They are of the begin of the timestep that a sample closes, as the clock's fields are (of the episode's begin
-    at sample 0). The hour turns with its minutes; a week begins on Sunday, a year on 1 January.
-
-    Args:
-        fields: which of `hour`, `day_of_week`, `day_of_year`; `hour` gives `hour_sin` and `hour_cos`.
-        replace: takes the clock's fields that say the same out of the observation.
-
-    Raises:
-        InvalidConfig: no such field.
-    """
-
+class _Logic(ObservationLogic):
     def __init__(self, view: EnvView, fields: Sequence[str] = FIELDS, *, replace: bool = True) -> None:
         super().__init__(view)
         places(fields, FIELDS, view.who, "field")
@@ -74,3 +62,20 @@ class CyclicTime(ObservationLogic):
         ]
         parts = np.array([[part(time) for part in self._parts] for time in times], np.float64)
         return append(seen.observations[:, self._kept], cyclic(parts))
+
+
+class CyclicTime(BuildingWrapper):
+    """Appends sine and cosine of the hour, the day of the week and the day of the year, each from -1 to 1.
+
+    They are of the begin of the timestep that a sample closes, as the clock's fields are (of the episode's begin
+    at sample 0). The hour turns with its minutes; a week begins on Sunday, a year on 1 January.
+
+    Args:
+        fields: which of `hour`, `day_of_week`, `day_of_year`; `hour` gives `hour_sin` and `hour_cos`.
+        replace: takes the clock's fields that say the same out of the observation.
+
+    Raises:
+        InvalidConfig: no such field.
+    """
+
+    logic = _Logic

@@ -7,28 +7,14 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from gymnasium.spaces import Discrete
 
+from agent_sdk.wrappers.adapters import BuildingWrapper
 from agent_sdk.wrappers.base import EnvView, Values
 from agent_sdk.wrappers.incremental import IncrementalLogic, refused
 from agent_sdk.wrappers.names import places
 from topics.errors import InvalidConfig
 
 
-class DiscreteIncrementalAction(IncrementalLogic):
-    """`DiscreteSpec`: 0 changes nothing, all other numbers move one action by a step.
-
-    The numbers from 1 on move the first action of `steps` up by each of its steps, then down by each; then come those
-    of the other actions. The values start from `initial` in each episode and stay within the actions' bounds.
-
-    Args:
-        steps: action to its step, or to several, in the action's unit: with `[0.5, 1.0, 1.5, 2.0]` for each of two
-            setpoints there are 17 choices.
-        initial: the value of every action of the environment at an episode's begin; those without a step keep it.
-
-    Raises:
-        InvalidConfig: no such action, an action without initial value, one out of bounds, a step not above 0 or given
-            twice, or a wrapper within that takes actions out of their units. `InvalidAction` at a step: no such number.
-    """
-
+class _Logic(IncrementalLogic):
     def __init__(
         self, view: EnvView, steps: Mapping[str, float | Sequence[float]], initial: Mapping[str, float]
     ) -> None:
@@ -66,3 +52,22 @@ def _sizes(given: float | Sequence[float], who: str) -> list[float]:
     if not sizes or not all(0 < size < np.inf for size in sizes) or len(set(sizes)) < len(sizes):
         raise InvalidConfig(f"{who}: {given!r}; a step above 0, or several different ones, expected")
     return sizes
+
+
+class DiscreteIncrementalAction(BuildingWrapper):
+    """`DiscreteSpec`: 0 changes nothing, all other numbers move one action by a step.
+
+    The numbers from 1 on move the first action of `steps` up by each of its steps, then down by each; then come those
+    of the other actions. The values start from `initial` in each episode and stay within the actions' bounds.
+
+    Args:
+        steps: action to its step, or to several, in the action's unit: with `[0.5, 1.0, 1.5, 2.0]` for each of two
+            setpoints there are 17 choices.
+        initial: the value of every action of the environment at an episode's begin; those without a step keep it.
+
+    Raises:
+        InvalidConfig: no such action, an action without initial value, one out of bounds, a step not above 0 or given
+            twice, or a wrapper within that takes actions out of their units. `InvalidAction` at a step: no such number.
+    """
+
+    logic = _Logic

@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from gymnasium.spaces import Box
 
+from agent_sdk.wrappers.adapters import BuildingWrapper
 from agent_sdk.wrappers.base import EnvView, ResetBatch, StepBatch, Values, WrapperLogic
 from agent_sdk.wrappers.extras import load
 from agent_sdk.wrappers.names import refuse_inside
@@ -19,23 +20,7 @@ from topics.errors import InvalidConfig
 FORMATS = ("csv", "parquet")
 
 
-class EpisodeLog(WrapperLogic):
-    """Writes a table for each episode: `episode-000001.csv`; of a vector, `slot-00-episode-000001.csv`.
-
-    A row is a timestep: `time` (of its end), each observation by name as this wrapper gives it (`observation.`),
-    the action that it was given (`action.`), what each actuator really was (`applied.`), `reward`, and its terms
-    and measures (`reward.`, `measure.`). An episode of N steps has N rows; sample 0 is none. An episode that is
-    left early ends in `episode-000001-left.csv`; its rows are whole. A file has its name only when it is closed,
-    and hides behind a dot until then. Numbers go on after the files that the folder has.
-
-    Args:
-        folder: where to; it is made.
-        format: `csv`, or `parquet` (needs the extra `parquet`).
-
-    Raises:
-        InvalidConfig: no such format, the extra is missing, or a `RewardVector` within.
-    """
-
+class _Logic(WrapperLogic):
     def __init__(self, view: EnvView, folder: str | Path, format: Literal["csv", "parquet"] = "csv") -> None:  # noqa: A002
         super().__init__(view)
         if format not in FORMATS:
@@ -123,3 +108,23 @@ def _parts(view: EnvView) -> list[str]:
         return names
     count = int(np.prod(space.shape or (1,)))
     return ["choice"] if count == 1 else [f"choice_{i}" for i in range(count)]
+
+
+class EpisodeLog(BuildingWrapper):
+    """Writes a table for each episode: `episode-000001.csv`; of a vector, `slot-00-episode-000001.csv`.
+
+    A row is a timestep: `time` (of its end), each observation by name as this wrapper gives it (`observation.`),
+    the action that it was given (`action.`), what each actuator really was (`applied.`), `reward`, and its terms
+    and measures (`reward.`, `measure.`). An episode of N steps has N rows; sample 0 is none. An episode that is
+    left early ends in `episode-000001-left.csv`; its rows are whole. A file has its name only when it is closed,
+    and hides behind a dot until then. Numbers go on after the files that the folder has.
+
+    Args:
+        folder: where to; it is made.
+        format: `csv`, or `parquet` (needs the extra `parquet`).
+
+    Raises:
+        InvalidConfig: no such format, the extra is missing, or a `RewardVector` within.
+    """
+
+    logic = _Logic

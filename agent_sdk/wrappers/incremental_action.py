@@ -8,27 +8,14 @@ from typing import Any
 import numpy as np
 from gymnasium.spaces import Box
 
+from agent_sdk.wrappers.adapters import BuildingWrapper
 from agent_sdk.wrappers.base import EnvView, Values
 from agent_sdk.wrappers.incremental import IncrementalLogic, refused, rounded
 from agent_sdk.wrappers.names import places
 from topics.errors import InvalidConfig
 
 
-class IncrementalAction(IncrementalLogic):
-    """Named actions are increments on the value before, in the action's unit; the others stay as they are.
-
-    The value starts from `initial` in each episode and stays within the action's bounds.
-
-    Args:
-        increments: action to the largest increment, or to (largest increment, step): increments are rounded to the
-            nearest multiple of the step, half to even.
-        initial: the value of each of these actions at an episode's begin.
-
-    Raises:
-        InvalidConfig: no such action, no initial value or one out of bounds, or a wrapper within that takes actions
-            out of their units. `InvalidAction` at a step: an action out of the space, nothing was simulated.
-    """
-
+class _Logic(IncrementalLogic):
     def __init__(
         self, view: EnvView, increments: Mapping[str, float | Sequence[float]], initial: Mapping[str, float]
     ) -> None:
@@ -62,3 +49,21 @@ def _pair(given: Any, who: str) -> tuple[float, float]:
     if not fine:
         raise InvalidConfig(f"{who}: {given!r}; the largest increment is above 0, and its step is not above that")
     return float(most), float(step)
+
+
+class IncrementalAction(BuildingWrapper):
+    """Named actions are increments on the value before, in the action's unit; the others stay as they are.
+
+    The value starts from `initial` in each episode and stays within the action's bounds.
+
+    Args:
+        increments: action to the largest increment, or to (largest increment, step): increments are rounded to the
+            nearest multiple of the step, half to even.
+        initial: the value of each of these actions at an episode's begin.
+
+    Raises:
+        InvalidConfig: no such action, no initial value or one out of bounds, or a wrapper within that takes actions
+            out of their units. `InvalidAction` at a step: an action out of the space, nothing was simulated.
+    """
+
+    logic = _Logic

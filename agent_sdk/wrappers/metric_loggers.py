@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from agent_sdk.wrappers.adapters import BuildingWrapper
 from agent_sdk.wrappers.base import EnvView, ResetBatch, StepBatch, Values, WrapperLogic
 from agent_sdk.wrappers.extras import load
 from agent_sdk.wrappers.names import refuse_inside
@@ -101,21 +102,7 @@ class MeansLog(WrapperLogic):
         self.steps = int(slots[0]["steps"])
 
 
-class TensorBoardLog(MeansLog):
-    """Writes means for TensorBoard (needs the extra `tensorboard`).
-
-    `episode/…` at each episode's end: the means over its steps, `episode/return` and `episode/steps`; `steps/…` every
-    `every` steps: the means since the last time. Of the reward, its terms (`reward.`) and measures (`measure.`) and
-    the observations (`observation.`), as this wrapper gives them. The step is the number of steps of all slots.
-
-    Args:
-        folder: of TensorBoard's event file.
-        every: steps.
-
-    Raises:
-        InvalidConfig: the extra is missing, or a `RewardVector` within.
-    """
-
+class _TensorBoardMeans(MeansLog):
     def __init__(self, view: EnvView, folder: str | Path, every: int = 1000) -> None:
         super().__init__(view, every)
         self._writer: Any = load("tensorboardX", "tensorboard", view.who).SummaryWriter(str(folder))
@@ -132,25 +119,25 @@ class TensorBoardLog(MeansLog):
             self._writer = None
 
 
-class WeightsAndBiasesLog(MeansLog):
-    """Logs means to a run of Weights & Biases (needs the extra `wandb`); what, as `TensorBoardLog`.
+class TensorBoardLog(BuildingWrapper):
+    """Writes means for TensorBoard (needs the extra `tensorboard`).
+
+    `episode/…` at each episode's end: the means over its steps, `episode/return` and `episode/steps`; `steps/…` every
+    `every` steps: the means since the last time. Of the reward, its terms (`reward.`) and measures (`measure.`) and
+    the observations (`observation.`), as this wrapper gives them. The step is the number of steps of all slots.
 
     Args:
-        project: the project's name.
-        name: the run's.
+        folder: of TensorBoard's event file.
         every: steps.
-        mode: `offline` writes files that `wandb sync` sends later; `online` needs a login.
-        folder: where wandb keeps its files; None is the present folder.
-        config: what the run is to be known by.
-        entity: the user or team that the run belongs to; None is the login's own.
-        group: of runs that belong together.
-        tags: words to find the run by.
-        artifacts: files and folders that are logged as an artifact of the run when the environment is closed.
 
     Raises:
         InvalidConfig: the extra is missing, or a `RewardVector` within.
     """
 
+    logic = _TensorBoardMeans
+
+
+class _WeightsAndBiasesMeans(MeansLog):
     def __init__(
         self,
         view: EnvView,
@@ -193,3 +180,25 @@ class WeightsAndBiasesLog(MeansLog):
                 else:
                     artifact.add_file(str(path), name=path.name)
             self._run.log_artifact(artifact)
+
+
+class WeightsAndBiasesLog(BuildingWrapper):
+    """Logs means to a run of Weights & Biases (needs the extra `wandb`); what, as `TensorBoardLog`.
+
+    Args:
+        project: the project's name.
+        name: the run's.
+        every: steps.
+        mode: `offline` writes files that `wandb sync` sends later; `online` needs a login.
+        folder: where wandb keeps its files; None is the present folder.
+        config: what the run is to be known by.
+        entity: the user or team that the run belongs to; None is the login's own.
+        group: of runs that belong together.
+        tags: words to find the run by.
+        artifacts: files and folders that are logged as an artifact of the run when the environment is closed.
+
+    Raises:
+        InvalidConfig: the extra is missing, or a `RewardVector` within.
+    """
+
+    logic = _WeightsAndBiasesMeans

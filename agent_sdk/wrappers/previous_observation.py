@@ -7,22 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from agent_sdk.wrappers.adapters import BuildingWrapper
 from agent_sdk.wrappers.base import EnvView, ObservationLogic, ResetBatch, StepBatch, Values, append
 from agent_sdk.wrappers.names import places
 
 
-class PreviousObservation(ObservationLogic):
-    """Appends the values of named observations one step ago, as `previous_` and the name.
-
-    At sample 0 there is none before it; the present values stand there.
-
-    Args:
-        names: observations, in the order in which they are appended.
-
-    Raises:
-        InvalidConfig: a name that the observation does not have.
-    """
-
+class _Logic(ObservationLogic):
     def __init__(self, view: EnvView, names: Sequence[str]) -> None:
         super().__init__(view)
         box = view.box
@@ -45,3 +35,18 @@ class PreviousObservation(ObservationLogic):
         """See `WrapperLogic`."""
         rows = np.array([state["before"] for state in slots], np.float32)
         self._before[:] = rows.reshape(self._before.shape)
+
+
+class PreviousObservation(BuildingWrapper):
+    """Appends the values of named observations one step ago, as `previous_` and the name.
+
+    At sample 0 there is none before it; the present values stand there.
+
+    Args:
+        names: observations, in the order in which they are appended.
+
+    Raises:
+        InvalidConfig: a name that the observation does not have.
+    """
+
+    logic = _Logic

@@ -7,21 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 from gymnasium.spaces import Box
 
+from agent_sdk.wrappers.adapters import BuildingWrapper
 from agent_sdk.wrappers.base import EnvView, ObservationLogic, ResetBatch, StepBatch, Values
 from agent_sdk.wrappers.names import places
 from topics.errors import InvalidConfig
 
 
-class ReducedObservation(ObservationLogic):
-    """Keeps named observations, in the order asked; the others stand in `info["dropped"]` by name.
-
-    Args:
-        keep: names of observations.
-
-    Raises:
-        InvalidConfig: a name that the observation does not have, or none at all.
-    """
-
+class _Logic(ObservationLogic):
     def __init__(self, view: EnvView, keep: Sequence[str]) -> None:
         super().__init__(view)
         if not keep:
@@ -37,3 +29,16 @@ class ReducedObservation(ObservationLogic):
         """See `ObservationLogic`."""
         self.added = {"dropped": {name: seen.observations[:, at] for name, at in self._dropped.items()}}
         return seen.observations[:, self._kept].astype(np.float32)
+
+
+class ReducedObservation(BuildingWrapper):
+    """Keeps named observations, in the order asked; the others stand in `info["dropped"]` by name.
+
+    Args:
+        keep: names of observations.
+
+    Raises:
+        InvalidConfig: a name that the observation does not have, or none at all.
+    """
+
+    logic = _Logic

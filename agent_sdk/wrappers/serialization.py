@@ -13,16 +13,42 @@ import numpy as np
 from gymnasium.vector import VectorEnv, VectorWrapper
 from pydantic import BaseModel
 
-from agent_sdk.wrappers import single, vector
-from agent_sdk.wrappers.adapters import Single, Vector
+from agent_sdk.wrappers.adapters import BuildingWrapper
+from agent_sdk.wrappers.changing_context import ChangingContext
+from agent_sdk.wrappers.cyclic_time import CyclicTime
+from agent_sdk.wrappers.discrete_incremental_action import DiscreteIncrementalAction
+from agent_sdk.wrappers.episode_log import EpisodeLog
+from agent_sdk.wrappers.incremental_action import IncrementalAction
+from agent_sdk.wrappers.metric_loggers import TensorBoardLog, WeightsAndBiasesLog
 from agent_sdk.wrappers.names import refuse_inside
+from agent_sdk.wrappers.previous_observation import PreviousObservation
+from agent_sdk.wrappers.reduced_observation import ReducedObservation
+from agent_sdk.wrappers.reward_vector import RewardVector
+from agent_sdk.wrappers.setpoint_difference import SetpointDifference
+from agent_sdk.wrappers.time_series_observation import TimeSeriesObservation
+from agent_sdk.wrappers.weather_forecast import WeatherForecast
 from topics.errors import InvalidConfig, did_you_mean
 
-OURS = tuple(
-    name
-    for name, found in vars(single).items()
-    if isinstance(found, type) and found is not Single and issubclass(found, Single)
-)
+OURS: dict[str, type[BuildingWrapper]] = {
+    wrapper.__name__: wrapper
+    for wrapper in (
+        CyclicTime,
+        PreviousObservation,
+        WeatherForecast,
+        TimeSeriesObservation,
+        SetpointDifference,
+        ReducedObservation,
+        IncrementalAction,
+        DiscreteIncrementalAction,
+        RewardVector,
+        ChangingContext,
+        EpisodeLog,
+        TensorBoardLog,
+        WeightsAndBiasesLog,
+    )
+}
+"""The wrappers of `agent_sdk.wrappers` by name."""
+
 GYMNASIUMS = (
     "ClipAction", "ClipReward", "DelayObservation", "DiscretizeAction", "DiscretizeObservation", "DtypeObservation",
     "FlattenObservation", "FrameStackObservation", "MaxAndSkipObservation", "NormalizeObservation", "NormalizeReward",
@@ -56,7 +82,7 @@ def apply_wrappers(env: Any, wrappers: Sequence[Mapping[str, Any]]) -> Any:
             made.append(env)
     except BaseException:
         for wrapper in made:
-            if isinstance(wrapper, Single | Vector):
+            if isinstance(wrapper, BuildingWrapper):
                 wrapper.let_go()
         raise
     return env
@@ -85,7 +111,7 @@ def _class(name: str, vectors: bool, where: str) -> Any:  # noqa: FBT001  # a pr
     if name not in (*OURS, *GYMNASIUMS):
         raise InvalidConfig(f"{where}: there is no wrapper {name!r}; {did_you_mean(name, (*OURS, *GYMNASIUMS))}")
     if name in OURS:
-        return getattr(vector if vectors else single, name)
+        return OURS[name]
     room = gym.wrappers.vector if vectors else gym.wrappers
     if not hasattr(room, name):
         raise InvalidConfig(f"{where}: {name} has no vector form; wrap each environment before they become a vector")
@@ -119,7 +145,7 @@ def _chain(env: Any) -> Iterator[Any]:
 def _told(layer: Any) -> dict[str, Any]:
     name = type(layer).__name__
     theirs = name in GYMNASIUMS and type(layer).__module__.startswith("gymnasium.")
-    if not (theirs or isinstance(layer, Single | Vector)):
+    if not (theirs or isinstance(layer, BuildingWrapper)):
         raise InvalidConfig(f"{name} cannot be written as data; {did_you_mean(name, (*OURS, *GYMNASIUMS))}")
     if layer in _given:
         return {"wrapper": name, **deepcopy(_given[layer])}

@@ -6,22 +6,13 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from agent_sdk.wrappers.adapters import BuildingWrapper
 from agent_sdk.wrappers.base import EnvView, ObservationLogic, ResetBatch, StepBatch, Values, append
 from agent_sdk.wrappers.names import need_units, places
 from topics.errors import InvalidConfig
 
 
-class SetpointDifference(ObservationLogic):
-    """Appends a temperature minus its setpoint, in K, for pairs of named observations.
-
-    Args:
-        pairs: name of the new value to (temperature, setpoint), both names of observations.
-
-    Raises:
-        InvalidConfig: a name that the observation does not have; no pair; or a wrapper within that takes the
-            values out of their units.
-    """
-
+class _Logic(ObservationLogic):
     def __init__(self, view: EnvView, pairs: Mapping[str, Sequence[str]]) -> None:
         super().__init__(view)
         need_units(view.env, view.who)
@@ -38,3 +29,17 @@ class SetpointDifference(ObservationLogic):
         """See `ObservationLogic`."""
         values = seen.observations.astype(np.float32, copy=False)
         return append(values, values[..., self._of] - values[..., self._from])
+
+
+class SetpointDifference(BuildingWrapper):
+    """Appends a temperature minus its setpoint, in K, for pairs of named observations.
+
+    Args:
+        pairs: name of the new value to (temperature, setpoint), both names of observations.
+
+    Raises:
+        InvalidConfig: a name that the observation does not have; no pair; or a wrapper within that takes the
+            values out of their units.
+    """
+
+    logic = _Logic

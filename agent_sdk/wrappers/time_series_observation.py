@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from agent_sdk.time_series import Signal as SignalData
+from agent_sdk.wrappers.adapters import BuildingWrapper
 from agent_sdk.wrappers.base import EnvView, ObservationLogic, ResetBatch, StepBatch, Values, append
 from topics.codec import describe_validation_errors
 from topics.errors import InvalidConfig
@@ -56,22 +57,7 @@ def read_signal(given: Any, who: str) -> Signal:
     return found
 
 
-class TimeSeriesObservation(ObservationLogic):
-    """Appends signals of the outside, as a price of electricity or its carbon, now and some hours ahead.
-
-    "Now" is the timestep that the next action rules: it begins at the sample's time. `price` ahead by an hour is
-    named `price_in_1h`.
-
-    Args:
-        signals: name to a signal: a number, one of `agent_sdk.time_series` or its data (`{"hourly": […], "unit":
-            "EUR/MWh"}`, `{"table": […], "otherwise": 0.12, "unit": "EUR/kWh"}`, `{"csv": …}`), or any object with
-            `at(time) -> float`.
-        hours: how far ahead, in hours; 0 is now.
-
-    Raises:
-        InvalidConfig: not a signal, or hours that are negative.
-    """
-
+class _Logic(ObservationLogic):
     def __init__(self, view: EnvView, signals: Mapping[str, Any], hours: Sequence[float] = (0,)) -> None:
         super().__init__(view)
         if not hours or min(hours) < 0 or not np.isfinite(hours).all():
@@ -87,3 +73,22 @@ class TimeSeriesObservation(ObservationLogic):
         times = [seen.infos.time(row) for row in range(len(seen.slots))]
         rows = [[signal.at(time + by) for signal in self._signals for by in self._ahead] for time in times]
         return append(seen.observations, np.array(rows, np.float64).reshape(len(times), -1))
+
+
+class TimeSeriesObservation(BuildingWrapper):
+    """Appends signals of the outside, as a price of electricity or its carbon, now and some hours ahead.
+
+    "Now" is the timestep that the next action rules: it begins at the sample's time. `price` ahead by an hour is
+    named `price_in_1h`.
+
+    Args:
+        signals: name to a signal: a number, one of `agent_sdk.time_series` or its data (`{"hourly": […], "unit":
+            "EUR/MWh"}`, `{"table": […], "otherwise": 0.12, "unit": "EUR/kWh"}`, `{"csv": …}`), or any object with
+            `at(time) -> float`.
+        hours: how far ahead, in hours; 0 is now.
+
+    Raises:
+        InvalidConfig: not a signal, or hours that are negative.
+    """
+
+    logic = _Logic

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from agent_sdk.wrappers.adapters import BuildingWrapper
 from agent_sdk.wrappers.base import EnvView, ObservationLogic, ResetBatch, StepBatch, Values, append
 from agent_sdk.wrappers.names import places
 from agent_sdk.wrappers.rng import SlotRandomStreams
@@ -113,32 +114,7 @@ class _Column(NamedTuple):
         return found % 360.0 if self.turns else found
 
 
-class WeatherForecast(ObservationLogic):
-    """Appends the next hours' weather: named columns of the weather file that this episode reads, noise included.
-
-    The values are those at the instants `spacing_h`, 2 `spacing_h`, … after the sample, linear between the rows of
-    the file (over the shorter arc for `wind_direction`), as EnergyPlus takes instantaneous quantities. A row of a
-    radiation is the mean of the hour that ends there. Before the first row and beyond the last, whose time is a
-    week after the episode's end, that row's value is held. Rows that the file leaves out are passed over.
-
-    With an error the forecast is wrong by a path that starts at 0 now and is drawn anew at each step, ruled by
-    `reset(seed=)`: its standard deviation is sigma * sqrt(horizon / 24 h), so sigma is that of a day ahead; or,
-    with `tau_h`, that of an AR(1) path, sigma * sqrt(1 - exp(-2 horizon / tau_h)). `mu` is the mean of the error a day
-    ahead, or with `tau_h` the one that it ends at. Ranges [low, high] of sigma, tau_h and mu are drawn from at each
-    reset. Physical limits hold, and `low` and `high` where they are narrower.
-
-    Args:
-        columns: of an EPW, as `dry_bulb_temperature`; the third value of it is `dry_bulb_temperature_in_3h`.
-        n: how many values of each column.
-        spacing_h: hours between them.
-        errors: column to sigma in the column's unit, or to `{"sigma": …, "tau_h": …, "mu": …, "low": …, "high": …}`.
-
-    Raises:
-        InvalidConfig: errors of a column that is not asked for, or n or spacing_h not above 0; at reset, a column
-            that the file has no values of.
-        UnknownName: at reset, no such column of an EPW.
-    """
-
+class _Logic(ObservationLogic):
     def __init__(
         self,
         view: EnvView,
@@ -220,3 +196,32 @@ class WeatherForecast(ObservationLogic):
         self._randoms.set_state(slots)
         for slot, state in enumerate(slots):
             self._drawn[slot] = {name: ErrorModel(**drawn) for name, drawn in state.get("errors", {}).items()}
+
+
+class WeatherForecast(BuildingWrapper):
+    """Appends the next hours' weather: named columns of the weather file that this episode reads, noise included.
+
+    The values are those at the instants `spacing_h`, 2 `spacing_h`, … after the sample, linear between the rows of
+    the file (over the shorter arc for `wind_direction`), as EnergyPlus takes instantaneous quantities. A row of a
+    radiation is the mean of the hour that ends there. Before the first row and beyond the last, whose time is a
+    week after the episode's end, that row's value is held. Rows that the file leaves out are passed over.
+
+    With an error the forecast is wrong by a path that starts at 0 now and is drawn anew at each step, ruled by
+    `reset(seed=)`: its standard deviation is sigma * sqrt(horizon / 24 h), so sigma is that of a day ahead; or,
+    with `tau_h`, that of an AR(1) path, sigma * sqrt(1 - exp(-2 horizon / tau_h)). `mu` is the mean of the error a day
+    ahead, or with `tau_h` the one that it ends at. Ranges [low, high] of sigma, tau_h and mu are drawn from at each
+    reset. Physical limits hold, and `low` and `high` where they are narrower.
+
+    Args:
+        columns: of an EPW, as `dry_bulb_temperature`; the third value of it is `dry_bulb_temperature_in_3h`.
+        n: how many values of each column.
+        spacing_h: hours between them.
+        errors: column to sigma in the column's unit, or to `{"sigma": …, "tau_h": …, "mu": …, "low": …, "high": …}`.
+
+    Raises:
+        InvalidConfig: errors of a column that is not asked for, or n or spacing_h not above 0; at reset, a column
+            that the file has no values of.
+        UnknownName: at reset, no such column of an EPW.
+    """
+
+    logic = _Logic

@@ -19,7 +19,7 @@ import agent_sdk  # noqa: F401  # registers the environments
 from agent_sdk import wrappers as w
 from agent_sdk.testing import Climate, FakeEnv
 from agent_sdk.testing.fake_vector_env import FakeVectorEnv
-from agent_sdk.wrappers import vector
+from agent_sdk.wrappers import CyclicTime
 from topics.errors import EpisodeChanged, InvalidConfig
 
 pytest.importorskip("stable_baselines3")
@@ -129,9 +129,9 @@ def test_gymnasiums_own_statistics_stand_in_the_info_of_the_end() -> None:
 
 def test_wrappers_around_the_vector_are_seen() -> None:
     inner = FakeVectorEnv(2, autoreset_mode=SAME, time=("hour",), **DAY)
-    env = as_sb3(vector.CyclicTime(inner, ["hour"]))
+    env = as_sb3(CyclicTime(inner, ["hour"]))
     assert env.get_attr("observation_names", 1)[0][-1] == "hour_cos"
-    assert env.env_is_wrapped(vector.CyclicTime, 0) == [True]
+    assert env.env_is_wrapped(CyclicTime, 0) == [True]
     assert env.observation_space == env.get_attr("observation_space")[0]
     single = DummyVecEnv([lambda: w.CyclicTime(FakeEnv(time=("hour",), **DAY), ["hour"])] * 1)
     for one in (env, single):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import csv
 import json
 import math
@@ -32,7 +33,6 @@ from agent_sdk import wrappers as w
 from agent_sdk.testing import FakeEnv
 from agent_sdk.testing.fake_vector_env import FakeVectorEnv
 from agent_sdk.time_series import HourlySeries
-from agent_sdk.wrappers import vector
 from agent_sdk.wrappers.base import Infos
 from agent_sdk.wrappers.cyclic_time import cyclic
 from agent_sdk.wrappers.incremental import rounded
@@ -198,7 +198,7 @@ def test_a_reset_of_some_slots_leaves_the_others() -> None:
 
 
 def test_a_reset_at_an_episodes_end_is_no_autoreset() -> None:
-    many = vector.PreviousObservation(fakes(2), ["core"])
+    many = w.PreviousObservation(fakes(2), ["core"])
     actions = np.stack([MIDDLE, MIDDLE])
     many.reset(seed=1)
     for _ in range(24):
@@ -310,7 +310,7 @@ def test_names_at_every_level() -> None:
     assert w.names_of(w.IncrementalAction(inner, {"cool": 1}, {"cool": 26})) == inner.observation_names
     assert w.names_of(TimeAwareObservation(TimeLimit(fake(), 99))) == (*NAMES, "time")
     assert w.names_of(FlattenObservation(inner)) == inner.observation_names
-    assert w.names_of(gym.wrappers.vector.NormalizeObservation(vector.CyclicTime(fakes(), ["hour"])))[-1] == "hour_cos"
+    assert w.names_of(gym.wrappers.vector.NormalizeObservation(w.CyclicTime(fakes(), ["hour"])))[-1] == "hour_cos"
     with pytest.raises(InvalidConfig, match="after FrameStackObservation values have no names"):
         w.names_of(FlattenObservation(FrameStackObservation(inner, 2)))
 
@@ -563,16 +563,16 @@ def test_rounding_does_not_exceed_the_largest_increment() -> None:
 
 
 def test_a_seed_may_be_a_numpy_integer() -> None:
-    one, other = (vector.PreviousObservation(FakeVectorEnv(2), ["outdoor_temperature"]) for _ in range(2))
+    one, other = (w.PreviousObservation(FakeVectorEnv(2), ["outdoor_temperature"]) for _ in range(2))
     np.testing.assert_array_equal(one.reset(seed=np.int64(3))[0], other.reset(seed=3)[0])
 
 
 def test_what_two_reductions_dropped_stands_in_the_info_together() -> None:
-    def reduced(env: Any, by: Any) -> Any:
+    def reduced(env: Any) -> Any:
         names = env.unwrapped.manifest.names
-        return by.ReducedObservation(by.ReducedObservation(env, names[:3]), names[:1])
+        return w.ReducedObservation(w.ReducedObservation(env, names[:3]), names[:1])
 
-    one, many = reduced(FakeEnv(), w), reduced(FakeVectorEnv(1), vector)
+    one, many = reduced(FakeEnv()), reduced(FakeVectorEnv(1))
     dropped, rows = one.reset(seed=1)[1]["dropped"], many.reset(seed=1)[1]["dropped"]
     assert set(dropped) == {*one.unwrapped.manifest.names[1:]}
     assert dropped == {name: rows[name][0] for name in dropped}
@@ -742,7 +742,7 @@ def test_files_of_a_log_have_their_names_when_they_are_whole(tmp_path: Path) -> 
 
 
 def test_a_log_of_a_vector_has_a_file_a_slot_and_episode(tmp_path: Path) -> None:
-    many = vector.EpisodeLog(fakes(2), tmp_path)
+    many = w.EpisodeLog(fakes(2), tmp_path)
     many.reset(seed=1)
     for _ in range(24 + 1 + 3):
         many.step(np.stack([MIDDLE, MIDDLE]))
@@ -798,9 +798,7 @@ def test_means_of_episodes_and_of_n_steps(monkeypatch: pytest.MonkeyPatch, vecto
             return boards[-1]
 
     monkeypatch.setitem(sys.modules, "tensorboardX", Module)  # type: ignore[arg-type]
-    env: Any = (
-        vector.TensorBoardLog(fakes(1), "here", every=10) if vectors else w.TensorBoardLog(fake(), "here", every=10)
-    )
+    env: Any = w.TensorBoardLog(fakes(1) if vectors else fake(), "here", every=10)
     action = MIDDLE[None] if vectors else MIDDLE
     env.reset(seed=1)
     rewards, cores = [], []
@@ -850,7 +848,7 @@ def test_weights_and_biases_offline(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         entity="us",
         artifacts=[tmp_path / "model.txt"],
     )
-    run = env._core._run
+    run = env._logic._run
     assert (run.group, run.tags, run.entity) == ("summer", ("a",), "us")
     episode(env, lambda: MIDDLE)
     env.close()
@@ -947,13 +945,43 @@ def test_help_shows_what_a_wrapper_takes() -> None:
 
     assert str(inspect.signature(w.PreviousObservation)).startswith("(env, names: ")
     assert "fields" in (w.CyclicTime.__doc__ or "")
-    assert [*inspect.signature(vector.WeatherForecast).parameters] == ["env", "columns", "n", "spacing_h", "errors"]
+    assert [*inspect.signature(w.WeatherForecast).parameters] == ["env", "columns", "n", "spacing_h", "errors"]
 
 
-def test_the_two_rooms_have_the_same_names() -> None:
-    ours = {name for name in w.__all__ if isinstance(getattr(w, name), type)}
+def test_one_class_wraps_single_and_vector_environments() -> None:
+    one, many = w.CyclicTime(fake(), ["hour"]), w.CyclicTime(fakes(2), ["hour"])
+    assert isinstance(one, w.CyclicTime)
+    assert isinstance(one, gym.Wrapper)
+    assert not isinstance(one, gym.vector.VectorEnv)
+    assert isinstance(many, w.CyclicTime)
+    assert isinstance(many, gym.vector.VectorWrapper)
+    assert not isinstance(many, gym.Env)
+    assert type(one).__name__ == type(many).__name__ == "CyclicTime"
+    assert type(one) is type(w.CyclicTime(fake())), "one class for each kind of environment, not one for each wrapper"
+    assert isinstance(w.CyclicTime(env=fakes(1)), gym.vector.VectorWrapper)
+    ours = [kind for name in w.__all__ if isinstance(kind := getattr(w, name), type) and kind is not w.BuildingWrapper]
     assert len(ours) == 13
-    assert all(issubclass(getattr(vector, name), gym.vector.VectorWrapper) for name in ours)
+    assert all(issubclass(kind, w.BuildingWrapper) for kind in ours)
+
+
+def test_a_subclass_of_a_wrapper_wraps_both_and_overrides_both() -> None:
+    class Closed(w.CyclicTime):
+        def close(self, **more: Any) -> None:
+            closed.append(self.env)
+            super().close(**more)
+
+    closed: list[Any] = []
+    for env in (fake(), fakes(2)):
+        wrapped = Closed(env, fields=["hour"])
+        assert isinstance(wrapped, gym.vector.VectorWrapper) == isinstance(env, gym.vector.VectorEnv)
+        wrapped.close()
+        assert closed.pop() is env
+
+
+def test_a_wrapper_can_be_copied() -> None:
+    for env in (fake(), fakes(2)):
+        wrapped = w.PreviousObservation(env, ["core"])
+        assert type(copy.copy(wrapped)) is type(wrapped)
 
 
 def test_an_environment_that_is_no_building() -> None:

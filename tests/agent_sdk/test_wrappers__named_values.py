@@ -12,7 +12,6 @@ from gymnasium.wrappers import DtypeObservation, FrameStackObservation, TimeAwar
 from agent_sdk import wrappers as w
 from agent_sdk.testing import FakeEnv
 from agent_sdk.testing.fake_vector_env import FakeVectorEnv
-from agent_sdk.wrappers import vector
 from topics.errors import InvalidConfig
 
 TWO = ["outdoor_temperature", "zone_1_air_temperature"]
@@ -34,7 +33,7 @@ def test_named_values_are_right_at_every_layer() -> None:
 
 
 def test_a_vector_names_all_slots_or_one() -> None:
-    many = vector.ReducedObservation(FakeVectorEnv(2, zones=1), TWO[::-1])
+    many = w.ReducedObservation(FakeVectorEnv(2, zones=1), TWO[::-1])
     rows, _ = many.reset(seed=0)
     assert w.observation_dict(many, rows)[TWO[0]].tolist() == rows[:, 1].tolist()
     assert w.observation_dict(many, rows[1])[TWO[0]] == rows[1, 1]

@@ -12,9 +12,9 @@ import pytest
 
 from agent_sdk import wrappers as w
 from agent_sdk.testing.fake_env import FakeEnv
+from agent_sdk.wrappers import BuildingWrapper
 from agent_sdk.wrappers.base import StepBatch
 from agent_sdk.wrappers.metric_loggers import MeansLog
-from agent_sdk.wrappers.single import Single
 from models.weather.noise import ornstein_uhlenbeck
 from topics.errors import InvalidConfig
 
@@ -33,8 +33,8 @@ class RowCore(MeansLog):
         self.rows.append({"steps_so_far": step, **values})
 
 
-class RowLog(Single):
-    core = RowCore
+class RowLog(BuildingWrapper):
+    logic = RowCore
 
 
 def test_a_logger_of_ones_own_has_a_row_for_each_episode() -> None:
