@@ -23,6 +23,7 @@ from agent_sdk.envs.space_names import SpaceNames, by_name
 from agent_sdk.wrappers.base import EnvView, Infos, ResetBatch, StepBatch, Values, WrapperLogic
 from agent_sdk.wrappers.names import action_names_of, inside, names_of
 from topics.errors import InvalidConfig
+from topics.typing_compat import override
 
 if TYPE_CHECKING:
     _VectorWrapper = VectorWrapper[Any, Any, Any, Any, Any]
@@ -47,7 +48,7 @@ class BuildingWrapper(RecordConstructorArgs, _EnvOrVectorEnv):  # type: ignore[m
     logic: ClassVar[type[WrapperLogic]]
     env: Any
     _logic: WrapperLogic
-    _seen: Values
+    _last: Values
 
     def __new__(cls, env: Any = None, *_args: Any, **_kwargs: Any) -> Any:
         """Choose the adapter by the environment; a copy, which has no argument, keeps its own."""
@@ -72,7 +73,7 @@ class BuildingWrapper(RecordConstructorArgs, _EnvOrVectorEnv):  # type: ignore[m
             self.reward_space = self._logic.reward_space
             self.reward_dim = self._logic.reward_space.shape[0]
         if self._logic.observation_names is not None:
-            for base in (env.unwrapped, *(one.unwrapped for one in inside(env.unwrapped))):
+            for base in (env.unwrapped, *(slot_env.unwrapped for slot_env in inside(env.unwrapped))):
                 if isinstance(base, SpaceNames):
                     base.add_layer(self)
         wrappers = getattr(env.unwrapped, "wrappers", None)
@@ -81,46 +82,46 @@ class BuildingWrapper(RecordConstructorArgs, _EnvOrVectorEnv):  # type: ignore[m
 
     @property
     def observation_names(self) -> tuple[str, ...]:
-        """Names of the observation's values, as they come out of this wrapper."""
+        """Names of the observation's values, as this wrapper returns them."""
         return self._logic.observation_names or names_of(self.env)
 
     @property
     def action_names(self) -> tuple[str, ...]:
-        """Names of the action's dimensions, as this wrapper takes it."""
+        """Names of the action's dimensions, as this wrapper takes them."""
         return self._logic.action_names or action_names_of(self.env)
 
     def observation_dict(self, observation: ArrayLike) -> dict[str, float]:
-        """The values of one observation of this wrapper by name.
+        """Return the values of one observation of this wrapper by name.
 
         Raises:
-            InvalidConfig: an observation of another shape, as another layer gives it.
+            InvalidConfig: the observation has another shape, such as that of another layer.
         """
         return by_name(self.observation_names, observation, f"{type(self).__name__}.observation_dict")
 
-    def let_go(self) -> None:
-        """Closes the wrapper alone; twice is fine."""
+    def release(self) -> None:
+        """Close the wrapper but not the environment. Idempotent."""
         self._logic.close()
 
-    def remembered(self) -> tuple[list[dict[str, Any]], Values]:
-        """What a snapshot keeps of it: what its core remembers, and the observations that it gave last."""
-        return copy.deepcopy(self._logic.get_state()), self._seen.copy()
+    def snapshot_state(self) -> tuple[list[dict[str, Any]], Values]:
+        """Return what a snapshot keeps of this wrapper: the state of its logic and its last observations."""
+        return copy.deepcopy(self._logic.get_state()), self._last.copy()
 
-    def _go_back(self, options: Mapping[str, Any] | None) -> None:
-        """At a snapshot that was taken with this wrapper around it remembers and gives what it did there."""
+    def _restore_snapshot(self, options: Mapping[str, Any] | None) -> None:
+        """Restore this wrapper's state from the snapshot in `options`, if it was taken with this wrapper."""
         snapshot = (options or {}).get("snapshot")
         if isinstance(snapshot, Snapshot) and self in snapshot.wrapper_states:
-            state, seen = snapshot.wrapper_states[self]
+            state, observations = snapshot.wrapper_states[self]
             self._logic.set_state(state)
-            self._seen = seen.copy()
+            self._last = observations.copy()
 
     def get_state(self) -> dict[str, Any]:
-        """What the wrapper remembers, as plain values: `{"slots": [...]}`."""
+        """Return the wrapper's state as plain values: `{"slots": [...]}`."""
         return {"slots": self._logic.get_state()}
 
     def set_state(self, state: Mapping[str, Any]) -> None:
-        """Goes on from a `get_state`.
+        """Restore a state that `get_state` returned.
 
-        With another number of slots nothing is taken over: all that ours remember begins anew with an episode.
+        A state of another number of slots is ignored: it concerns running episodes only.
 
         Raises:
             InvalidConfig: not a state of this wrapper.
@@ -129,12 +130,12 @@ class BuildingWrapper(RecordConstructorArgs, _EnvOrVectorEnv):  # type: ignore[m
             if len(state["slots"]) == self._logic.view.slots:
                 self._logic.set_state(state["slots"])
         except (KeyError, TypeError, ValueError, IndexError) as error:
-            raise InvalidConfig(f"no state of {type(self).__name__}: {type(error).__name__} {error}") from None
+            raise InvalidConfig(f"not a state of {type(self).__name__}: {type(error).__name__} {error}") from None
 
 
 @functools.cache
 def _adapted(wrapper: type[BuildingWrapper], adapter: type[BuildingWrapper]) -> type[BuildingWrapper]:
-    """A subclass of both, under the name of the wrapper."""
+    """Return a subclass of both under the wrapper's name."""
     attributes = {"__module__": wrapper.__module__, "__qualname__": wrapper.__qualname__, "__doc__": wrapper.__doc__}
     return type(wrapper.__name__, (wrapper, adapter), attributes)
 
@@ -150,37 +151,38 @@ class _SingleAdapter(gym.Wrapper[Any, Any, Any, Any], BuildingWrapper):
             self.observation_space = logic.observation_space
         if logic.action_space is not None:
             self.action_space = logic.action_space
-        self._seen = np.zeros((1, *_shape(self.observation_space)), np.float32)
+        self._last = np.zeros((1, *_shape(self.observation_space)), np.float32)
 
+    @override
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """See `gymnasium.Env.reset`."""
         observation, info = self.env.reset(seed=seed, options=options)
         row = np.asarray(observation)[None]
         seeds = None if seed is None else [seed]
-        self._seen = self._logic.start(ResetBatch([0], row, Infos(info), seeds))
-        self._go_back(options)
-        return self._seen[0].copy(), self._told(info)
+        self._last = self._logic.start(ResetBatch([0], row, Infos(info), seeds))
+        self._restore_snapshot(options)
+        return self._last[0].copy(), self._with_added(info)
 
+    @override
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """See `gymnasium.Env.step`."""
-        given = np.asarray(action)[None]
-        inner = self._logic.act([0], given)
-        observation, reward, terminated, truncated, info = self.env.step(action if inner is given else inner[0])
+        actions = np.asarray(action)[None]
+        inner = self._logic.act([0], actions)
+        observation, reward, terminated, truncated, info = self.env.step(action if inner is actions else inner[0])
         ends = np.array([terminated or truncated])
         row, rewards = np.asarray(observation)[None], np.array([reward])
-        seen, rewards = self._logic.step(StepBatch([0], row, rewards, ends, Infos(info), given))
-        self._seen = seen
-        told = reward if self._logic.reward_space is None else rewards[0]
-        return seen[0].copy(), told, terminated, truncated, self._told(info)
+        observations, rewards = self._logic.step(StepBatch([0], row, rewards, ends, Infos(info), actions))
+        self._last = observations
+        # The environment's own reward keeps its type.
+        outer_reward = reward if self._logic.reward_space is None else rewards[0]
+        return observations[0].copy(), outer_reward, terminated, truncated, self._with_added(info)
 
-    def _told(self, info: dict[str, Any]) -> dict[str, Any]:
+    def _with_added(self, info: dict[str, Any]) -> dict[str, Any]:
         if not self._logic.added:
             return info
         added = {key: {n: v.item(0) for n, v in rows.items()} for key, rows in self._logic.added.items()}
         return {**info, **{key: {**info.get(key, {}), **rows} for key, rows in added.items()}}
 
+    @override
     def close(self) -> None:
-        """Closes the wrapper and what it wraps; twice is fine."""
         self._logic.close()
         self.env.close()
 
@@ -199,107 +201,107 @@ class _VectorAdapter(_VectorWrapper, BuildingWrapper):
             self.single_action_space = logic.action_space
             self.action_space = batch_space(logic.action_space, self.num_envs)
         self._mode = AutoresetMode(env.metadata.get("autoreset_mode", AutoresetMode.NEXT_STEP))
-        self._over = np.zeros(self.num_envs, np.bool_)
-        self._seen = np.zeros((self.num_envs, *_shape(self.single_observation_space)), np.float32)
+        self._done = np.zeros(self.num_envs, np.bool_)
+        self._last = np.zeros((self.num_envs, *_shape(self.single_observation_space)), np.float32)
 
+    @override
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """See `gymnasium.vector.VectorEnv.reset`; `options={"reset_mask": …}` resets some slots."""
         mask = np.ones(self.num_envs, np.bool_)
         if options and "reset_mask" in options:
-            mask, options = np.array(options["reset_mask"], np.bool_), dict(options)  # the environment takes it out
-        every = [seed + i for i in range(self.num_envs)] if isinstance(seed, int | np.integer) else seed
+            mask, options = np.array(options["reset_mask"], np.bool_), dict(options)  # the environment removes it
+        seeds = [seed + i for i in range(self.num_envs)] if isinstance(seed, int | np.integer) else seed
         observations, infos = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]  # as Gymnasium's own
         slots = np.flatnonzero(mask).tolist()
-        self._over = self._over & ~mask
-        _, infos = self._start(slots, observations, infos, None if every is None else [every[i] for i in slots])
-        self._go_back(options)
-        return self._seen.copy(), infos
+        self._done = self._done & ~mask
+        _, infos = self._start(slots, observations, infos, None if seeds is None else [seeds[i] for i in slots])
+        self._restore_snapshot(options)
+        return self._last.copy(), infos
 
     def _start(
         self, slots: list[int], observations: Values, infos: dict[str, Any], seeds: Sequence[int | None] | None
     ) -> tuple[Values, dict[str, Any]]:
         if slots:
             start = ResetBatch(slots, np.asarray(observations)[slots], Infos(infos, slots), seeds)
-            self._put(slots, self._logic.start(start))
-            infos = self._told(slots, infos)
-        return self._seen.copy(), infos
+            self._store(slots, self._logic.start(start))
+            infos = self._with_added(slots, infos)
+        return self._last.copy(), infos
 
-    def _put(self, slots: list[int], rows: Values) -> None:
-        if self._seen.dtype != rows.dtype:
-            self._seen = self._seen.astype(rows.dtype)
-        self._seen[slots] = rows
+    def _store(self, slots: list[int], rows: Values) -> None:
+        if self._last.dtype != rows.dtype:
+            self._last = self._last.astype(rows.dtype)
+        self._last[slots] = rows
 
+    @override
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """See `gymnasium.vector.VectorEnv.step`."""
-        given = np.asarray(actions)
-        begins = self._over if self._mode is AutoresetMode.NEXT_STEP else np.zeros_like(self._over)
-        live = np.flatnonzero(~begins).tolist()
-        inner = self._inner(live, given)
+        outer = np.asarray(actions)
+        resetting = self._done if self._mode is AutoresetMode.NEXT_STEP else np.zeros_like(self._done)
+        live = np.flatnonzero(~resetting).tolist()
+        inner = self._inner_actions(live, outer)
         observations, rewards, terminated, truncated, infos = self.env.step(inner)
         ends = np.asarray(terminated) | np.asarray(truncated)
-        rewards = self._stepped(live, np.array(observations), np.asarray(rewards), ends, infos, given)
-        self._over = ends
-        again = np.flatnonzero(ends if self._mode is AutoresetMode.SAME_STEP else begins).tolist()
-        seen, infos = self._start(again, observations, infos, None)
-        return seen, rewards, terminated, truncated, infos
+        rewards = self._step_logic(live, np.array(observations), np.asarray(rewards), ends, infos, outer)
+        self._done = ends
+        started = np.flatnonzero(ends if self._mode is AutoresetMode.SAME_STEP else resetting).tolist()
+        last, infos = self._start(started, observations, infos, None)
+        return last, rewards, terminated, truncated, infos
 
-    def _inner(self, live: list[int], given: Values) -> Values:
-        """Actions for the wrapped environment; of slots that begin anew, one that nobody reads."""
-        acted = self._logic.act(live, given[live])
+    def _inner_actions(self, live: list[int], actions: Values) -> Values:
+        """Return the actions for the wrapped environment; slots that reset get zeros, which nobody reads."""
+        acted = self._logic.act(live, actions[live])
         inner = np.empty((self.num_envs, *acted.shape[1:]), acted.dtype)
         inner[:] = create_zero_array(self.env.single_action_space)
         inner[live] = acted
         return inner
 
-    def _stepped(
+    def _step_logic(
         self,
         live: list[int],
         observations: Values,
         rewards: Values,
         ends: NDArray[np.bool_],
         infos: dict[str, Any],
-        given: Values,
+        actions: Values,
     ) -> Values:
-        """Hands the timestep to the core: those that go on, then those whose last sample stands in the infos."""
-        last = np.flatnonzero(ends).tolist() if self._mode is AutoresetMode.SAME_STEP else []
+        """Pass the timestep to the logic: running slots first, then those whose last sample is in the infos."""
+        final = np.flatnonzero(ends).tolist() if self._mode is AutoresetMode.SAME_STEP else []
         width = () if self._logic.reward_space is None else self._logic.reward_space.shape
-        told = np.zeros((self.num_envs, *width), np.float64)
-        for slots in ([i for i in live if i not in last], last):
+        outer_rewards = np.zeros((self.num_envs, *width), np.float64)
+        for slots in ([i for i in live if i not in final], final):
             if not slots:
                 continue
-            at_end = slots is last
-            rows = np.array([infos["final_obs"][i] for i in slots]) if at_end else observations[slots]
-            said = infos["final_info"] if at_end else infos
-            step = StepBatch(slots, rows, rewards[slots], ends[slots], Infos(said, slots), given[slots])
-            seen, told[slots] = self._logic.step(step)
-            if at_end:
-                for slot, row in zip(slots, seen, strict=True):
+            is_final = slots is final
+            rows = np.array([infos["final_obs"][i] for i in slots]) if is_final else observations[slots]
+            step_infos = infos["final_info"] if is_final else infos
+            step = StepBatch(slots, rows, rewards[slots], ends[slots], Infos(step_infos, slots), actions[slots])
+            outer_rows, outer_rewards[slots] = self._logic.step(step)
+            if is_final:
+                for slot, row in zip(slots, outer_rows, strict=True):
                     infos["final_obs"][slot] = row
-                infos["final_info"] = self._told(slots, said)
+                infos["final_info"] = self._with_added(slots, step_infos)
             else:
-                self._put(slots, seen)
-                infos.update(self._told(slots, infos))
-        return told
+                self._store(slots, outer_rows)
+                infos.update(self._with_added(slots, infos))
+        return outer_rewards
 
-    def _told(self, slots: list[int], infos: dict[str, Any]) -> dict[str, Any]:
-        """The infos with what the core added for these slots, in Gymnasium's form."""
-        told = dict(infos)
+    def _with_added(self, slots: list[int], infos: dict[str, Any]) -> dict[str, Any]:
+        """Return the infos with the logic's added values for these slots, in Gymnasium's form."""
+        merged = dict(infos)
         for key, rows in self._logic.added.items():
-            before = told.get(key, {})
-            held = told[key] = dict(before)
-            mask = told[f"_{key}"] = _mask(told.get(f"_{key}"), slots, self.num_envs)
+            before = merged.get(key, {})
+            columns = merged[key] = dict(before)
+            mask = merged[f"_{key}"] = _mask(merged.get(f"_{key}"), slots, self.num_envs)
             for name, values in rows.items():
                 filled = np.array(before[name]) if name in before else np.zeros(self.num_envs, values.dtype)
                 filled[slots] = values
-                held[name], held[f"_{name}"] = filled, mask.copy()
-        return told
+                columns[name], columns[f"_{name}"] = filled, mask.copy()
+        return merged
 
-    def close(self, **more: Any) -> None:
-        """Closes the wrapper and what it wraps; twice is fine."""
+    @override
+    def close(self, **kwargs: Any) -> None:
         self._logic.close()
-        self.env.close(**more)
+        self.env.close(**kwargs)
 
 
 def _mask(before: Any, slots: list[int], count: int) -> NDArray[np.bool_]:

@@ -1,4 +1,4 @@
-"""What a wrapper does, for any number of slots at once; `single` and `vector` put it around an environment."""
+"""The logic of a wrapper, for any number of slots at once; `adapters` runs it around an environment."""
 
 from __future__ import annotations
 
@@ -14,47 +14,55 @@ from numpy.typing import NDArray
 from agent_sdk.wrappers import names
 from topics.errors import InvalidConfig
 from topics.messages import Manifest
+from topics.typing_compat import override
 
 Values = NDArray[Any]
-"""An array with a row for each of some slots."""
+"""An array with one row per slot."""
 
 
 class Infos:
-    """What the environment says beside its observations, for some slots."""
+    """The infos of some slots, read by row.
 
-    def __init__(self, found: Mapping[str, Any], slots: Sequence[int] | None = None) -> None:
-        """Of one environment, or (with `slots`) of those slots of a vector environment."""
-        self._found, self._slots = found, slots
+    Args:
+        infos: as `reset` or `step` returned them.
+        slots: the slots of a vector environment; None for a single environment.
+    """
+
+    def __init__(self, infos: Mapping[str, Any], slots: Sequence[int] | None = None) -> None:
+        self._infos, self._slots = infos, slots
 
     def get(self, row: int, key: str) -> Any:
-        """The value of the slot in that row; None if it says nothing."""
+        """Return the value of the slot in that row; None if it has none."""
         if self._slots is None:
-            return self._found.get(key)
-        return _pick(self._found, key, self._slots[row])
+            return self._infos.get(key)
+        return _slot_value(self._infos, key, self._slots[row])
 
     def time(self, row: int) -> datetime:
-        """Simulated time of the row's sample."""
+        """Return the simulated time of the row's sample."""
         return datetime.fromisoformat(self.get(row, "time"))
 
     def step(self, row: int) -> int:
-        """Number of the row's sample in its episode: above 0 at a reset that goes back to a snapshot."""
+        """Return the number of the row's sample in its episode; above 0 at a reset to a snapshot."""
         return int(self.get(row, "step") or 0)
 
 
-def _pick(found: Mapping[str, Any], key: str, slot: int) -> Any:
-    mask = found.get(f"_{key}")
-    if key not in found or not (mask is None or mask[slot]):
+def _slot_value(infos: Mapping[str, Any], key: str, slot: int) -> Any:
+    mask = infos.get(f"_{key}")
+    if key not in infos or not (mask is None or mask[slot]):
         return None
-    value = found[key]
+    value = infos[key]
     if isinstance(value, Mapping):
         inner = [name for name in value if not (name.startswith("_") and name[1:] in value)]
-        said = {name: _pick(value, name, slot) for name in inner}
-        return {name: told for name, told in said.items() if told is not None}
+        slot_values = {name: _slot_value(value, name, slot) for name in inner}
+        return {name: value for name, value in slot_values.items() if value is not None}
     return value[slot]
 
 
 class ResetBatch(NamedTuple):
-    """An episode begins in `slots`: sample 0, or that of a snapshot; one row a slot. `seeds` None: none were given."""
+    """The first samples of episodes in `slots`, one row per slot: sample 0, or that of a snapshot.
+
+    `seeds` is None if `reset` got no seed.
+    """
 
     slots: list[int]
     observations: Values
@@ -63,7 +71,7 @@ class ResetBatch(NamedTuple):
 
 
 class StepBatch(NamedTuple):
-    """A timestep of `slots`, one row a slot. `actions` are those that this wrapper was given."""
+    """One timestep of `slots`, one row per slot. `actions` are those that this wrapper received."""
 
     slots: list[int]
     observations: Values
@@ -74,10 +82,15 @@ class StepBatch(NamedTuple):
 
 
 class EnvView:
-    """What a wrapper sees of the environment that it wraps, single or vector."""
+    """A wrapper's view of the environment that it wraps, single or vector.
 
-    def __init__(self, env: Any, who: str) -> None:
-        self.env, self.who = env, who
+    Args:
+        env: the environment.
+        wrapper_name: the wrapper's class, for errors.
+    """
+
+    def __init__(self, env: Any, wrapper_name: str) -> None:
+        self.env, self.wrapper_name = env, wrapper_name
         self.vector = isinstance(env, VectorEnv)
         self.slots: int = env.num_envs if self.vector else 1
         self.observation_space: Space[Any] = env.single_observation_space if self.vector else env.observation_space
@@ -95,57 +108,67 @@ class EnvView:
 
     @property
     def manifest(self) -> Manifest:
-        """The node's."""
-        found: Manifest = names.attribute(self.env, "manifest")
-        return found
+        """The manifest of the environment's node."""
+        manifest: Manifest = names.attribute(self.env, "manifest")
+        return manifest
 
     @property
     def box(self) -> Box[Any]:
-        """The observation space, one dimension, a name each."""
+        """The observation space: one dimension, with a name for each value.
+
+        Raises:
+            InvalidConfig: the observation space is not a Box.
+        """
         if not isinstance(self.observation_space, Box):
-            raise InvalidConfig(f"{self.who} needs observations in a Box, not {self.observation_space}")
+            raise InvalidConfig(f"{self.wrapper_name} needs observations in a Box, not {self.observation_space}")
         assert self.observation_space.shape == (len(self.names),)
         return self.observation_space
 
-    def each(self, slots: Sequence[int], method: str, *given: Any) -> list[Any]:
-        """What the method of each slot's environment answers."""
+    def call(self, slots: Sequence[int], method: str, *args: Any) -> list[Any]:
+        """Call a method of each slot's environment with the same arguments; return the results."""
         base = self.env.unwrapped
         if not self.vector:
-            return [self._own(base, method)(*given)]
+            return [self._method(base, method)(*args)]
         if hasattr(base, "envs"):
-            return [self._own(base.envs[slot].unwrapped, method)(*given) for slot in slots]
-        answers = self._own(base, "call")(method, *given)
-        return [answers[slot] for slot in slots]
+            return [self._method(base.envs[slot].unwrapped, method)(*args) for slot in slots]
+        results = self._method(base, "call")(method, *args)
+        return [results[slot] for slot in slots]
 
-    def tell(self, slots: Sequence[int], method: str, given: Sequence[Any]) -> None:
-        """Calls a method of each slot's environment, each with its own argument."""
+    def call_each(self, slots: Sequence[int], method: str, arguments: Sequence[Any]) -> None:
+        """Call a method of each slot's environment, each with its own argument.
+
+        Raises:
+            InvalidConfig: the environments run in other processes and their arguments differ.
+        """
         base = self.env.unwrapped
         if not self.vector or hasattr(base, "envs"):
-            for slot, value in zip(slots, given, strict=True):
-                self._own(base.envs[slot].unwrapped if self.vector else base, method)(value)
-        elif len(slots) == self.slots and all(value == given[0] for value in given):
-            self._own(base, "call")(method, given[0])
+            for slot, argument in zip(slots, arguments, strict=True):
+                self._method(base.envs[slot].unwrapped if self.vector else base, method)(argument)
+        elif len(slots) == self.slots and all(argument == arguments[0] for argument in arguments):
+            self._method(base, "call")(method, arguments[0])
         else:
             raise InvalidConfig(
-                f"{self.who}: slots in other processes stand at different times; "
-                "wrap each environment instead, in the function that makes it"
+                f"{self.wrapper_name} cannot set slots in other processes to different values; "
+                "wrap each environment instead, in the function that creates it"
             )
 
-    def _own(self, env: Any, method: str) -> Any:
+    def _method(self, env: Any, method: str) -> Any:
         try:
             return getattr(env, method)
         except AttributeError:
-            raise InvalidConfig(f"{self.who} needs an environment with {method}(); {env} has none") from None
+            raise InvalidConfig(
+                f"{self.wrapper_name} needs an environment with {method}(), which {env} does not have"
+            ) from None
 
 
 class WrapperLogic:
-    """Base of what the wrappers do. A subclass changes what it needs to; the rest passes.
+    """Base of the logic of wrappers. A subclass overrides what it changes; the rest passes through.
 
     Attributes:
-        observation_space, action_space, reward_space: of one slot; None if unchanged.
-        observation_names, action_names: the same.
-        added: what goes into the infos after a `start` or `step`, by key and name, a value for each row.
-        snapshot_aware: whether it remembers again, at a snapshot, what it remembered there.
+        observation_space, action_space, reward_space: spaces of one slot; None if unchanged.
+        observation_names, action_names: names after this wrapper; None if unchanged.
+        added: values for the infos after `start` or `step`, by key and name, one value per row.
+        snapshot_aware: whether a reset to a snapshot restores this logic's state as well.
     """
 
     snapshot_aware: ClassVar[bool] = True
@@ -160,60 +183,68 @@ class WrapperLogic:
         self.added: dict[str, dict[str, Values]] = {}
 
     def start(self, start: ResetBatch) -> Values:
-        """The observations of sample 0, shape (rows, values)."""
+        """Return the observations at an episode's start, shape (rows, values)."""
         return start.observations
 
-    def act(self, slots: list[int], actions: Values) -> Values:  # noqa: ARG002  # most don't need the slots
-        """The actions for the wrapped environment."""
+    def act(self, slots: list[int], actions: Values) -> Values:  # noqa: ARG002  # most do not need the slots
+        """Return the actions for the wrapped environment."""
         return actions
 
     def step(self, step: StepBatch) -> tuple[Values, Values]:
-        """Observations and rewards of a timestep."""
+        """Return the observations and rewards of a timestep."""
         return step.observations, step.rewards
 
     def get_state(self) -> list[dict[str, Any]]:
-        """What it remembers, as plain values, for each slot."""
+        """Return the state of each slot as plain values."""
         return [{} for _ in range(self.view.slots)]
 
     def set_state(self, slots: Sequence[Mapping[str, Any]]) -> None:
-        """Goes on from `get_state`."""
+        """Restore a state that `get_state` returned."""
 
     def close(self) -> None:
-        """Lets go of what it holds; twice is fine."""
+        """Release resources. Idempotent."""
 
     def extend(self, added: Sequence[str], low: Values, high: Values, kept: Sequence[int] | None = None) -> None:
-        """Values are appended, after those of the wrapped environment or the `kept` of them.
+        """Append values to the observation space and its names.
+
+        Args:
+            added: names of the new values.
+            low: lower bounds of the new values.
+            high: upper bounds of the new values.
+            kept: indices of the wrapped environment's values that stay; None keeps all.
 
         Raises:
-            InvalidConfig: a name that the observation has already.
+            InvalidConfig: the observation already has one of the names.
         """
         box, before = self.view.box, self.view.names
-        at = list(range(len(before))) if kept is None else list(kept)
-        held = [before[i] for i in at]
-        if twice := [name for name in added if name in held]:
-            raise InvalidConfig(f"{self.view.who}: the observation has {', '.join(map(repr, twice))} already")
-        lows = np.concatenate([box.low[at], np.asarray(low)]).astype(np.float32)
-        highs = np.concatenate([box.high[at], np.asarray(high)]).astype(np.float32)
+        indices = list(range(len(before))) if kept is None else list(kept)
+        kept_names = [before[i] for i in indices]
+        if duplicates := [name for name in added if name in kept_names]:
+            raise InvalidConfig(
+                f"{self.view.wrapper_name}: the observation already has {', '.join(map(repr, duplicates))}"
+            )
+        lows = np.concatenate([box.low[indices], np.asarray(low)]).astype(np.float32)
+        highs = np.concatenate([box.high[indices], np.asarray(high)]).astype(np.float32)
         self.observation_space = Box(lows, highs, dtype=np.float32)
-        self.observation_names = (*held, *added)
+        self.observation_names = (*kept_names, *added)
 
 
 class ObservationLogic(WrapperLogic):
-    """A wrapper that does the same to each observation."""
+    """Base of logic that transforms each observation and nothing else."""
 
+    @override
     def start(self, start: ResetBatch) -> Values:
-        """See `WrapperLogic`."""
-        return self.observe(start, begins=True)
+        return self.observe(start, is_reset=True)
 
+    @override
     def step(self, step: StepBatch) -> tuple[Values, Values]:
-        """See `WrapperLogic`."""
-        return self.observe(step, begins=False), step.rewards
+        return self.observe(step, is_reset=False), step.rewards
 
-    def observe(self, seen: ResetBatch | StepBatch, *, begins: bool) -> Values:
-        """The observations, shape (rows, values), at sample 0 or at a later one."""
+    def observe(self, batch: ResetBatch | StepBatch, *, is_reset: bool) -> Values:
+        """Return the observations, shape (rows, values), at an episode's start or after a timestep."""
         raise NotImplementedError
 
 
-def append(observations: Values, more: Values) -> NDArray[np.float32]:
-    """Values after the observation's own, shapes (…, n) and (…, m)."""
-    return np.concatenate([observations, more], axis=-1).astype(np.float32)
+def append(observations: Values, values: Values) -> NDArray[np.float32]:
+    """Append values to observations, shapes (…, n) and (…, m)."""
+    return np.concatenate([observations, values], axis=-1).astype(np.float32)

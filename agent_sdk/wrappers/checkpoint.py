@@ -1,4 +1,4 @@
-"""What a chain of wrappers has learnt, kept with the model: a file that people can read."""
+"""The state of a chain of wrappers, saved with a model in a readable file."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from topics import yaml12
 from topics.atomic_file import atomic_file
 from topics.errors import InvalidConfig
 
-_KINDS = ("float32", "float64")
+_DTYPES = ("float32", "float64")
 
 
-class _Keeper(NamedTuple):
-    """One wrapper that remembers: its name, and its state out and in."""
+class _StatefulWrapper(NamedTuple):
+    """A wrapper with state: its name, and functions that get and set the state."""
 
     name: str
     get: Callable[[], dict[str, Any]]
@@ -28,84 +28,98 @@ class _Keeper(NamedTuple):
 
 
 def save_wrappers(env: Any, path: str | Path) -> None:
-    """Writes what the wrappers of `env`, single or vector, remember: ours, and Gymnasium's running statistics.
+    """Write the state of the wrappers of `env`: those of `agent_sdk.wrappers`, and Gymnasium's running statistics.
 
-    Of a `SyncVectorEnv` also the wrappers of each slot's own environment. The file (YAML) is there whole or not
-    at all, and its folder is made. Save between episodes: what the simulation itself is at is not kept.
+    Includes the wrappers of each slot's environment in a `SyncVectorEnv`. The YAML file is written atomically, and its
+    folder is created. Save between episodes: the state of the simulation is not saved.
+
+    Args:
+        env: single or vector.
+        path: the file.
     """
-    kept = {"wrappers": [{"wrapper": keeper.name, **keeper.get()} for keeper in _keepers(env)]}
+    content = {"wrappers": [{"wrapper": wrapper.name, **wrapper.get()} for wrapper in _stateful_wrappers(env)]}
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_file(path) as temporary:
-        temporary.write_text(yaml12.dump(kept), encoding="utf-8")
+    hidden = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        hidden.write_text(yaml12.dump(content), encoding="utf-8")
+        hidden.replace(path)
+    finally:
+        hidden.unlink(missing_ok=True)
 
 
 def restore_wrappers(env: Any, path: str | Path) -> None:
-    """Goes on from a file of `save_wrappers`; `env` has the same wrappers in the same order. Reset it then.
+    """Restore the state that `save_wrappers` wrote to a file. Reset the environment afterwards.
 
-    With another number of slots running statistics are taken over, and what concerns a running episode is not.
+    If the number of slots differs, running statistics are restored but the state of running episodes is not.
+
+    Args:
+        env: with the same wrappers in the same order.
+        path: the file.
 
     Raises:
-        InvalidConfig: no such file, no such form, or another chain of wrappers; nothing was changed then.
+        InvalidConfig: the file cannot be read, has another form, or is of another chain of wrappers; nothing was
+            changed.
     """
     try:
-        found = yaml12.parse(yaml12.read_text(Path(path)), str(path)).get("wrappers")
+        states = yaml12.parse(yaml12.read_text(Path(path)), str(path)).get("wrappers")
     except (OSError, UnicodeDecodeError) as error:
         raise InvalidConfig(f"{path} cannot be read: {error}") from None
-    keepers = list(_keepers(env))
-    if not isinstance(found, list) or not all(isinstance(one, dict) and "wrapper" in one for one in found):
-        raise InvalidConfig(f"{path} is no file of save_wrappers")
-    there, here = [one["wrapper"] for one in found], [keeper.name for keeper in keepers]
-    if there != here:
+    wrappers = list(_stateful_wrappers(env))
+    if not isinstance(states, list) or not all(isinstance(state, dict) and "wrapper" in state for state in states):
+        raise InvalidConfig(f"{path} was not written by save_wrappers")
+    saved_names, names = [state["wrapper"] for state in states], [wrapper.name for wrapper in wrappers]
+    if saved_names != names:
         raise InvalidConfig(
-            f"{path} is of the wrappers {', '.join(there) or 'none'}; this chain has {', '.join(here) or 'none'}, "
-            "from the outermost: wrap as it was when saved"
+            f"{path} has the wrappers {', '.join(saved_names) or 'none'}; this chain has {', '.join(names) or 'none'}, "
+            "from the outermost: apply the same wrappers as when it was saved"
         )
-    before = [keeper.get() for keeper in keepers]
+    before = [wrapper.get() for wrapper in wrappers]
     try:
-        for keeper, state in zip(keepers, found, strict=True):
-            keeper.set({key: value for key, value in state.items() if key != "wrapper"})
+        for wrapper, state in zip(wrappers, states, strict=True):
+            wrapper.set({key: value for key, value in state.items() if key != "wrapper"})
     except (InvalidConfig, KeyError, TypeError, ValueError) as error:
-        for keeper, state in zip(keepers, before, strict=True):
-            keeper.set(state)
-        why = error if isinstance(error, InvalidConfig) else f"{type(error).__name__} {error}"
-        raise InvalidConfig(f"{path} does not fit: {why}") from None
+        for wrapper, state in zip(wrappers, before, strict=True):
+            wrapper.set(state)
+        reason = error if isinstance(error, InvalidConfig) else f"{type(error).__name__} {error}"
+        raise InvalidConfig(f"{path} does not fit: {reason}") from None
 
 
-def _keepers(env: Any, mark: str = "") -> Iterator[_Keeper]:
-    """From the outermost on; of what a `SyncVectorEnv` holds, `0/NormalizeObservation` and so on."""
+def _stateful_wrappers(env: Any, prefix: str = "") -> Iterator[_StatefulWrapper]:
+    """Yield them from the outermost; those of a `SyncVectorEnv`'s slots as `0/NormalizeObservation` and so on."""
     while isinstance(env, Wrapper | VectorWrapper):
-        name, kind = mark + type(env).__name__, type(env).__name__
+        name, kind = prefix + type(env).__name__, type(env).__name__
         if isinstance(env, BuildingWrapper):
-            yield _Keeper(name, env.get_state, env.set_state)
+            yield _StatefulWrapper(name, env.get_state, env.set_state)
         elif kind in _STATISTICS and type(env).__module__.startswith("gymnasium."):
-            yield _Keeper(name, *_of_gymnasium(env))
+            yield _StatefulWrapper(name, *_statistics_accessors(env))
         env = env.env
     for slot, inner in enumerate(inside(env)):
-        yield from _keepers(inner, f"{slot}/")
+        yield from _stateful_wrappers(inner, f"{slot}/")
 
 
 _STATISTICS = {
     "NormalizeObservation": ("obs_rms", ()),
     "NormalizeReward": ("return_rms", ("discounted_reward", "accumulated_reward", "_prev_dones")),
 }
-"""Gymnasium's running statistics, and the arrays of running episodes beside them."""
+"""Attributes of Gymnasium's wrappers: the running statistics, and arrays of the running episodes."""
 
 
-def _of_gymnasium(env: Any) -> tuple[Callable[[], dict[str, Any]], Callable[[Mapping[str, Any]], None]]:
+def _statistics_accessors(env: Any) -> tuple[Callable[[], dict[str, Any]], Callable[[Mapping[str, Any]], None]]:
     running, arrays = _STATISTICS[type(env).__name__]
 
     def get() -> dict[str, Any]:
-        of = getattr(env, running)
-        state = {"mean": _plain(of.mean), "var": _plain(of.var), "count": float(of.count)}
+        statistics = getattr(env, running)
+        state = {"mean": _plain(statistics.mean), "var": _plain(statistics.var), "count": float(statistics.count)}
         return state | {name: _plain(getattr(env, name)) for name in arrays if hasattr(env, name)}
 
     def restore(state: Mapping[str, Any]) -> None:
-        of = getattr(env, running)
+        statistics = getattr(env, running)
         mean, var, count = _array(state["mean"]), _array(state["var"]), float(state["count"])
-        if mean.shape != np.shape(of.mean) or var.shape != np.shape(of.var) or not count > 0:
-            raise ValueError(f"{type(env).__name__} has statistics of shape {np.shape(of.mean)}, not {mean.shape}")
-        of.mean, of.var, of.count = mean, var, count
+        shape = np.shape(statistics.mean)
+        if mean.shape != shape or var.shape != np.shape(statistics.var) or not count > 0:
+            raise ValueError(f"{type(env).__name__} has statistics of shape {shape}, not {mean.shape}")
+        statistics.mean, statistics.var, statistics.count = mean, var, count
         for name in arrays:
             if name in state and hasattr(env, name) and np.shape(getattr(env, name)) == np.shape(state[name]["values"]):
                 setattr(env, name, _array(state[name]))
@@ -114,45 +128,45 @@ def _of_gymnasium(env: Any) -> tuple[Callable[[], dict[str, Any]], Callable[[Map
 
 
 def _plain(array: Any) -> dict[str, Any]:
-    """An array as plain values; a float32 is a float64 to the bit."""
-    found = np.asarray(array)
-    return {"kind": str(found.dtype), "values": found.tolist()}
+    """Convert an array to plain values, without loss."""
+    values = np.asarray(array)
+    return {"kind": str(values.dtype), "values": values.tolist()}
 
 
 def _array(plain: Mapping[str, Any]) -> Any:
-    if plain["kind"] not in _KINDS:
-        raise ValueError(f"numbers of kind {plain['kind']!r}; {' or '.join(_KINDS)} expected")
+    if plain["kind"] not in _DTYPES:
+        raise ValueError(f"{' or '.join(_DTYPES)} expected, got {plain['kind']!r}")
     return np.array(plain["values"], plain["kind"])
 
 
 def restore_normalization(env: Any, folder: str | Path) -> None:
-    """Takes over the statistics of observations that Sinergym saved: `mean.txt`, `var.txt` and `count.txt`.
+    """Load the observation statistics that Sinergym saved: `mean.txt`, `var.txt` and `count.txt`.
 
-    They are numbers of a model's training, one for each observation; `count.txt` may be missing.
+    The files have one number per observation value; `count.txt` is optional.
 
     Args:
-        env: with Gymnasium's `NormalizeObservation` around it, whose observation has the same order.
+        env: an environment within Gymnasium's `NormalizeObservation`, with the values in the same order.
         folder: Sinergym's `norm_stats`.
 
     Raises:
-        InvalidConfig: no such wrapper; a file that is missing or not of so many numbers.
+        InvalidConfig: the wrapper or a file is missing, or a file has another number of values.
     """
     try:
         statistics = env.get_wrapper_attr("obs_rms")
     except AttributeError:
-        raise InvalidConfig("there is no NormalizeObservation around the environment to take the statistics") from None
-    shape, found = np.shape(statistics.mean), {}
+        raise InvalidConfig("the environment has no NormalizeObservation, which the statistics are for") from None
+    shape, loaded = np.shape(statistics.mean), {}
     for name in ("mean", "var", "count"):
         path = Path(folder) / f"{name}.txt"
         if name == "count" and not path.exists():
             continue
         try:
-            found[name] = np.loadtxt(path, np.float64, ndmin=1)
+            loaded[name] = np.loadtxt(path, np.float64, ndmin=1)
         except (OSError, ValueError) as error:
-            raise InvalidConfig(f"{path}: a number a line expected ({error})") from None
-        wanted = shape if name != "count" else (1,)
-        if found[name].shape != wanted or not np.isfinite(found[name]).all():
-            raise InvalidConfig(f"{path}: {int(np.prod(wanted))} numbers expected, it has {found[name].size}")
-    statistics.mean, statistics.var = found["mean"], found["var"]
-    if "count" in found:
-        statistics.count = float(found["count"][0])
+            raise InvalidConfig(f"{path}: one number per line expected ({error})") from None
+        expected_shape = shape if name != "count" else (1,)
+        if loaded[name].shape != expected_shape or not np.isfinite(loaded[name]).all():
+            raise InvalidConfig(f"{path}: {int(np.prod(expected_shape))} numbers expected, got {loaded[name].size}")
+    statistics.mean, statistics.var = loaded["mean"], loaded["var"]
+    if "count" in loaded:
+        statistics.count = float(loaded["count"][0])

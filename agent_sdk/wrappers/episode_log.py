@@ -1,4 +1,4 @@
-"""A file for each episode."""
+"""A wrapper that writes one table per episode."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gymnasium.spaces import Box
 from agent_sdk.wrappers.adapters import BuildingWrapper
 from agent_sdk.wrappers.base import EnvView, ResetBatch, StepBatch, Values, WrapperLogic
 from agent_sdk.wrappers.extras import load
-from agent_sdk.wrappers.names import refuse_inside
+from agent_sdk.wrappers.names import reject_wrappers
 from agent_sdk.wrappers.table_writers import Cell, CsvWriter, ParquetWriter, Writer
 from topics.errors import InvalidConfig
 
@@ -24,25 +24,23 @@ class _Logic(WrapperLogic):
     def __init__(self, view: EnvView, folder: str | Path, format: Literal["csv", "parquet"] = "csv") -> None:  # noqa: A002
         super().__init__(view)
         if format not in FORMATS:
-            raise InvalidConfig(f"{view.who}: no format {format!r}; csv or parquet")
+            raise InvalidConfig(f"{view.wrapper_name}: there is no format {format!r}; use csv or parquet")
         if format == "parquet":
-            load("pyarrow", "parquet", view.who)
-        refuse_inside(view.env, ["RewardVector"], f"{view.who} logs a number as reward; put it before {{}}")
+            load("pyarrow", "parquet", view.wrapper_name)
+        reject_wrappers(view.env, ["RewardVector"], f"{view.wrapper_name} logs a scalar reward; apply it before {{}}")
         self._folder, self._format = Path(folder), format
         self._folder.mkdir(parents=True, exist_ok=True)
         self._open: dict[int, tuple[Writer, str]] = {}
         self._rewards: dict[int, tuple[list[str], list[str]]] = {}
-        self._columns = [f"observation.{name}" for name in view.names] + [f"action.{n}" for n in _parts(view)]
-        self._applied = [f"applied.{actuator.name}" for actuator in view.manifest.actuators]
+        self._columns = [f"observation.{name}" for name in view.names] + [f"action.{n}" for n in _action_columns(view)]
+        self._effective = [f"effective.{actuator.name}" for actuator in view.manifest.actuators]
 
     def start(self, start: ResetBatch) -> Values:
-        """See `WrapperLogic`."""
         for slot in start.slots:
             self._finish(slot, "-left")
         return start.observations
 
     def step(self, step: StepBatch) -> tuple[Values, Values]:
-        """See `WrapperLogic`."""
         for row, slot in enumerate(step.slots):
             terms = step.infos.get(row, "reward_terms") or {}
             measures = step.infos.get(row, "reward_metrics") or {}
@@ -71,37 +69,36 @@ class _Logic(WrapperLogic):
     def _begin(self, slot: int, terms: Mapping[str, float], measures: Mapping[str, float]) -> None:
         self._rewards[slot] = (list(terms), [name for name, value in measures.items() if np.ndim(value) == 0])
         rewards = [f"reward.{n}" for n in terms] + [f"measure.{n}" for n in self._rewards[slot][1]]
-        columns = ["time", *self._columns, *self._applied, "reward", *rewards]
-        name = self._next(slot)
+        columns = ["time", *self._columns, *self._effective, "reward", *rewards]
+        name = self._next_name(slot)
         hidden = self._folder / f".{name}.{self._format}"
         if self._format == "csv":
             self._open[slot] = CsvWriter(columns, hidden), name
         else:
-            self._open[slot] = ParquetWriter(columns, hidden, ["time"], self.view.who), name
+            self._open[slot] = ParquetWriter(columns, hidden, ["time"], self.view.wrapper_name), name
 
-    def _next(self, slot: int) -> str:
+    def _next_name(self, slot: int) -> str:
         prefix = f"slot-{slot:02d}-episode-" if self.view.vector else "episode-"
-        found = (re.match(rf"\.?{prefix}(\d+)", file.name) for file in self._folder.iterdir())
-        return f"{prefix}{max((int(m[1]) for m in found if m), default=0) + 1:06d}"
+        matches = (re.match(rf"\.?{prefix}(\d+)", file.name) for file in self._folder.iterdir())
+        return f"{prefix}{max((int(match[1]) for match in matches if match), default=0) + 1:06d}"
 
-    def _finish(self, slot: int, how: str) -> None:
+    def _finish(self, slot: int, suffix: str) -> None:
         if slot in self._open:
             writer, name = self._open.pop(slot)
-            writer.finish(self._folder / f"{name}{how}.{self._format}")
+            writer.finish(self._folder / f"{name}{suffix}.{self._format}")
 
     def close(self) -> None:
-        """See `WrapperLogic`."""
         for slot in list(self._open):
             self._finish(slot, "-left")
 
 
-def _number(told: Any) -> float | None:
-    """Empty where a reward of one's own has no such term in this timestep."""
-    return None if told is None else float(told)
+def _number(value: Any) -> float | None:
+    """Convert a term to a float; None, an empty cell, if a custom reward does not have it in this timestep."""
+    return None if value is None else float(value)
 
 
-def _parts(view: EnvView) -> list[str]:
-    """A name for each number of an action."""
+def _action_columns(view: EnvView) -> list[str]:
+    """Return a name for each number of an action."""
     space: Any = view.action_space
     names = list(view.action_names)
     if isinstance(space, Box) and space.shape == (len(names),):
@@ -111,20 +108,20 @@ def _parts(view: EnvView) -> list[str]:
 
 
 class EpisodeLog(BuildingWrapper):
-    """Writes a table for each episode: `episode-000001.csv`; of a vector, `slot-00-episode-000001.csv`.
+    """Write a table for each episode: `episode-000001.csv`, or `slot-00-episode-000001.csv` in a vector environment.
 
-    A row is a timestep: `time` (of its end), each observation by name as this wrapper gives it (`observation.`),
-    the action that it was given (`action.`), what each actuator really was (`applied.`), `reward`, and its terms
-    and measures (`reward.`, `measure.`). An episode of N steps has N rows; sample 0 is none. An episode that is
-    left early ends in `episode-000001-left.csv`; its rows are whole. A file has its name only when it is closed,
-    and hides behind a dot until then. Numbers go on after the files that the folder has.
+    Each row is one timestep: `time` (its end), each observation by name as this wrapper returns it (`observation.`),
+    the action that it received (`action.`), the effective value of each actuator (`effective.`), `reward`, and its
+    terms and metrics (`reward.`, `measure.`). An episode of N steps has N rows; sample 0 has none. An episode that is
+    abandoned before its end is written to `episode-000001-left.csv`, with complete rows. A file has a hidden name,
+    which begins with a dot, until it is closed. Numbering continues after the files that are already in the folder.
 
     Args:
-        folder: where to; it is made.
+        folder: the output folder, which is created if necessary.
         format: `csv`, or `parquet` (needs the extra `parquet`).
 
     Raises:
-        InvalidConfig: no such format, the extra is missing, or a `RewardVector` within.
+        InvalidConfig: there is no such format, the extra is missing, or an inner wrapper is a `RewardVector`.
     """
 
     logic = _Logic

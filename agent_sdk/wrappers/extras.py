@@ -1,4 +1,4 @@
-"""Modules that come with an extra of the package."""
+"""Imports of modules that an extra of the package installs."""
 
 from __future__ import annotations
 
@@ -9,13 +9,18 @@ from topics.errors import InvalidConfig
 from topics.extras import install_command
 
 
-def load(module: str, extra: str, who: str) -> Any:
-    """The module.
+def load(module: str, extra: str, feature: str) -> Any:
+    """Import a module.
+
+    Args:
+        module: its name.
+        extra: the extra that installs it.
+        feature: the feature that needs it, for the error.
 
     Raises:
-        InvalidConfig: it is not installed; the text names the extra.
+        InvalidConfig: it is not installed.
     """
     try:
         return importlib.import_module(module)
     except ImportError as error:
-        raise InvalidConfig(f"{who} needs {module} ({error}): {install_command(extra)}") from None
+        raise InvalidConfig(f"{feature} needs {module} ({error}): {install_command(extra)}") from None

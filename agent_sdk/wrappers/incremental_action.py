@@ -1,4 +1,4 @@
-"""Actions that change a value rather than set it."""
+"""A wrapper whose actions change values instead of setting them."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from gymnasium.spaces import Box
 
 from agent_sdk.wrappers.adapters import BuildingWrapper
 from agent_sdk.wrappers.base import EnvView, Values
-from agent_sdk.wrappers.incremental import IncrementalLogic, refused, rounded
-from agent_sdk.wrappers.names import places
+from agent_sdk.wrappers.incremental import IncrementalLogic, invalid_action, rounded
+from agent_sdk.wrappers.names import indices_of
 from topics.errors import InvalidConfig
 
 
@@ -20,50 +20,54 @@ class _Logic(IncrementalLogic):
         self, view: EnvView, increments: Mapping[str, float | Sequence[float]], initial: Mapping[str, float]
     ) -> None:
         if set(increments) != set(initial):
-            raise InvalidConfig(f"{view.who}: increments and initial should name the same actions")
-        places(increments, view.action_names, view.who, "action")
+            raise InvalidConfig(f"{view.wrapper_name}: increments and initial have to name the same actions")
+        indices_of(increments, view.action_names, view.wrapper_name, "action")
         super().__init__(view, {name: initial[name] for name in increments})
-        pairs = np.array([_pair(given, f"{view.who}: {name}") for name, given in increments.items()])
-        most, self._steps = self._most, _ = pairs.reshape(-1, 2).T
+        pairs = [_increment_and_step(value, f"{view.wrapper_name}: {name}") for name, value in increments.items()]
+        self._max, self._steps = np.array(pairs).reshape(-1, 2).T
         low, high = self.inner.low.astype(np.float32), self.inner.high.astype(np.float32)
-        low[self.at], high[self.at] = -most, most
+        low[self.indices], high[self.indices] = -self._max, self._max
         self._space = self.action_space = Box(low, high, dtype=np.float32)
         self.action_names = self.names
 
     def act(self, slots: list[int], actions: Values) -> Values:
-        """See `WrapperLogic`."""
-        told = actions.astype(np.float32)
+        inner = actions.astype(np.float32)
         low, high = self._space.low, self._space.high
-        if told.shape[1:] != low.shape or not ((told >= low) & (told <= high) & np.isfinite(told)).all():
-            raise refused(self.view.who, actions if self.view.vector else actions[0], self._space)
-        told[:, self.at] = self.move(slots, rounded(told[:, self.at].astype(np.float64), self._steps, self._most))
-        return told
+        if inner.shape[1:] != low.shape or not ((inner >= low) & (inner <= high) & np.isfinite(inner)).all():
+            raise invalid_action(self.view.wrapper_name, actions if self.view.vector else actions[0], self._space)
+        inner[:, self.indices] = self.move(
+            slots, rounded(inner[:, self.indices].astype(np.float64), self._steps, self._max)
+        )
+        return inner
 
 
-def _pair(given: Any, who: str) -> tuple[float, float]:
+def _increment_and_step(value: Any, label: str) -> tuple[float, float]:
     try:
-        most, step = given if isinstance(given, Sequence) else (given, 0.0)
-        fine = 0 < most < np.inf and 0 <= step <= most
+        increment, step = value if isinstance(value, Sequence) else (value, 0.0)
+        is_valid = 0 < increment < np.inf and 0 <= step <= increment
     except (TypeError, ValueError):
-        fine = False
-    if not fine:
-        raise InvalidConfig(f"{who}: {given!r}; the largest increment is above 0, and its step is not above that")
-    return float(most), float(step)
+        is_valid = False
+    if not is_valid:
+        raise InvalidConfig(
+            f"{label}: got {value!r}; the largest increment has to be above 0 and its step not above the increment"
+        )
+    return float(increment), float(step)
 
 
 class IncrementalAction(BuildingWrapper):
-    """Named actions are increments on the value before, in the action's unit; the others stay as they are.
+    """Take named actions as increments of their previous values, in the action's unit; other actions are unchanged.
 
-    The value starts from `initial` in each episode and stays within the action's bounds.
+    The values start at `initial` in each episode and stay within the actions' bounds.
 
     Args:
-        increments: action to the largest increment, or to (largest increment, step): increments are rounded to the
-            nearest multiple of the step, half to even.
-        initial: the value of each of these actions at an episode's begin.
+        increments: the largest increment by action, or (largest increment, step), in which case increments are rounded
+            to the nearest multiple of the step, half to even.
+        initial: the value of each of these actions at an episode's start.
 
     Raises:
-        InvalidConfig: no such action, no initial value or one out of bounds, or a wrapper within that takes actions
-            out of their units. `InvalidAction` at a step: an action out of the space, nothing was simulated.
+        InvalidConfig: there is no such action, an initial value is missing or out of bounds, or an inner wrapper
+            changes the units of actions. `InvalidAction` at a step: the action is not in the space; nothing was
+            simulated.
     """
 
     logic = _Logic

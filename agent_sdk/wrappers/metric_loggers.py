@@ -1,4 +1,4 @@
-"""Means for those who watch a training: TensorBoard, Weights & Biases."""
+"""Wrappers that log means during training: TensorBoard, Weights & Biases."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ import numpy as np
 from agent_sdk.wrappers.adapters import BuildingWrapper
 from agent_sdk.wrappers.base import EnvView, ResetBatch, StepBatch, Values, WrapperLogic
 from agent_sdk.wrappers.extras import load
-from agent_sdk.wrappers.names import refuse_inside
+from agent_sdk.wrappers.names import reject_wrappers
 from topics.errors import InvalidConfig
+from topics.typing_compat import override
 
 
-class _Mean:
-    """Sums of named numbers, and how often each came."""
+class _Means:
+    """Sums and counts of named numbers."""
 
     def __init__(self) -> None:
         self.sums: dict[str, float] = {}
@@ -32,39 +33,39 @@ class _Mean:
 
 
 class MeansLog(WrapperLogic):
-    """Base of loggers: means of each episode and of every n steps.
+    """Base of logs of means over each episode and over every n steps.
 
-    They are of the reward, its terms and measures and the observations. A logger of one's own overrides `write`, which
-    gets them, and may override `values`, which says what is averaged; then a wrapper names it:
-    `class MyLog(Single): core = MyCore` (`agent_sdk.wrappers.single`, or `Vector` of `agent_sdk.wrappers.vector`).
+    The means are of the reward, its terms and metrics, and the observations. A custom log overrides `write`, which
+    receives the means, and may override `values`, which chooses what is averaged. A wrapper then names it as its
+    logic: `class MyLog(BuildingWrapper): logic = MyMeans`.
     """
 
     def __init__(self, view: EnvView, every: int) -> None:
         super().__init__(view)
         if every < 1:
-            raise InvalidConfig(f"{view.who}: every should be a number of steps, not {every!r}")
-        refuse_inside(view.env, ["RewardVector"], f"{view.who} logs a number as reward; put it before {{}}")
+            raise InvalidConfig(f"{view.wrapper_name}: every should be a number of steps from 1 on, got {every!r}")
+        reject_wrappers(view.env, ["RewardVector"], f"{view.wrapper_name} logs a scalar reward; apply it before {{}}")
         self._names, self._every = [f"observation.{name}" for name in view.names], every
-        self._episodes = [_Mean() for _ in range(view.slots)]
-        self._window, self._since, self.steps = _Mean(), 0, 0
+        self._episodes = [_Means() for _ in range(view.slots)]
+        self._window, self._since, self.steps = _Means(), 0, 0
 
     def write(self, values: Mapping[str, float], step: int) -> None:
-        """Hands numbers on: those of an episode at its end (`episode/…`), those of every n steps (`steps/…`).
+        """Write means: those of an episode at its end (`episode/…`), and those of every n steps (`steps/…`).
 
         Args:
-            values: means by name; with them `episode/return` and `episode/steps`.
+            values: means by name, for an episode with `episode/return` and `episode/steps`.
             step: the number of steps of all slots so far.
         """
         raise NotImplementedError
 
+    @override
     def start(self, start: ResetBatch) -> Values:
-        """See `WrapperLogic`."""
         for slot in start.slots:
-            self._episodes[slot] = _Mean()
+            self._episodes[slot] = _Means()
         return start.observations
 
+    @override
     def step(self, step: StepBatch) -> tuple[Values, Values]:
-        """See `WrapperLogic`."""
         for row, slot in enumerate(step.slots):
             values = self.values(row, step)
             self.steps += 1
@@ -73,17 +74,17 @@ class MeansLog(WrapperLogic):
             self._episodes[slot].add(values)
             if self._since == self._every:
                 self.write(self._window.means("steps"), self.steps)
-                self._window, self._since = _Mean(), 0
+                self._window, self._since = _Means(), 0
             if step.ends[row]:
                 self._end(slot)
         return step.observations, step.rewards
 
     def values(self, row: int, step: StepBatch) -> dict[str, float]:
-        """Numbers of one timestep of the slot `step.slots[row]`, by name; their means are logged."""
+        """Return the numbers to average, by name, for one timestep of the slot `step.slots[row]`."""
         values = {"reward": float(step.rewards[row])}
-        for group, key in (("reward", "reward_terms"), ("measure", "reward_metrics")):
-            said = step.infos.get(row, key) or {}
-            values |= {f"{group}.{name}": float(value) for name, value in said.items() if np.ndim(value) == 0}
+        for group, key in (("reward", "reward_terms"), ("measure", "reward_measures")):
+            group_values = step.infos.get(row, key) or {}
+            values |= {f"{group}.{name}": float(value) for name, value in group_values.items() if np.ndim(value) == 0}
         return values | dict(zip(self._names, np.ravel(step.observations[row]).tolist(), strict=True))
 
     def _end(self, slot: int) -> None:
@@ -91,47 +92,46 @@ class MeansLog(WrapperLogic):
         count, total = episode.counts["reward"], episode.sums["reward"]
         self.write(episode.means("episode") | {"episode/return": total, "episode/steps": float(count)}, self.steps)
 
-    snapshot_aware = False  # steps that were taken were taken
+    snapshot_aware = False  # a reset to a snapshot does not undo the steps that were logged
 
     def get_state(self) -> list[dict[str, Any]]:
-        """The number of steps, so that a training that goes on goes on counting."""
+        """Return the number of steps, so that a resumed training continues the count."""
         return [{"steps": self.steps} for _ in range(self.view.slots)]
 
+    @override
     def set_state(self, slots: Any) -> None:
-        """See `WrapperLogic`."""
         self.steps = int(slots[0]["steps"])
 
 
 class _TensorBoardMeans(MeansLog):
     def __init__(self, view: EnvView, folder: str | Path, every: int = 1000) -> None:
         super().__init__(view, every)
-        self._writer: Any = load("tensorboardX", "tensorboard", view.who).SummaryWriter(str(folder))
+        self._writer: Any = load("tensorboardX", "tensorboard", view.wrapper_name).SummaryWriter(str(folder))
 
     def write(self, values: Mapping[str, float], step: int) -> None:
-        """See `MeansLog`."""
         for name, value in values.items():
             self._writer.add_scalar(name, value, step)
 
     def close(self) -> None:
-        """See `WrapperLogic`."""
         if self._writer is not None:
             self._writer.close()
             self._writer = None
 
 
 class TensorBoardLog(BuildingWrapper):
-    """Writes means for TensorBoard (needs the extra `tensorboard`).
+    """Write means to TensorBoard (needs the extra `tensorboard`).
 
-    `episode/…` at each episode's end: the means over its steps, `episode/return` and `episode/steps`; `steps/…` every
-    `every` steps: the means since the last time. Of the reward, its terms (`reward.`) and measures (`measure.`) and
-    the observations (`observation.`), as this wrapper gives them. The step is the number of steps of all slots.
+    At each episode's end it writes `episode/…`: the means over the episode's steps, `episode/return` and
+    `episode/steps`; every `every` steps `steps/…`: the means since the last write. The means are of the reward, its
+    terms (`reward.`) and metrics (`measure.`), and the observations (`observation.`) as this wrapper returns them. The
+    step is the number of steps of all slots.
 
     Args:
-        folder: of TensorBoard's event file.
-        every: steps.
+        folder: folder of TensorBoard's event file.
+        every: interval of `steps/…`, in steps.
 
     Raises:
-        InvalidConfig: the extra is missing, or a `RewardVector` within.
+        InvalidConfig: the extra is missing, or an inner wrapper is a `RewardVector`.
     """
 
     logic = _TensorBoardMeans
@@ -153,28 +153,26 @@ class _WeightsAndBiasesMeans(MeansLog):
         artifacts: Sequence[str | Path] = (),
     ) -> None:
         super().__init__(view, every)
-        wandb = self._wandb = load("wandb", "wandb", view.who)
+        wandb = self._wandb = load("wandb", "wandb", view.wrapper_name)
         self._artifacts = [Path(path) for path in artifacts]
-        given: dict[str, Any] = {"project": project, "name": name, "mode": mode, "config": dict(config or {})}
-        given |= {"entity": entity, "group": group, "tags": None if tags is None else list(tags)}
-        self._run: Any = wandb.init(**given, dir=None if folder is None else str(folder), reinit="create_new")
+        settings: dict[str, Any] = {"project": project, "name": name, "mode": mode, "config": dict(config or {})}
+        settings |= {"entity": entity, "group": group, "tags": None if tags is None else list(tags)}
+        self._run: Any = wandb.init(**settings, dir=None if folder is None else str(folder), reinit="create_new")
 
     def write(self, values: Mapping[str, float], step: int) -> None:
-        """See `MeansLog`."""
         self._run.log(dict(values), step=step)
 
     def close(self) -> None:
-        """See `WrapperLogic`."""
         if self._run is not None:
             self._log_artifacts()
             self._run.finish()
             self._run = None
 
     def _log_artifacts(self) -> None:
-        there = [path for path in self._artifacts if path.exists()]
-        if there:
+        existing = [path for path in self._artifacts if path.exists()]
+        if existing:
             artifact = self._wandb.Artifact(f"run-{self._run.id}", type="output")
-            for path in there:
+            for path in existing:
                 if path.is_dir():
                     artifact.add_dir(str(path), name=path.name)
                 else:
@@ -183,22 +181,22 @@ class _WeightsAndBiasesMeans(MeansLog):
 
 
 class WeightsAndBiasesLog(BuildingWrapper):
-    """Logs means to a run of Weights & Biases (needs the extra `wandb`); what, as `TensorBoardLog`.
+    """Log means to a run of Weights & Biases (needs the extra `wandb`); the same means as `TensorBoardLog`.
 
     Args:
-        project: the project's name.
-        name: the run's.
-        every: steps.
-        mode: `offline` writes files that `wandb sync` sends later; `online` needs a login.
-        folder: where wandb keeps its files; None is the present folder.
-        config: what the run is to be known by.
-        entity: the user or team that the run belongs to; None is the login's own.
-        group: of runs that belong together.
-        tags: words to find the run by.
+        project: name of the project.
+        name: name of the run.
+        every: interval of `steps/…`, in steps.
+        mode: `offline` writes files that `wandb sync` uploads later; `online` needs a login.
+        folder: folder of wandb's files; None is the working directory.
+        config: the run's configuration.
+        entity: the user or team that owns the run; None is the default of the login.
+        group: the group of runs that it belongs to.
+        tags: tags of the run.
         artifacts: files and folders that are logged as an artifact of the run when the environment is closed.
 
     Raises:
-        InvalidConfig: the extra is missing, or a `RewardVector` within.
+        InvalidConfig: the extra is missing, or an inner wrapper is a `RewardVector`.
     """
 
     logic = _WeightsAndBiasesMeans

@@ -1,4 +1,4 @@
-"""Which name each value of an observation has, at any level of a chain of wrappers."""
+"""Names of the values of an observation, at any layer of a chain of wrappers."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from numpy.typing import ArrayLike
 
 from topics.errors import InvalidConfig, did_you_mean
 
-_KEEP_PLACES = {
+_KEEP_ORDER = {
     "Autoreset", "ClipAction", "ClipReward", "DelayObservation", "DiscretizeAction", "DtypeObservation",
     "HumanRendering", "MaxAndSkipObservation", "NormalizeObservation", "NormalizeReward", "OrderEnforcing",
     "PassiveEnvChecker", "RecordEpisodeStatistics", "RecordVideo", "RenderCollection", "RepeatAction",
     "RescaleAction", "RescaleObservation", "StickyAction", "TimeLimit", "TransformAction", "TransformReward",
     "DictInfoToList",
 }  # fmt: skip
-"""Gymnasium's wrappers after which value i is still value i."""
+"""Gymnasium's wrappers that keep the order of the values."""
 
 _STACK = "FrameStackObservation"
 _CHANGE_UNITS = {"NormalizeObservation", "RescaleObservation", "DiscretizeObservation"}
@@ -28,7 +28,7 @@ _TIME_AWARE = "TimeAwareObservation"
 
 
 def layers(env: Any) -> Iterator[Any]:
-    """The environment's layers from the outermost to the bare one; of a vector of environments, the first slot's."""
+    """Yield the layers from the outermost to the unwrapped environment; those of the first slot in a vector."""
     while True:
         yield env
         if isinstance(env, Wrapper | VectorWrapper):
@@ -40,15 +40,15 @@ def layers(env: Any) -> Iterator[Any]:
 
 
 def inside(env: Any) -> Sequence[Any]:
-    """The environments that a vector environment of this process holds; none of any other."""
+    """Return the environments of a vector environment that runs them in this process; else an empty sequence."""
     return (getattr(env, "envs", None) or ()) if isinstance(env, VectorEnv) else ()
 
 
 def attribute(env: Any, name: str) -> Any:
-    """An attribute of the bare environment; of a vector environment, its first slot's.
+    """Return an attribute of the unwrapped environment; that of the first slot in a vector environment.
 
     Raises:
-        InvalidConfig: it has none.
+        InvalidConfig: it does not have the attribute.
     """
     base = env.unwrapped
     if inner := inside(base):
@@ -58,54 +58,60 @@ def attribute(env: Any, name: str) -> Any:
             return base.get_attr(name)[0]  # type: ignore[attr-defined]  # those in other processes have it
         return getattr(base, name)
     except AttributeError:
-        raise InvalidConfig(f"{base} has no {name!r}; wrap an environment of zenostat/") from None
+        raise InvalidConfig(f"{base} has no {name!r}; wrap an environment with an id under zenostat/") from None
 
 
 def names_of(env: Any) -> tuple[str, ...]:
-    """Names of the observation's values as they come out of `env`, single or vector, however it is wrapped.
+    """Return the names of the observation's values at any layer of wrappers.
+
+    Args:
+        env: single or vector.
 
     Raises:
-        InvalidConfig: a wrapper after which the values have no names; the text says which.
+        InvalidConfig: after one of the wrappers the values have no names; the error names the wrapper.
     """
     names = tuple(_names(env))
     space = env.single_observation_space if isinstance(env, VectorEnv) else env.observation_space
     if space.shape != (len(names),):
-        raise InvalidConfig(f"{len(names)} names for observations of shape {space.shape}; a wrapper changed the shape")
+        raise InvalidConfig(
+            f"the observation has the shape {space.shape} but {len(names)} names; a wrapper changed its shape"
+        )
     return names
 
 
 def observation_dict(env: Any, observation: ArrayLike) -> dict[str, Any]:
-    """The values of an observation of `env` by name, however `env` is wrapped.
+    """Return the values of an observation by name, at any layer of wrappers.
 
     Args:
-        env: single, or a vector.
-        observation: as `env` gives it; of a vector also that of one slot.
+        env: single or vector.
+        observation: as `env` returned it; that of one slot is also possible.
 
     Returns:
-        Floats; after `FrameStackObservation` arrays of shape (stacked,), the latest last; of a whole vector arrays
-        with an entry a slot.
+        Floats; after `FrameStackObservation` arrays of shape (stack_size,), the latest last; for a vector observation
+        arrays with one entry per slot.
 
     Raises:
-        InvalidConfig: an observation of another layer, or a wrapper after which the values have no names.
+        InvalidConfig: the observation is that of another layer, or after one of the wrappers the values have no names.
     """
     values, space = np.asarray(observation), _space(env)
     shapes = [space.shape, (env.num_envs, *space.shape)] if isinstance(env, VectorEnv) else [space.shape]
     if values.shape not in shapes:
         expected = " or ".join(map(str, shapes))
-        raise InvalidConfig(f"observation_dict: {env} gives observations of shape {expected}, not {values.shape}")
+        raise InvalidConfig(f"observation_dict: an observation of {env} has the shape {expected}, got {values.shape}")
     names = names_of(_below_stacks(env))
     return {
-        name: one.item() if not one.ndim else one for name, one in zip(names, np.moveaxis(values, -1, 0), strict=True)
+        name: column.item() if not column.ndim else column
+        for name, column in zip(names, np.moveaxis(values, -1, 0), strict=True)
     }
 
 
 def _below_stacks(env: Any) -> Any:
-    """The layer that names the values: stacking adds an axis and leaves the last one as it is."""
+    """Return the layer that names the values: stacking adds an axis but does not change the last one."""
     layer = env
     while isinstance(layer, Wrapper) and type(layer).__module__.startswith("gymnasium."):
         if type(layer).__name__ == _STACK:
             return _below_stacks(layer.env)
-        if type(layer).__name__ not in _KEEP_PLACES:
+        if type(layer).__name__ not in _KEEP_ORDER:
             break
         layer = layer.env
     return env
@@ -113,25 +119,25 @@ def _below_stacks(env: Any) -> Any:
 
 def _names(env: Any) -> Sequence[str]:
     if not isinstance(env, Wrapper | VectorWrapper):
-        return _of_the_bare(env)
+        return _unwrapped_names(env)
     if hasattr(env, "observation_names"):
-        found: Sequence[str] = env.observation_names
-        return found
+        names: Sequence[str] = env.observation_names
+        return names
     kind = type(env).__name__
-    ours = not type(env).__module__.startswith("gymnasium.")
+    is_custom = not type(env).__module__.startswith("gymnasium.")
     if kind == _TIME_AWARE and env.observation_space.shape is not None:
         return (*names_of(env.env), "time")
-    if ours or not (kind in _KEEP_PLACES or (kind == "FlattenObservation" and isinstance(_space(env.env), Box))):
-        what = "give its class `observation_names`, or put it" if ours else "put it"
-        raise InvalidConfig(f"after {kind} values have no names; {what} outside of wrappers that need them")
+    if is_custom or not (kind in _KEEP_ORDER or (kind == "FlattenObservation" and isinstance(_space(env.env), Box))):
+        remedy = "give its class `observation_names`, or apply it" if is_custom else "apply it"
+        raise InvalidConfig(f"after {kind} values have no names; {remedy} after the wrappers that need them")
     return names_of(env.env)
 
 
-def _of_the_bare(env: Any) -> Sequence[str]:
+def _unwrapped_names(env: Any) -> Sequence[str]:
     if inner := inside(env):
         return names_of(inner[0])
-    found: Sequence[str] = attribute(env, "observation_names")
-    return found
+    names: Sequence[str] = attribute(env, "observation_names")
+    return names
 
 
 def _space(env: Any) -> Any:
@@ -139,36 +145,42 @@ def _space(env: Any) -> Any:
 
 
 def action_names_of(env: Any) -> tuple[str, ...]:
-    """Names of the action's dimensions as `env` takes it; of what a number chooses between where it is discrete."""
+    """Return the names of the action's dimensions as `env` takes it; if it is discrete, of the actions it sets."""
     for layer in layers(env):
         if hasattr(layer, "action_names"):
             return tuple(layer.action_names)
     return tuple(attribute(env, "action_names"))
 
 
-def places(wanted: Iterable[str], names: Sequence[str], who: str, what: str = "observation") -> list[int]:
-    """Where each name stands.
+def indices_of(wanted: Iterable[str], names: Sequence[str], label: str, kind: str = "observation") -> list[int]:
+    """Return the index of each wanted name in `names`.
+
+    Args:
+        wanted: the names to find.
+        names: all names.
+        label: names the wrapper or argument in errors.
+        kind: the kind of name, for errors.
 
     Raises:
-        InvalidConfig: names that are not there, all of them, with near ones; or one twice.
+        InvalidConfig: names that do not exist, or are listed twice; the error lists all of them.
     """
-    asked = list(wanted)
-    faults = [f"{who}: no {what} {name!r}; {did_you_mean(str(name), names)}" for name in asked if name not in names]
-    faults += [f"{who}: {name!r} stands twice" for name in dict.fromkeys(asked) if asked.count(name) > 1]
-    if faults:
-        raise InvalidConfig("\n".join(faults))
-    return [names.index(name) for name in asked]
+    wanted = list(wanted)
+    errors = [f"{label}: no {kind} {name!r}; {did_you_mean(str(name), names)}" for name in wanted if name not in names]
+    errors += [f"{label}: {name!r} is listed twice" for name in dict.fromkeys(wanted) if wanted.count(name) > 1]
+    if errors:
+        raise InvalidConfig("\n".join(errors))
+    return [names.index(name) for name in wanted]
 
 
-def need_units(env: Any, who: str) -> None:
-    """Refuses a chain in which the values are no longer in their units."""
+def require_units(env: Any, wrapper_name: str) -> None:
+    """Raise `InvalidConfig` if a wrapper of the chain changes the units of the values."""
     for layer in layers(env):
         if type(layer).__name__ in _CHANGE_UNITS:
-            raise InvalidConfig(f"{who} needs values in their units; put it before {type(layer).__name__}")
+            raise InvalidConfig(f"{wrapper_name} needs values in their units; apply it before {type(layer).__name__}")
 
 
-def refuse_inside(env: Any, kinds: Iterable[str], text: str) -> None:
-    """Refuses a chain that has one of the wrappers; `{}` in the text is its name."""
+def reject_wrappers(env: Any, kinds: Iterable[str], text: str) -> None:
+    """Raise `InvalidConfig` if the chain has one of the wrappers; `{}` in the text becomes its name."""
     for layer in layers(env):
         if type(layer).__name__ in set(kinds):
             raise InvalidConfig(text.format(type(layer).__name__))

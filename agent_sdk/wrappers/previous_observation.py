@@ -1,4 +1,4 @@
-"""What was observed a step ago."""
+"""A wrapper that adds values of the previous observation."""
 
 from __future__ import annotations
 
@@ -9,44 +9,41 @@ import numpy as np
 
 from agent_sdk.wrappers.adapters import BuildingWrapper
 from agent_sdk.wrappers.base import EnvView, ObservationLogic, ResetBatch, StepBatch, Values, append
-from agent_sdk.wrappers.names import places
+from agent_sdk.wrappers.names import indices_of
 
 
 class _Logic(ObservationLogic):
     def __init__(self, view: EnvView, names: Sequence[str]) -> None:
         super().__init__(view)
         box = view.box
-        self._at = places(names, view.names, view.who)
-        self.extend([f"previous_{name}" for name in names], box.low[self._at], box.high[self._at])
-        self._before = np.zeros((view.slots, len(self._at)), np.float32)
+        self._indices = indices_of(names, view.names, view.wrapper_name)
+        self.extend([f"previous_{name}" for name in names], box.low[self._indices], box.high[self._indices])
+        self._before = np.zeros((view.slots, len(self._indices)), np.float32)
 
-    def observe(self, seen: ResetBatch | StepBatch, *, begins: bool) -> Values:
-        """See `ObservationLogic`."""
-        now = seen.observations[:, self._at]
-        before = now if begins else self._before[seen.slots]
-        self._before[seen.slots] = now
-        return append(seen.observations, before)
+    def observe(self, batch: ResetBatch | StepBatch, *, is_reset: bool) -> Values:
+        now = batch.observations[:, self._indices]
+        before = now if is_reset else self._before[batch.slots]
+        self._before[batch.slots] = now
+        return append(batch.observations, before)
 
     def get_state(self) -> list[dict[str, Any]]:
-        """See `WrapperLogic`."""
         return [{"before": row} for row in self._before.tolist()]
 
     def set_state(self, slots: Sequence[Mapping[str, Any]]) -> None:
-        """See `WrapperLogic`."""
         rows = np.array([state["before"] for state in slots], np.float32)
         self._before[:] = rows.reshape(self._before.shape)
 
 
 class PreviousObservation(BuildingWrapper):
-    """Appends the values of named observations one step ago, as `previous_` and the name.
+    """Append the values of named observations one step ago, named `previous_` and the name.
 
-    At sample 0 there is none before it; the present values stand there.
+    At sample 0, which has no previous sample, they are the current values.
 
     Args:
-        names: observations, in the order in which they are appended.
+        names: names of observations, in the order in which to append them.
 
     Raises:
-        InvalidConfig: a name that the observation does not have.
+        InvalidConfig: the observation does not have one of the names.
     """
 
     logic = _Logic

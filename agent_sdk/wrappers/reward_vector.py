@@ -1,4 +1,4 @@
-"""A reward of several objectives."""
+"""A wrapper that returns the terms of the reward as a vector."""
 
 from __future__ import annotations
 
@@ -9,42 +9,41 @@ from gymnasium.spaces import Box
 
 from agent_sdk.wrappers.adapters import BuildingWrapper
 from agent_sdk.wrappers.base import EnvView, StepBatch, Values, WrapperLogic
-from agent_sdk.wrappers.names import places, refuse_inside
+from agent_sdk.wrappers.names import indices_of, reject_wrappers
 from topics.errors import InvalidConfig
 
 
 class _Logic(WrapperLogic):
     def __init__(self, view: EnvView, terms: Sequence[str]) -> None:
         super().__init__(view)
-        refuse_inside(view.env, ["RewardVector"], "{} stands in the chain already; once is enough")
+        reject_wrappers(view.env, ["RewardVector"], "the chain already has a {}; it can have only one")
         if not terms or isinstance(terms, str):
-            raise InvalidConfig(f"{view.who}: name the terms, as ['energy', 'comfort']")
-        places(terms, terms, view.who, "term")
+            raise InvalidConfig(f"{view.wrapper_name}: terms should be a list of names, such as ['energy', 'comfort']")
+        indices_of(terms, terms, view.wrapper_name, "term")
         self._terms = list(terms)
         self.reward_space = Box(-np.inf, np.inf, (len(self._terms),), np.float64)
 
     def step(self, step: StepBatch) -> tuple[Values, Values]:
-        """See `WrapperLogic`."""
         rows = [self._row(step.infos.get(row, "reward_terms")) for row in range(len(step.slots))]
         return step.observations, np.array(rows, np.float64)
 
     def _row(self, terms: dict[str, float] | None) -> list[float]:
-        found = terms or {}
-        places(self._terms, list(found), self.view.who, "reward term")
-        return [found[name] for name in self._terms]
+        values = terms or {}
+        indices_of(self._terms, list(values), self.view.wrapper_name, "reward term")
+        return [values[name] for name in self._terms]
 
 
 class RewardVector(BuildingWrapper):
-    """The named terms of the reward as a vector, float64, in the order asked, in place of their sum.
+    """Return the named terms of the reward as a float64 vector, in the given order, instead of their sum.
 
-    `reward_space` and `reward_dim` are as MO-Gymnasium has them. A vector environment gives shape (slots, terms),
-    zeros where a slot begins an episode. Wrappers that need a number as reward go within.
+    `reward_space` and `reward_dim` are as in MO-Gymnasium. The rewards of a vector environment have the shape (slots,
+    terms), with zeros where a slot starts an episode. Apply wrappers that need a scalar reward before this one.
 
     Args:
         terms: names in `info["reward_terms"]`.
 
     Raises:
-        InvalidConfig: no terms, one twice, or (at a step) a term that the reward does not have.
+        InvalidConfig: there are no terms, one is listed twice, or (at a step) the reward does not have one of them.
     """
 
     logic = _Logic

@@ -1,4 +1,4 @@
-"""A chain of wrappers as data: names and arguments, as a scenario file or a recipe has them."""
+"""Chains of wrappers as data: names and arguments, as in a scenario file."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from agent_sdk.wrappers.discrete_incremental_action import DiscreteIncrementalAc
 from agent_sdk.wrappers.episode_log import EpisodeLog
 from agent_sdk.wrappers.incremental_action import IncrementalAction
 from agent_sdk.wrappers.metric_loggers import TensorBoardLog, WeightsAndBiasesLog
-from agent_sdk.wrappers.names import refuse_inside
+from agent_sdk.wrappers.names import reject_wrappers
 from agent_sdk.wrappers.previous_observation import PreviousObservation
 from agent_sdk.wrappers.reduced_observation import ReducedObservation
 from agent_sdk.wrappers.reward_vector import RewardVector
@@ -55,85 +55,87 @@ GYMNASIUMS = (
     "RecordEpisodeStatistics", "RepeatAction", "RescaleAction", "RescaleObservation", "StickyAction",
     "TimeAwareObservation", "TimeLimit",
 )  # fmt: skip
-"""Gymnasium's wrappers that can be written as data."""
+"""Names of Gymnasium's wrappers that can be written as data."""
 
-_MADE_BY_GYM_MAKE = ("PassiveEnvChecker", "OrderEnforcing", "TimeLimit")
-_ONE_NUMBER = ("ClipReward", "NormalizeReward", "RecordEpisodeStatistics")
-_ARRAYS = ("min_action", "max_action", "min_obs", "max_obs")
-_given: WeakKeyDictionary[Any, dict[str, Any]] = WeakKeyDictionary()
+_GYM_MAKE_WRAPPERS = ("PassiveEnvChecker", "OrderEnforcing", "TimeLimit")
+_SCALAR_REWARD_WRAPPERS = ("ClipReward", "NormalizeReward", "RecordEpisodeStatistics")
+_ARRAY_ARGUMENTS = ("min_action", "max_action", "min_obs", "max_obs")
+_applied_arguments: WeakKeyDictionary[Any, dict[str, Any]] = WeakKeyDictionary()
 
 
 def apply_wrappers(env: Any, wrappers: Sequence[Mapping[str, Any]]) -> Any:
-    """The environment, single or vector, with wrappers around it, the first one innermost.
+    """Apply wrappers to an environment, the first one innermost.
 
     Args:
-        env: what is wrapped.
-        wrappers: `{"wrapper": "CyclicTime", "fields": ["hour"]}` each: a name of `agent_sdk.wrappers` or one of
-            Gymnasium's (`GYMNASIUMS`), and its arguments.
+        env: single or vector.
+        wrappers: each like `{"wrapper": "CyclicTime", "fields": ["hour"]}`: a name of `agent_sdk.wrappers` or of
+            Gymnasium (`GYMNASIUMS`), and its arguments.
 
     Raises:
-        InvalidConfig: no such wrapper, no such argument, one that cannot be, or an order that cannot work. The
-            environment is as it was.
+        InvalidConfig: there is no such wrapper or argument, an argument is invalid, or the wrappers cannot work in
+            this order. The environment is unchanged.
     """
-    made = []
+    applied = []
     try:
-        for at, one in enumerate(wrappers):
-            env = _apply(env, one, f"wrappers[{at}]")
-            made.append(env)
+        for i, entry in enumerate(wrappers):
+            env = _apply(env, entry, f"wrappers[{i}]")
+            applied.append(env)
     except BaseException:
-        for wrapper in made:
+        for wrapper in applied:
             if isinstance(wrapper, BuildingWrapper):
-                wrapper.let_go()
+                wrapper.release()
         raise
     return env
 
 
-def _apply(env: Any, one: Mapping[str, Any], where: str) -> Any:
-    if not isinstance(one, Mapping) or not isinstance(one.get("wrapper"), str):
-        raise InvalidConfig(f"{where}: {one!r}; write {{'wrapper': 'CyclicTime', …}}")
-    name, said = one["wrapper"], {key: value for key, value in one.items() if key != "wrapper"}
+def _apply(env: Any, entry: Mapping[str, Any], where: str) -> Any:
+    if not isinstance(entry, Mapping) or not isinstance(entry.get("wrapper"), str):
+        raise InvalidConfig(f"{where}: {entry!r} is not a wrapper; write {{'wrapper': 'CyclicTime', …}}")
+    name, original = entry["wrapper"], {key: value for key, value in entry.items() if key != "wrapper"}
     kind = _class(name, isinstance(env, VectorEnv), where)
-    if name in _ONE_NUMBER:
-        refuse_inside(env, ["RewardVector"], f"{where}: {name} needs a number as reward; put it before {{}}")
-    arguments = said if name in OURS else {key: _for_gymnasium(key, value) for key, value in said.items()}
+    if name in _SCALAR_REWARD_WRAPPERS:
+        reject_wrappers(env, ["RewardVector"], f"{where}: {name} needs a scalar reward; apply it before {{}}")
+    arguments = original
+    if name not in OURS:
+        arguments = {key: _for_gymnasium(key, value) for key, value in original.items()}
     try:
         known = [*inspect.signature(kind).parameters][1:]
-        if unknown := [key for key in said if key not in known]:
+        if unknown := [key for key in arguments if key not in known]:
             raise InvalidConfig(f"{where}: {name} has no argument {unknown[0]!r}; {did_you_mean(unknown[0], known)}")
         wrapper = kind(env, **arguments)
     except (TypeError, ValueError, AssertionError, gym.error.Error) as error:
         raise InvalidConfig(f"{where}: {name}: {error}") from None
-    _given[wrapper] = deepcopy(said)
+    _applied_arguments[wrapper] = deepcopy(original)
     return wrapper
 
 
-def _class(name: str, vectors: bool, where: str) -> Any:  # noqa: FBT001  # a private question
+def _class(name: str, vector: bool, where: str) -> Any:  # noqa: FBT001  # private
     if name not in (*OURS, *GYMNASIUMS):
         raise InvalidConfig(f"{where}: there is no wrapper {name!r}; {did_you_mean(name, (*OURS, *GYMNASIUMS))}")
     if name in OURS:
         return OURS[name]
-    room = gym.wrappers.vector if vectors else gym.wrappers
-    if not hasattr(room, name):
-        raise InvalidConfig(f"{where}: {name} has no vector form; wrap each environment before they become a vector")
-    return getattr(room, name)
+    module = gym.wrappers.vector if vector else gym.wrappers
+    if not hasattr(module, name):
+        raise InvalidConfig(f"{where}: {name} has no vector form; wrap each environment of the vector instead")
+    return getattr(module, name)
 
 
 def _for_gymnasium(key: str, value: Any) -> Any:
-    if key in _ARRAYS and not isinstance(value, bool):
+    if key in _ARRAY_ARGUMENTS and not isinstance(value, bool):
         return np.array(value, np.float32) if isinstance(value, list) else np.float32(value)
     return tuple(value) if isinstance(value, list) else value
 
 
 def wrappers_of(env: Any) -> list[dict[str, Any]]:
-    """The wrappers around `env` as `apply_wrappers` takes them, the innermost first; those of `gym.make` are left out.
+    """Return the wrappers of `env` in the form of `apply_wrappers`, innermost first, without those of `gym.make`.
 
     Raises:
-        InvalidConfig: a wrapper, or an argument of one, that cannot be written as data.
+        InvalidConfig: a wrapper or one of its arguments cannot be written as data.
     """
     chain = list(_chain(env))[::-1]
-    while chain and type(chain[0]).__name__ in _MADE_BY_GYM_MAKE and chain[0] not in _given:
+    while chain and type(chain[0]).__name__ in _GYM_MAKE_WRAPPERS and chain[0] not in _applied_arguments:
         del chain[0]
-    return [_told(layer) for layer in chain if type(layer).__name__ not in _MADE_BY_GYM_MAKE[:2]]
+    return [_entry(layer) for layer in chain if type(layer).__name__ not in _GYM_MAKE_WRAPPERS[:2]]
 
 
 def _chain(env: Any) -> Iterator[Any]:
@@ -142,27 +144,29 @@ def _chain(env: Any) -> Iterator[Any]:
         env = env.env
 
 
-def _told(layer: Any) -> dict[str, Any]:
+def _entry(layer: Any) -> dict[str, Any]:
     name = type(layer).__name__
-    theirs = name in GYMNASIUMS and type(layer).__module__.startswith("gymnasium.")
-    if not (theirs or isinstance(layer, BuildingWrapper)):
+    is_gymnasium = name in GYMNASIUMS and type(layer).__module__.startswith("gymnasium.")
+    if not (is_gymnasium or isinstance(layer, BuildingWrapper)):
         raise InvalidConfig(f"{name} cannot be written as data; {did_you_mean(name, (*OURS, *GYMNASIUMS))}")
-    if layer in _given:
-        return {"wrapper": name, **deepcopy(_given[layer])}
-    said = getattr(layer, "_saved_kwargs", None)
-    if said is None:
-        raise InvalidConfig(f"{name} does not tell its arguments; make it by apply_wrappers")
-    defaults = {key: found.default for key, found in inspect.signature(type(layer)).parameters.items()}
-    kept = said if not theirs else {k: v for k, v in said.items() if not _same(v, defaults.get(k))}
-    return {"wrapper": name, **{key: _plain(value, f"{name}: {key}") for key, value in kept.items() if key != "env"}}
+    if layer in _applied_arguments:
+        return {"wrapper": name, **deepcopy(_applied_arguments[layer])}
+    arguments = getattr(layer, "_saved_kwargs", None)
+    if arguments is None:
+        raise InvalidConfig(f"{name} does not record its arguments; create it with apply_wrappers")
+    if is_gymnasium:  # which records its defaults as well
+        defaults = {key: parameter.default for key, parameter in inspect.signature(type(layer)).parameters.items()}
+        arguments = {key: value for key, value in arguments.items() if not _is_default(value, defaults.get(key))}
+    plain = {key: _plain(value, f"{name}: {key}") for key, value in arguments.items() if key != "env"}
+    return {"wrapper": name, **plain}
 
 
-def _same(value: Any, default: Any) -> bool:
+def _is_default(value: Any, default: Any) -> bool:
     return not isinstance(value, np.ndarray) and type(value) is type(default) and bool(value == default)
 
 
 def _plain(value: Any, where: str) -> Any:
-    """As JSON and YAML have it."""
+    """Convert to JSON and YAML built-ins."""
     if value is None or isinstance(value, bool | int | float | str):
         return value
     if isinstance(value, np.generic | np.ndarray):

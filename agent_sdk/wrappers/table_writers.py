@@ -1,4 +1,4 @@
-"""Tables that are written row by row and have their name only when they are whole."""
+"""Writers of tables that get their final name only when they are complete."""
 
 from __future__ import annotations
 
@@ -8,22 +8,23 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from agent_sdk.wrappers.extras import load
+from topics.typing_compat import override
 
 Cell = str | int | float | None
 
 
 class Writer(Protocol):
-    """A file that grows by rows."""
+    """A table file that is written row by row."""
 
     def row(self, cells: Sequence[Cell]) -> None:
-        """Adds a row."""
+        """Append a row."""
 
     def finish(self, path: Path) -> None:
-        """Closes the file and gives it its name."""
+        """Close the file and rename it to `path`."""
 
 
-class CsvWriter:
-    """Numbers are written so that they read back equal; None is an empty cell."""
+class CsvWriter(Writer):
+    """CSV writer. Numbers are written with full precision; None is an empty cell."""
 
     def __init__(self, columns: Sequence[str], hidden: Path) -> None:
         self._hidden = hidden
@@ -31,31 +32,31 @@ class CsvWriter:
         self._writer = csv.writer(self._file, lineterminator="\n")
         self._writer.writerow(columns)
 
+    @override
     def row(self, cells: Sequence[Cell]) -> None:
-        """See `Writer`."""
         self._writer.writerow(cells)
 
+    @override
     def finish(self, path: Path) -> None:
-        """See `Writer`."""
         self._file.close()
         self._hidden.replace(path)
 
 
-class ParquetWriter:
-    """Columns of float64; those of text are named."""
+class ParquetWriter(Writer):
+    """Parquet writer. Columns are float64, except the `texts`."""
 
     _ROWS = 8192
 
-    def __init__(self, columns: Sequence[str], hidden: Path, texts: Sequence[str], who: str) -> None:
-        self._arrow = load("pyarrow", "parquet", who)
-        parquet = load("pyarrow.parquet", "parquet", who)
+    def __init__(self, columns: Sequence[str], hidden: Path, texts: Sequence[str], feature: str) -> None:
+        self._arrow = load("pyarrow", "parquet", feature)
+        parquet = load("pyarrow.parquet", "parquet", feature)
         kinds = [self._arrow.string() if name in texts else self._arrow.float64() for name in columns]
         self._schema = self._arrow.schema(list(zip(columns, kinds, strict=True)))
         self._hidden, self._rows = hidden, list[Sequence[Any]]()
         self._writer = parquet.ParquetWriter(str(hidden), self._schema)
 
+    @override
     def row(self, cells: Sequence[Cell]) -> None:
-        """See `Writer`."""
         self._rows.append(cells)
         if len(self._rows) >= self._ROWS:
             self._flush()
@@ -68,8 +69,8 @@ class ParquetWriter:
         self._writer.write_table(self._arrow.Table.from_arrays(columns, schema=self._schema))
         self._rows = []
 
+    @override
     def finish(self, path: Path) -> None:
-        """See `Writer`."""
         if self._rows:
             self._flush()
         self._writer.close()

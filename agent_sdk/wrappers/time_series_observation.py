@@ -1,4 +1,4 @@
-"""Price, carbon, and whatever else has a value at each time."""
+"""A wrapper that adds signals such as prices and carbon intensities."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from agent_sdk.wrappers.base import EnvView, ObservationLogic, ResetBatch, StepB
 from topics.codec import describe_validation_errors
 from topics.errors import InvalidConfig
 
-_data: TypeAdapter[Any] = TypeAdapter(SignalData)
+_signal_adapter: TypeAdapter[Any] = TypeAdapter(SignalData)
 
 
 @runtime_checkable
 class Signal(Protocol):
-    """Anything that has a value at each simulated time, as those of `agent_sdk.time_series`."""
+    """An object with a value at each simulated time, such as those of `agent_sdk.time_series`."""
 
     def at(self, begin: datetime, /) -> float:
-        """The value that holds from then on."""
+        """Return the value that is valid from that time on."""
 
 
-class _Same:
+class _Constant:
     """One value at all times."""
 
     def __init__(self, value: float) -> None:
@@ -37,58 +37,61 @@ class _Same:
         return self._value
 
 
-def read_signal(given: Any, who: str) -> Signal:
-    """A signal from what the wrapper was given.
+def read_signal(value: Any, label: str) -> Signal:
+    """Return a signal from an argument of the wrapper.
+
+    Args:
+        value: a number, a signal, or a signal's data.
+        label: names the argument in errors.
 
     Raises:
-        InvalidConfig: it is none; the text says why.
+        InvalidConfig: the value is not a signal.
     """
-    if isinstance(given, Real) and not isinstance(given, bool):
-        return _Same(float(given))
-    found = given
-    if not isinstance(given, Signal):
+    if isinstance(value, Real) and not isinstance(value, bool):
+        return _Constant(float(value))
+    signal = value
+    if not isinstance(value, Signal):
         try:
-            found = _data.validate_python(given)
+            signal = _signal_adapter.validate_python(value)
         except ValidationError as error:
-            raise InvalidConfig(f"{who}: {describe_validation_errors(error)}") from None
-    if hasattr(found, "load"):
-        found.load()
-    assert isinstance(found, Signal)
-    return found
+            raise InvalidConfig(f"{label}: {describe_validation_errors(error)}") from None
+    if hasattr(signal, "load"):
+        signal.load()
+    assert isinstance(signal, Signal)
+    return signal
 
 
 class _Logic(ObservationLogic):
     def __init__(self, view: EnvView, signals: Mapping[str, Any], hours: Sequence[float] = (0,)) -> None:
         super().__init__(view)
         if not hours or min(hours) < 0 or not np.isfinite(hours).all():
-            raise InvalidConfig(f"{view.who}: hours should be numbers from 0 on, not {list(hours)}")
-        self._signals = [read_signal(given, f"{view.who}: {name}") for name, given in signals.items()]
-        self._ahead = [timedelta(hours=hour) for hour in hours]
+            raise InvalidConfig(f"{view.wrapper_name}: hours should be numbers from 0 on, got {list(hours)}")
+        self._signals = [read_signal(value, f"{view.wrapper_name}: {name}") for name, value in signals.items()]
+        self._offsets = [timedelta(hours=hour) for hour in hours]
         added = [f"{name}_in_{hour:g}h" if hour else name for name in signals for hour in hours]
         infinite = np.full(len(added), np.inf, np.float32)
         self.extend(added, -infinite, infinite)
 
-    def observe(self, seen: ResetBatch | StepBatch, *, begins: bool) -> Values:  # noqa: ARG002  # the same at sample 0
-        """See `ObservationLogic`."""
-        times = [seen.infos.time(row) for row in range(len(seen.slots))]
-        rows = [[signal.at(time + by) for signal in self._signals for by in self._ahead] for time in times]
-        return append(seen.observations, np.array(rows, np.float64).reshape(len(times), -1))
+    def observe(self, batch: ResetBatch | StepBatch, *, is_reset: bool) -> Values:  # noqa: ARG002  # resets are no different
+        times = [batch.infos.time(row) for row in range(len(batch.slots))]
+        rows = [[signal.at(time + offset) for signal in self._signals for offset in self._offsets] for time in times]
+        return append(batch.observations, np.array(rows, np.float64).reshape(len(times), -1))
 
 
 class TimeSeriesObservation(BuildingWrapper):
-    """Appends signals of the outside, as a price of electricity or its carbon, now and some hours ahead.
+    """Append external signals, such as electricity prices or carbon intensities, now and some hours ahead.
 
-    "Now" is the timestep that the next action rules: it begins at the sample's time. `price` ahead by an hour is
-    named `price_in_1h`.
+    "Now" is the timestep that the next action applies to, which begins at the sample's time. The value of `price` one
+    hour ahead is named `price_in_1h`.
 
     Args:
-        signals: name to a signal: a number, one of `agent_sdk.time_series` or its data (`{"hourly": […], "unit":
-            "EUR/MWh"}`, `{"table": […], "otherwise": 0.12, "unit": "EUR/kWh"}`, `{"csv": …}`), or any object with
+        signals: signals by name: numbers, signals of `agent_sdk.time_series` or their data (`{"hourly": […], "unit":
+            "EUR/MWh"}`, `{"table": […], "otherwise": 0.12, "unit": "EUR/kWh"}`, `{"csv": …}`), or any objects with
             `at(time) -> float`.
-        hours: how far ahead, in hours; 0 is now.
+        hours: horizons in hours; 0 is now.
 
     Raises:
-        InvalidConfig: not a signal, or hours that are negative.
+        InvalidConfig: a value is not a signal, or an hour is negative.
     """
 
     logic = _Logic

@@ -1,4 +1,4 @@
-"""The weather that comes, as a forecast would tell it."""
+"""A wrapper that adds a weather forecast, with or without errors."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from agent_sdk.wrappers.adapters import BuildingWrapper
 from agent_sdk.wrappers.base import EnvView, ObservationLogic, ResetBatch, StepBatch, Values, append
-from agent_sdk.wrappers.names import places
+from agent_sdk.wrappers.names import indices_of
 from agent_sdk.wrappers.rng import SlotRandomStreams
 from topics.errors import InvalidConfig
 from topics.messages import WeatherSeries
@@ -31,7 +31,7 @@ def _bounds(column: str) -> tuple[float, float]:
 
 
 class ErrorModel(NamedTuple):
-    """How wrong a forecast of one column is, in its unit; `tau_h` None for an error that grows without end."""
+    """Error of the forecast of one column, in its unit; if `tau_h` is None, the error grows without bound."""
 
     sigma: float
     tau_h: float | None = None
@@ -39,7 +39,7 @@ class ErrorModel(NamedTuple):
 
 
 class ErrorSpec(NamedTuple):
-    """What an `ErrorModel` is drawn from for each episode: numbers, or ranges (low, high); and limits of the values."""
+    """Distribution of an episode's `ErrorModel`: numbers or ranges (low, high); and limits of the forecast values."""
 
     sigma: Any
     tau_h: Any = None
@@ -48,70 +48,83 @@ class ErrorSpec(NamedTuple):
     high: float = np.inf
 
     @classmethod
-    def read(cls, given: Any, who: str) -> ErrorSpec:
-        """From a number or `{"sigma": …, "tau_h": …, "mu": …, "low": …, "high": …}`."""
+    def read(cls, value: Any, label: str) -> ErrorSpec:
+        """Return the specification from a number or `{"sigma": …, "tau_h": …, "mu": …, "low": …, "high": …}`.
+
+        Raises:
+            InvalidConfig: the value has another form, or a number is out of range; the error begins with `label`.
+        """
         try:
-            spec = cls(**given) if isinstance(given, Mapping) else cls(float(given))
-            (sigma, sigmas), (mu, mus) = _range(spec.sigma), _range(spec.mu)
-            tau_h, taus_h = (1.0, 1.0) if spec.tau_h is None else _range(spec.tau_h)
-            fine = 0 <= sigma <= sigmas < np.inf and -np.inf < mu <= mus < np.inf and 0 < tau_h <= taus_h < np.inf
-            fine = fine and float(spec.low) < float(spec.high)
+            spec = cls(**value) if isinstance(value, Mapping) else cls(float(value))
+            (min_sigma, max_sigma), (min_mu, max_mu) = _range(spec.sigma), _range(spec.mu)
+            min_tau_h, max_tau_h = (1.0, 1.0) if spec.tau_h is None else _range(spec.tau_h)
+            is_valid = (
+                0 <= min_sigma <= max_sigma < np.inf
+                and -np.inf < min_mu <= max_mu < np.inf
+                and 0 < min_tau_h <= max_tau_h < np.inf
+                and float(spec.low) < float(spec.high)
+            )
         except (TypeError, ValueError):
-            fine = False
-        if not fine:
+            is_valid = False
+        if not is_valid:
             raise InvalidConfig(
-                f'{who}: an error is sigma or {{"sigma": …, "tau_h": …, "mu": …, "low": …, "high": …}}, the first '
-                f"three of them numbers or ranges [low, high]; not {given!r}"
+                f'{label}: an error is sigma or {{"sigma": …, "tau_h": …, "mu": …, "low": …, "high": …}}, the first '
+                f"three of them numbers or ranges [low, high]; got {value!r}"
             )
         return spec
 
     def draw(self, rng: np.random.Generator) -> ErrorModel:
-        """An episode's; ranges are drawn from uniformly."""
+        """Draw an episode's error model; ranges are uniform distributions."""
 
-        def one(given: Any) -> float:
-            low, high = _range(given)
+        def draw(value: Any) -> float:
+            low, high = _range(value)
             return float(rng.uniform(low, high)) if low < high else low
 
-        return ErrorModel(one(self.sigma), None if self.tau_h is None else one(self.tau_h), one(self.mu))
+        return ErrorModel(draw(self.sigma), None if self.tau_h is None else draw(self.tau_h), draw(self.mu))
 
 
-def _range(given: Any) -> tuple[float, float]:
-    low, high = given if isinstance(given, Sequence) else (given, given)
+def _range(value: Any) -> tuple[float, float]:
+    low, high = value if isinstance(value, Sequence) else (value, value)
     return float(low), float(high)
 
 
 def error_path(normal: Floats, horizons_h: Floats, model: ErrorModel) -> Floats:
-    """Errors along one forecast, shape (…, horizons), from as many standard normal numbers.
+    """Return the errors along a forecast, shape (…, horizons).
 
-    A path that starts at 0 at horizon 0. Without `tau_h` it is a random walk with the standard deviation
-    sigma * sqrt(horizon / 24 h); with it, AR(1) with phi = exp(-spacing / tau) and
-    sigma * sqrt(1 - exp(-2 horizon / tau)), which ends at sigma. Its mean is mu * horizon / 24 h, or with `tau_h`
-    mu * (1 - exp(-horizon / tau)), which ends at mu.
+    The path starts at 0 at horizon 0. Without `tau_h` it is a random walk with the standard deviation
+    sigma * sqrt(horizon / 24 h) and the mean mu * horizon / 24 h. With `tau_h` it is an AR(1) process with
+    phi = exp(-spacing / tau), the standard deviation sigma * sqrt(1 - exp(-2 horizon / tau)), which approaches sigma,
+    and the mean mu * (1 - exp(-horizon / tau)), which approaches mu.
+
+    Args:
+        normal: standard normal numbers, shape (…, horizons).
+        horizons_h: horizons in hours, ascending, shape (horizons,).
+        model: the error model.
     """
     spacing = np.diff(horizons_h, prepend=0.0)
     if model.tau_h is None:
-        keep, spread = np.ones_like(spacing), np.sqrt(spacing / 24.0)
+        phi, scale = np.ones_like(spacing), np.sqrt(spacing / 24.0)
     else:
-        keep, spread = np.exp(-spacing / model.tau_h), np.sqrt(-np.expm1(-2.0 * spacing / model.tau_h))
+        phi, scale = np.exp(-spacing / model.tau_h), np.sqrt(-np.expm1(-2.0 * spacing / model.tau_h))
     path, error = np.empty_like(normal), np.zeros(normal.shape[:-1])
-    for at in range(len(horizons_h)):
-        error = keep[at] * error + model.sigma * spread[at] * normal[..., at]
-        path[..., at] = error
-    share = horizons_h / 24.0 if model.tau_h is None else -np.expm1(-horizons_h / model.tau_h)
-    return path + model.mu * share
+    for i in range(len(horizons_h)):
+        error = phi[i] * error + model.sigma * scale[i] * normal[..., i]
+        path[..., i] = error
+    mean_share = horizons_h / 24.0 if model.tau_h is None else -np.expm1(-horizons_h / model.tau_h)
+    return path + model.mu * mean_share
 
 
 class _Column(NamedTuple):
-    """One column of an episode: its values and when they hold, in seconds after the begin."""
+    """One column of an episode's weather: values, and their times in seconds from the episode's start."""
 
     times_s: Floats
     values: Floats
-    turns: bool
+    is_angle: bool
 
     def at(self, times_s: Floats) -> Floats:
-        """Linear between rows; beyond the first and the last, their values."""
-        found: Floats = np.interp(times_s, self.times_s, self.values)
-        return found % 360.0 if self.turns else found
+        """Interpolate linearly between rows; hold the first and the last value outside them."""
+        values: Floats = np.interp(times_s, self.times_s, self.values)
+        return values % 360.0 if self.is_angle else values
 
 
 class _Logic(ObservationLogic):
@@ -125,28 +138,31 @@ class _Logic(ObservationLogic):
     ) -> None:
         super().__init__(view)
         if not (columns and n > 0 and 0 < spacing_h < np.inf) or isinstance(columns, str):
-            raise InvalidConfig(f"{view.who}: name at least one column, with n and spacing_h above 0")
-        places(columns, columns, view.who, "column")
-        places(errors or {}, columns, view.who, "column")
+            raise InvalidConfig(
+                f"{view.wrapper_name}: columns has to name at least one column, with n and spacing_h above 0"
+            )
+        indices_of(columns, columns, view.wrapper_name, "column")
+        indices_of(errors or {}, columns, view.wrapper_name, "column")
         self._columns = list(columns)
         self._horizons_h = spacing_h * np.arange(1, n + 1, dtype=np.float64)
-        self._errors = {name: ErrorSpec.read(given, f"{view.who}: {name}") for name, given in (errors or {}).items()}
-        self._drawn: list[dict[str, ErrorModel]] = [{} for _ in range(view.slots)]
+        self._errors = {
+            name: ErrorSpec.read(value, f"{view.wrapper_name}: {name}") for name, value in (errors or {}).items()
+        }
+        self._models: list[dict[str, ErrorModel]] = [{} for _ in range(view.slots)]
         self._bounds = np.array([self._limits(column) for column in columns])
-        self._randoms = SlotRandomStreams(view.env, view.who, view.slots)
+        self._randoms = SlotRandomStreams(view.env, view.wrapper_name, view.slots)
         self._weather: list[list[_Column]] = [[] for _ in range(view.slots)]
-        self._begins: dict[int, datetime] = {}
+        self._starts: dict[int, datetime] = {}
         self._timestep = timedelta(hours=1 / view.manifest.steps_per_hour)
         low, high = np.repeat(self._bounds, n, axis=0).T
         self.extend([f"{column}_in_{hour:g}h" for column in columns for hour in self._horizons_h], low, high)
 
-    def observe(self, seen: ResetBatch | StepBatch, *, begins: bool) -> Values:
-        """See `ObservationLogic`."""
-        if begins:
-            assert isinstance(seen, ResetBatch)
-            self._fetch(seen)
-        told = [self._forecast(slot, seen.infos.time(row)) for row, slot in enumerate(seen.slots)]
-        return append(seen.observations, np.array(told))
+    def observe(self, batch: ResetBatch | StepBatch, *, is_reset: bool) -> Values:
+        if is_reset:
+            assert isinstance(batch, ResetBatch)
+            self._fetch(batch)
+        forecasts = [self._forecast(slot, batch.infos.time(row)) for row, slot in enumerate(batch.slots)]
+        return append(batch.observations, np.array(forecasts))
 
     def _limits(self, column: str) -> tuple[float, float]:
         low, high = _bounds(column)
@@ -155,73 +171,73 @@ class _Logic(ObservationLogic):
 
     def _fetch(self, start: ResetBatch) -> None:
         self._randoms.seed(start.slots, start.seeds)
-        series = self.view.each(start.slots, "weather", self._columns)
+        series = self.view.call(start.slots, "weather", self._columns)
         for row, slot in enumerate(start.slots):
             self._weather[slot] = self._read(series[row])
-            self._drawn[slot] = {name: spec.draw(self._randoms[slot]) for name, spec in self._errors.items()}
-            self._begins[slot] = start.infos.time(row) - start.infos.step(row) * self._timestep
+            self._models[slot] = {name: spec.draw(self._randoms[slot]) for name, spec in self._errors.items()}
+            self._starts[slot] = start.infos.time(row) - start.infos.step(row) * self._timestep
 
     def _read(self, series: WeatherSeries) -> list[_Column]:
         rows = np.frombuffer(series.values, "<f8").reshape(-1, len(series.columns))
         times_s = series.step_s * np.arange(1, len(rows) + 1)
-        found = []
+        columns = []
         for name, values in zip(series.columns, rows.T, strict=True):
-            there = np.isfinite(values)
-            if not there.any():
-                raise InvalidConfig(f"{self.view.who}: the episode's weather file has no values of {name!r}")
-            turns = name == _WIND_DIRECTION
-            told = np.unwrap(values[there], period=360.0) if turns else values[there]
-            found.append(_Column(times_s[there], told, turns))
-        return found
+            valid = np.isfinite(values)
+            if not valid.any():
+                raise InvalidConfig(f"{self.view.wrapper_name}: the episode's weather file has no values of {name!r}")
+            is_angle = name == _WIND_DIRECTION
+            continuous = np.unwrap(values[valid], period=360.0) if is_angle else values[valid]
+            columns.append(_Column(times_s[valid], continuous, is_angle))
+        return columns
 
     def _forecast(self, slot: int, now: datetime) -> Floats:
-        times_s: Floats = (now - self._begins[slot]).total_seconds() + 3600.0 * self._horizons_h
-        told = np.array([column.at(times_s) for column in self._weather[slot]])
-        for at, name in enumerate(self._columns):
+        times_s: Floats = (now - self._starts[slot]).total_seconds() + 3600.0 * self._horizons_h
+        forecast = np.array([column.at(times_s) for column in self._weather[slot]])
+        for i, name in enumerate(self._columns):
             if name in self._errors:
                 normal = self._randoms[slot].standard_normal(len(times_s))
-                told[at] += error_path(normal, self._horizons_h, self._drawn[slot][name])
-                if self._weather[slot][at].turns:
-                    told[at] %= 360.0
-        bounded: Floats = np.clip(told, self._bounds[:, :1], self._bounds[:, 1:])
+                forecast[i] += error_path(normal, self._horizons_h, self._models[slot][name])
+                if self._weather[slot][i].is_angle:
+                    forecast[i] %= 360.0
+        bounded: Floats = np.clip(forecast, self._bounds[:, :1], self._bounds[:, 1:])
         return bounded.reshape(-1)
 
     def get_state(self) -> list[dict[str, Any]]:
-        """The random generators and what they drew; the weather is asked for again at the next reset."""
-        drawn = [{name: model._asdict() for name, model in models.items()} for models in self._drawn]
-        return [{**state, "errors": errors} for state, errors in zip(self._randoms.get_state(), drawn, strict=True)]
+        """Return the random generators' state and the drawn error models; the next reset fetches the weather."""
+        models = [{name: model._asdict() for name, model in slot_models.items()} for slot_models in self._models]
+        return [{**state, "errors": errors} for state, errors in zip(self._randoms.get_state(), models, strict=True)]
 
     def set_state(self, slots: Sequence[Mapping[str, Any]]) -> None:
-        """See `WrapperLogic`."""
         self._randoms.set_state(slots)
         for slot, state in enumerate(slots):
-            self._drawn[slot] = {name: ErrorModel(**drawn) for name, drawn in state.get("errors", {}).items()}
+            self._models[slot] = {name: ErrorModel(**model) for name, model in state.get("errors", {}).items()}
 
 
 class WeatherForecast(BuildingWrapper):
-    """Appends the next hours' weather: named columns of the weather file that this episode reads, noise included.
+    """Append a weather forecast: columns of the weather file that this episode reads, including its noise.
 
-    The values are those at the instants `spacing_h`, 2 `spacing_h`, … after the sample, linear between the rows of
-    the file (over the shorter arc for `wind_direction`), as EnergyPlus takes instantaneous quantities. A row of a
-    radiation is the mean of the hour that ends there. Before the first row and beyond the last, whose time is a
-    week after the episode's end, that row's value is held. Rows that the file leaves out are passed over.
+    The values are those at `spacing_h`, 2 `spacing_h`, … after the sample, interpolated linearly between the rows of
+    the file (over the shorter arc for `wind_direction`), as EnergyPlus does for instantaneous quantities. A row of a
+    radiation is the mean of the hour that ends at its time. Before the first row and after the last, whose time is a
+    week after the episode's end, that row's value is held. Missing rows are skipped.
 
-    With an error the forecast is wrong by a path that starts at 0 now and is drawn anew at each step, ruled by
-    `reset(seed=)`: its standard deviation is sigma * sqrt(horizon / 24 h), so sigma is that of a day ahead; or,
-    with `tau_h`, that of an AR(1) path, sigma * sqrt(1 - exp(-2 horizon / tau_h)). `mu` is the mean of the error a day
-    ahead, or with `tau_h` the one that it ends at. Ranges [low, high] of sigma, tau_h and mu are drawn from at each
-    reset. Physical limits hold, and `low` and `high` where they are narrower.
+    With `errors`, a path of errors is added to the forecast. It starts at 0 now and is drawn again at each step, from
+    the seed of `reset`. Its standard deviation is sigma * sqrt(horizon / 24 h), so sigma is that of a day ahead; with
+    `tau_h` it is that of an AR(1) process, sigma * sqrt(1 - exp(-2 horizon / tau_h)). `mu` is the mean error a day
+    ahead; with `tau_h`, the mean that the error approaches. Ranges [low, high] of sigma, tau_h and mu are drawn from
+    uniformly at each reset. Values are clipped to physical limits, and to `low` and `high` where these are narrower.
 
     Args:
-        columns: of an EPW, as `dry_bulb_temperature`; the third value of it is `dry_bulb_temperature_in_3h`.
-        n: how many values of each column.
+        columns: columns of an EPW file, such as `dry_bulb_temperature`; its value 3 h ahead is named
+            `dry_bulb_temperature_in_3h`.
+        n: number of values of each column.
         spacing_h: hours between them.
-        errors: column to sigma in the column's unit, or to `{"sigma": …, "tau_h": …, "mu": …, "low": …, "high": …}`.
+        errors: sigma in the column's unit, or `{"sigma": …, "tau_h": …, "mu": …, "low": …, "high": …}`, by column.
 
     Raises:
-        InvalidConfig: errors of a column that is not asked for, or n or spacing_h not above 0; at reset, a column
-            that the file has no values of.
-        UnknownName: at reset, no such column of an EPW.
+        InvalidConfig: `errors` names a column that `columns` does not, or n or spacing_h is not above 0; at reset, the
+            file has no values of a column.
+        UnknownName: at reset, an EPW file has no such column.
     """
 
     logic = _Logic

@@ -379,14 +379,13 @@ def test_wrappers_know_where_a_snapshot_stands(scratch: Path) -> None:
 @pytest.mark.parametrize("slots", [0, 3])
 def test_wrappers_remember_what_they_did(slots: int, scratch: Path) -> None:
     """Moved setpoints, what was observed before, the errors of forecasts; a log counts the steps that were taken."""
-    own: Any = w.vector if slots else w
     how: Any = {"vectorization_mode": "vector_entry_point", **DAY, **FOUR}
     env: Any = gym.make_vec(SMALL, num_envs=slots, **how) if slots else make(**FOUR)
     increments, initial = {"heating_setpoint": 1.0, "cooling_setpoint": [1.0, 0.5]}, [20.0, 25.0]
-    env = own.IncrementalAction(env, increments, dict(zip(increments, initial, strict=True)))
-    env = own.PreviousObservation(env, ["core_zn_air_temperature"])
-    env = own.WeatherForecast(env, ["dry_bulb_temperature"], n=2, errors={"dry_bulb_temperature": 2.0})
-    env = own.TensorBoardLog(env, scratch / "log", every=1000)
+    env = w.IncrementalAction(env, increments, dict(zip(increments, initial, strict=True)))
+    env = w.PreviousObservation(env, ["core_zn_air_temperature"])
+    env = w.WeatherForecast(env, ["dry_bulb_temperature"], n=2, errors={"dry_bulb_temperature": 2.0})
+    env = w.TensorBoardLog(env, scratch / "log", every=1000)
     env.reset(seed=1)
     env.action_space.seed(1)
     actions = [env.action_space.sample() for _ in range(30)]
@@ -403,7 +402,7 @@ def test_wrappers_remember_what_they_did(slots: int, scratch: Path) -> None:
                 np.testing.assert_array_equal(got[0], expected[0])
                 np.testing.assert_array_equal(got[1], expected[1])
         assert env.get_state()["slots"][0] == {"steps": (10 + 10 + 10 + 10 + 3 + 10) * max(slots, 1)}
-        late = own.PreviousObservation(env, ["outdoor_temperature"])  # not there when the snapshot was taken
+        late = w.PreviousObservation(env, ["outdoor_temperature"])  # not there when the snapshot was taken
         seen = late.reset(options={"snapshot": kept})[0]
         np.testing.assert_array_equal(seen[..., :-1], stood[0])
         np.testing.assert_array_equal(seen[..., -1], stood[0][..., late.observation_names.index("outdoor_temperature")])

@@ -244,29 +244,29 @@ def test_what_was_wrapped_by_hand_is_data_too() -> None:
     [
         ([{"wrapper": "CyclicTim"}], r"wrappers\[0\]: there is no wrapper 'CyclicTim'; near names: 'CyclicTime'"),
         ([{"wrapper": "os.system"}], "there is no wrapper"),
-        (["CyclicTime"], r"wrappers\[0\]: 'CyclicTime'; write"),
+        (["CyclicTime"], r"wrappers\[0\]: 'CyclicTime' is not a wrapper; write"),
         ([{"wrapper": "CyclicTime", "field": ["hour"]}], "CyclicTime has no argument 'field'; near names: 'fields'"),
         ([{"wrapper": "PreviousObservation"}], "missing a required argument: 'names'"),
         ([{"wrapper": "RescaleAction", "min_action": 0}], "RescaleAction: .*'max_action'"),
         (
             [{"wrapper": "RewardVector", "terms": ["energy"]}, {"wrapper": "NormalizeReward"}],
-            r"wrappers\[1\]: NormalizeReward needs a number as reward; put it before RewardVector",
+            r"wrappers\[1\]: NormalizeReward needs a scalar reward; apply it before RewardVector",
         ),
         (
             [{"wrapper": "NormalizeObservation"}, *CHAINS["SetpointDifference"]],
-            "SetpointDifference needs values in their units; put it before NormalizeObservation",
+            "SetpointDifference needs values in their units; apply it before NormalizeObservation",
         ),
         (
             [{"wrapper": "FrameStackObservation", "stack_size": 2}, {"wrapper": "CyclicTime"}],
-            "after FrameStackObservation values have no names; put it outside",
+            "after FrameStackObservation values have no names; apply it after the wrappers that need them",
         ),
         (
             [{"wrapper": "RescaleAction", "min_action": -1, "max_action": 1}, *CHAINS["IncrementalAction"]],
-            "IncrementalAction moves values in their units; put it before RescaleAction",
+            "IncrementalAction changes values in their units; apply it before RescaleAction",
         ),
         (
             [*CHAINS["DiscreteIncrementalAction"], *CHAINS["IncrementalAction"]],
-            "put it before DiscreteIncrementalAction",
+            "apply it before DiscreteIncrementalAction",
         ),
     ],
 )
@@ -342,9 +342,9 @@ def test_a_name_that_is_not_there_has_near_names(wrong: Callable[[Any], Any]) ->
 
 
 def test_a_name_that_is_there_already() -> None:
-    with pytest.raises(InvalidConfig, match="the observation has 'core' already"):
+    with pytest.raises(InvalidConfig, match="the observation already has 'core'"):
         w.SetpointDifference(fake(), {"core": ("core", "core_setpoint")})
-    with pytest.raises(InvalidConfig, match="'core' stands twice"):
+    with pytest.raises(InvalidConfig, match="'core' is listed twice"):
         w.ReducedObservation(fake(), ["core", "core"])
 
 
@@ -582,7 +582,7 @@ def test_what_two_reductions_dropped_stands_in_the_info_together() -> None:
 def test_an_increment_out_of_the_space_changes_nothing(action: list[float]) -> None:
     env = w.IncrementalAction(fake(), {"cool": 1.0}, {"cool": 29.0})
     env.reset()
-    with pytest.raises(InvalidAction, match=r"IncrementalAction: action .* expected"):
+    with pytest.raises(InvalidAction, match=r"IncrementalAction: action .* is not in Box"):
         env.step(np.array(action, np.float32))
     assert env.get_state() == {"slots": [{"values": [29.0]}]}
     assert env.unwrapped.commands == []  # type: ignore[attr-defined]
@@ -611,21 +611,24 @@ def test_discrete_incremental_action_by_hand() -> None:
             env.step(number)
         heats, cools = [20.0, 20.0, 20.0, 22.0, 22.5, 20.5, 20.5], [30.0, 30.0, 29.5, 29.5, 29.5, 29.5, 29.5]
         assert bare.commands == [list(pair) for pair in zip(heats, cools, strict=True)]
-    with pytest.raises(InvalidAction, match=r"action 5; Discrete\(5\) expected"):
+    with pytest.raises(InvalidAction, match=r"action 5 is not in Discrete\(5\)"):
         env.step(5)
 
 
 @pytest.mark.parametrize(
     ("wrong", "text"),
     [
-        (lambda env: w.IncrementalAction(env, {"cool": 1}, {"heat": 20}), "the same actions"),
+        (lambda env: w.IncrementalAction(env, {"cool": 1}, {"heat": 20}), "have to name the same actions"),
         (lambda env: w.IncrementalAction(env, {"coo": 1}, {"coo": 20}), "no action 'coo'; near names: 'cool'"),
         (
             lambda env: w.IncrementalAction(env, {"cool": 1}, {"cool": 20}),
-            "cool begins at 20; its bounds are 22.5 to 30",
+            "cool starts at 20, outside its bounds 22.5 to 30",
         ),
-        (lambda env: w.IncrementalAction(env, {"cool": [1, 2]}, {"cool": 25}), "its step is not above that"),
-        (lambda env: w.DiscreteIncrementalAction(env, {"cool": 1}, {"cool": 25}), "initial needs a value of heat too"),
+        (lambda env: w.IncrementalAction(env, {"cool": [1, 2]}, {"cool": 25}), "its step not above the increment"),
+        (
+            lambda env: w.DiscreteIncrementalAction(env, {"cool": 1}, {"cool": 25}),
+            "initial also needs a value for heat",
+        ),
         (
             lambda env: w.DiscreteIncrementalAction(env, {"cool": 0}, {"cool": 25, "heat": 20}),
             "a step above 0, or several different ones",
@@ -686,11 +689,11 @@ def test_context_by_chance_is_ruled_by_the_seed() -> None:
 
 
 def test_context_that_cannot_be() -> None:
-    with pytest.raises(InvalidConfig, match="'7:00' is no time; write '07:30'"):
+    with pytest.raises(InvalidConfig, match="'7:00' is not a time; write '07:30'"):
         w.ChangingContext(fake(), {"7:00": {}})
-    with pytest.raises(InvalidConfig, match="of one kind"):
+    with pytest.raises(InvalidConfig, match="or all like '07-01 07:30'"):
         w.ChangingContext(fake(), {"07:00": {}, "07-01 07:00": {}})
-    with pytest.raises(InvalidConfig, match="'02-30 07:00' is no time"):
+    with pytest.raises(InvalidConfig, match="'02-30 07:00' is not a time"):
         w.ChangingContext(fake(), {"02-30 07:00": {}})
     env = w.ChangingContext(fake(), {"00:00": {"cool": 25.0}})
     env.reset()
@@ -711,8 +714,8 @@ def test_a_log_has_n_rows_with_n_steps(tmp_path: Path) -> None:
     steps = episode(env, lambda: MIDDLE)
     rows = rows_of(tmp_path / "log" / "episode-000001.csv")
     assert list(rows[0]) == [
-        "time", "observation.core", "observation.hour", "action.heat", "action.cool", "applied.heat", "applied.cool",
-        "applied.occupants", "reward", "reward.energy", "reward.comfort", "measure.joules",
+        "time", "observation.core", "observation.hour", "action.heat", "action.cool", "effective.heat",
+        "effective.cool", "effective.occupants", "reward", "reward.energy", "reward.comfort", "measure.joules",
     ]  # fmt: skip
     assert [row["time"] for row in rows] == [info["time"] for *_, info in steps[1:]]
     assert [float(row["observation.core"]) for row in rows] == [float(o[0]) for o, *_ in steps[1:]]
@@ -770,7 +773,7 @@ def test_a_log_without_its_extra_names_it(tmp_path: Path, monkeypatch: pytest.Mo
         w.TensorBoardLog(fake(), tmp_path)
     with pytest.raises(InvalidConfig, match=r"pip install -e '\S+\[wandb\]'"):
         w.WeightsAndBiasesLog(fake(), "office")
-    with pytest.raises(InvalidConfig, match="EpisodeLog logs a number as reward; put it before RewardVector"):
+    with pytest.raises(InvalidConfig, match="EpisodeLog logs a scalar reward; apply it before RewardVector"):
         w.EpisodeLog(w.RewardVector(fake(), ["energy"]), tmp_path)
 
 
@@ -919,7 +922,7 @@ def test_a_state_of_another_chain_changes_nothing(tmp_path: Path) -> None:
     w.save_wrappers(trained(NormalizeObservation(fake())), path)
     other = NormalizeObservation(w.PreviousObservation(fake(), ["core"]))
     with pytest.raises(
-        InvalidConfig, match="is of the wrappers NormalizeObservation; this chain has NormalizeObservation, Prev"
+        InvalidConfig, match="has the wrappers NormalizeObservation; this chain has NormalizeObservation, Prev"
     ):
         w.restore_wrappers(other, path)
     longer = NormalizeObservation(w.CyclicTime(fake()))
@@ -933,7 +936,7 @@ def test_a_state_of_another_chain_changes_nothing(tmp_path: Path) -> None:
     assert (longer.obs_rms.mean.tolist(), few.obs_rms.mean.tolist()) == (before, [0.0, 0.0])
     one, two = (NormalizeReward(w.PreviousObservation(fake(), names)) for names in (["core"], ["core", "hour"]))
     w.save_wrappers(trained(one), path)
-    with pytest.raises(InvalidConfig, match="does not fit: no state of PreviousObservation"):
+    with pytest.raises(InvalidConfig, match="does not fit: not a state of PreviousObservation"):
         w.restore_wrappers(two, path)
     assert two.return_rms.count < 1, "what had been taken over was given back"
     with pytest.raises(InvalidConfig, match="cannot be read"):
@@ -986,7 +989,9 @@ def test_a_wrapper_can_be_copied() -> None:
 
 def test_an_environment_that_is_no_building() -> None:
     cart = gym.make("CartPole-v1")
-    with pytest.raises(InvalidConfig, match="has no 'observation_names'; wrap an environment of zenostat/"):
+    with pytest.raises(
+        InvalidConfig, match="has no 'observation_names'; wrap an environment with an id under zenostat/"
+    ):
         w.PreviousObservation(cart, ["x"])
     seen: Mapping[str, Any] = vars(w)
     assert "eval" not in seen

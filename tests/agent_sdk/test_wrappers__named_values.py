@@ -59,7 +59,7 @@ def test_an_observation_of_another_layer_is_refused() -> None:
     with pytest.raises(InvalidConfig, match=r"shape \(\d+,\) expected, got .*wrappers\.observation_dict"):
         later.get_wrapper_attr("observation_dict")(observation)
     assert list(w.observation_dict(later, observation))[-1] == "time"
-    with pytest.raises(InvalidConfig, match="gives observations of shape"):
+    with pytest.raises(InvalidConfig, match="has the shape"):
         w.observation_dict(later, observation[:-1])
 
 

@@ -106,7 +106,7 @@ def test_a_log_has_n_rows_with_n_steps(building: gym.Env[Any, Any], tmp_path: Pa
     assert [row["time"] for row in rows] == [info["time"] for _, info in seen]
     for row, (values, info) in zip(rows, seen, strict=True):
         assert {name: float(row[f"observation.{name}"]) for name in values} == values
-        assert float(row["applied.core_cooling"]) == info["effective"][0] == 26.0
+        assert float(row["effective.core_cooling"]) == info["effective"][0] == 26.0
         terms = {name: float(row[f"reward.{name}"]) for name in info["reward_terms"]}
         assert terms == info["reward_terms"]
         assert float(row["reward"]) == pytest.approx(sum(terms.values()))

@@ -71,13 +71,13 @@ def test_statistics_that_sinergym_saved_normalize_observations(tmp_path: Path) -
 
 
 def test_statistics_that_do_not_fit_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InvalidConfig, match="no NormalizeObservation"):
+    with pytest.raises(InvalidConfig, match="has no NormalizeObservation"):
         w.restore_normalization(FakeEnv(), tmp_path)
     env = gym.wrappers.NormalizeObservation(FakeEnv())
-    with pytest.raises(InvalidConfig, match=r"mean\.txt: a number a line expected"):
+    with pytest.raises(InvalidConfig, match=r"mean\.txt: one number per line expected"):
         w.restore_normalization(env, tmp_path)
     np.savetxt(tmp_path / "mean.txt", [1.0, 2.0])
-    with pytest.raises(InvalidConfig, match=r"mean\.txt: \d+ numbers expected, it has 2"):
+    with pytest.raises(InvalidConfig, match=r"mean\.txt: \d+ numbers expected, got 2"):
         w.restore_normalization(env, tmp_path)
 
 
