@@ -1,4 +1,4 @@
-"""Rewards: frozen objects that name the points they need and work on arrays of any leading shape."""
+"""Rewards: frozen configurations that are bound to the points of a node and evaluate arrays of any leading shape."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from agent_sdk.rewards.base import BoundReward, Outcome, Reward
 from agent_sdk.rewards.carbon import CarbonReward
 from agent_sdk.rewards.config import RewardConfig
-from agent_sdk.rewards.custom import RewardFunction, from_function, made
+from agent_sdk.rewards.custom import RewardFunction, from_function, instantiate
 from agent_sdk.rewards.energy_cost import EnergyCostReward, TariffReward
 from agent_sdk.rewards.exponential import ExponentialReward
 from agent_sdk.rewards.hourly import HourlyReward
@@ -59,39 +59,40 @@ REWARDS: dict[str, type[RewardConfig]] = {
     "occupied": OccupiedReward,
     "thermal_sensation": ThermalSensationReward,
 }
-"""By the `kind` that a scenario names."""
+"""Reward classes by the `kind` that a scenario names."""
 
 AnyReward = Reward | RewardFunction | type | Mapping[str, Any] | str
-"""What `read_reward` takes."""
+"""Anything that `read_reward` accepts."""
 
 
-def read_reward(given: AnyReward) -> Reward:
-    """What a user or a scenario names, as a reward.
+def read_reward(reward: AnyReward) -> Reward:
+    """Return the reward that a user or a scenario specifies.
 
     Args:
-        given: a kind alone, or one with its parameters (`{"kind": "linear", "weight": 0.3}`); an object that can be
-            bound, which is taken as it is; a function or a class of the user's, see `from_function`.
+        reward: a kind, alone or with its parameters (`{"kind": "linear", "weight": 0.3}`); an object with `bind`, which
+            is returned unchanged; or a custom function or class, see `from_function`.
 
     Raises:
-        InvalidConfig: no such kind, or parameters that cannot be, all faults at once; or nothing of all that.
+        InvalidConfig: there is no such kind, its parameters are invalid (the error lists all of them), or `reward` is
+            none of these.
     """
-    if isinstance(given, str | Mapping):
-        return _read(given)
-    if hasattr(given, "bind"):
-        return cast("Reward", made(given) if isinstance(given, type) else given)
-    if callable(given):
-        return from_function(given)
+    if isinstance(reward, str | Mapping):
+        return _read_config(reward)
+    if hasattr(reward, "bind"):
+        return cast("Reward", instantiate(reward) if isinstance(reward, type) else reward)
+    if callable(reward):
+        return from_function(reward)
     raise InvalidConfig(
-        f"reward: a kind ({', '.join(REWARDS)}), a kind with its parameters, an object that can be bound or a function "
-        f"of (values, begin) expected, got {given!r}"
+        f"reward: a kind ({', '.join(REWARDS)}), a kind with its parameters, an object with bind(manifest) or a "
+        f"function of (values, begin) expected, got {reward!r}"
     )
 
 
-def _read(given: Mapping[str, Any] | str) -> Reward:
-    parameters = {"kind": given} if isinstance(given, str) else dict(given)
+def _read_config(config: Mapping[str, Any] | str) -> Reward:
+    parameters = {"kind": config} if isinstance(config, str) else dict(config)
     kind = parameters.get("kind")
     if kind is None:
-        raise InvalidConfig(f"reward: its kind is missing; there are: {', '.join(REWARDS)}")
+        raise InvalidConfig(f"reward: kind is missing; there are: {', '.join(REWARDS)}")
     if not isinstance(kind, str) or kind not in REWARDS:
         raise InvalidConfig(f"reward: there is no kind {kind!r}; {did_you_mean(str(kind), REWARDS)}")
     try:

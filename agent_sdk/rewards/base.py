@@ -1,4 +1,4 @@
-"""What a reward is."""
+"""The interface of rewards."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from topics.messages import Manifest
 
 Terms = dict[str, Any]
-"""By name, floats or arrays of the reward's leading shape."""
+"""Floats or arrays of the reward's leading shape, by name."""
 
 Begin = datetime | Sequence[datetime]
-"""Simulated time at which the rewarded timestep began: one for all, or one for each slot."""
+"""Simulated time at which the rewarded timestep began: one for all slots, or one for each."""
 
 
 class Outcome(NamedTuple):
-    """A reward, the terms that add up to it, and what was measured on the way (in units, not in reward)."""
+    """A reward, the terms that add up to it, and metrics in physical units."""
 
     reward: Any
     terms: Terms
@@ -28,33 +28,37 @@ class Outcome(NamedTuple):
 
 
 class BoundReward(ABC):
-    """A reward on the points of one node. It may remember things of the running episode."""
+    """A reward bound to the points of one node. It may have state of the running episode."""
 
     @abstractmethod
     def __call__(self, values: NDArray[np.float64], begin: Begin) -> Outcome:
-        """The reward of a timestep.
+        """Return the reward of a timestep.
 
         Args:
-            values: shape (points,) or (slots, points), in manifest order and units.
-            begin: when the timestep began.
+            values: shape (points,) or (slots, points), in the order and units of the manifest.
+            begin: time at which the timestep began.
 
         Returns:
             Floats, or arrays of shape (slots,).
         """
 
-    def reset(self, slots: Sequence[int] | None = None) -> None:  # noqa: B027  # most remember nothing
-        """An episode begins: forgets what was of the former one (in these slots; None: in all)."""
+    def reset(self, slots: Sequence[int] | None = None) -> None:  # noqa: B027  # most have no state
+        """Reset the state at the start of an episode, in these slots or (None) in all."""
 
     def state(self) -> dict[str, Any]:
-        """What it remembers, as plain values."""
+        """Return the state as plain values."""
         return {}
 
     def restore(self, state: dict[str, Any]) -> None:  # noqa: B027
-        """Goes on from a `state`."""
+        """Restore a state that `state` returned."""
 
 
 class Reward(Protocol):
     """A reward that can be bound to the points of a node."""
 
     def bind(self, manifest: Manifest) -> BoundReward:
-        """The reward on this node's values; `InvalidConfig` if a point that it needs is missing."""
+        """Bind the reward to a node's points.
+
+        Raises:
+            InvalidConfig: the node does not have a point that the reward needs.
+        """

@@ -1,4 +1,4 @@
-"""A reward on the carbon dioxide of the electricity."""
+"""A reward on carbon dioxide emissions."""
 
 from __future__ import annotations
 
@@ -15,16 +15,17 @@ from topics.messages import Manifest
 
 
 class CarbonReward(EnergyReward):
-    """What the energy emits, and degrees outside the comfort band.
+    """Weighted sum of emissions and of degrees outside the comfort band.
 
         r = -w * lambda_carbon * E * c / 1000 - (1 - w) * lambda_temperature * sum_z max(low - T_z, T_z - high, 0)
 
-    E is the timestep's energy in kWh, c the grid's intensity in g/kWh in the hour in which the timestep began.
+    E is the timestep's energy in kWh, c the carbon intensity in g/kWh in the hour in which the timestep
+    began.
 
-    Terms: carbon, comfort. Measures: degrees_outside, energy_kwh, co2_kg.
+    Terms: carbon, comfort. Metrics: degrees_outside, energy_kwh, co2_kg.
 
     Attributes:
-        intensity: see `agent_sdk.time_series`; in g/kWh, kg/MWh, kg/kWh or t/MWh.
+        intensity: a signal of `agent_sdk.time_series` in g/kWh, kg/MWh, kg/kWh or t/MWh.
         lambda_carbon: 1/kg.
     """
 

@@ -1,4 +1,4 @@
-"""The seasons, and what differs between them."""
+"""Seasons, and comfort bands that depend on them."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from agent_sdk.rewards.selectors import temperatures
 from topics.messages import Manifest
 
 Band = tuple[float, float]
-"""Lowest and highest air temperature of comfort, degC; both belong to it."""
+"""Lowest and highest comfortable air temperature, degC, both inclusive."""
 
 Pair = TypeVar("Pair", bound=tuple[float, ...])
 
 NORTH = ((6, 1), (9, 30))
 SOUTH = ((12, 1), (3, 31))
-"""First and last day of summer where nobody says otherwise."""
+"""Default first and last day of summer."""
 
 
-def _is_a_day(value: tuple[int, int]) -> tuple[int, int]:
+def _check_day(value: tuple[int, int]) -> tuple[int, int]:
     try:
         date(2000, *value)
     except ValueError:
@@ -32,19 +32,21 @@ def _is_a_day(value: tuple[int, int]) -> tuple[int, int]:
     return value
 
 
-MonthDay = Annotated[tuple[int, int], AfterValidator(_is_a_day)]
+MonthDay = Annotated[tuple[int, int], AfterValidator(_check_day)]
 
 
-_IN_ORDER = 7
-"""So many numbers NumPy adds one after the other: a plain loop gives the same sum, to the bit, and sooner."""
+_MAX_SEQUENTIAL_SUM = 7
+"""NumPy adds up to this many numbers sequentially: a plain loop gives the same bits, faster."""
 
 
 class Seasons(Generic[Pair]):
-    """What holds on a day of summer, and what on all others.
+    """Numbers that differ between summer and winter.
 
     Args:
-        winter, summer: numbers.
-        begin, end: first and last day of summer, both included; it may span the turn of the year.
+        winter: numbers on all other days.
+        summer: numbers on days of summer.
+        begin: first day of summer (month, day).
+        end: last day of summer (month, day), inclusive; summer may span the turn of the year.
     """
 
     __slots__ = ("begin", "end", "summer", "winter")
@@ -53,14 +55,14 @@ class Seasons(Generic[Pair]):
         self.winter, self.summer, self.begin, self.end = winter, summer, begin, end
 
     def band(self, day: datetime) -> Pair:
-        """The numbers of a day."""
-        here = (day.month, day.day)
+        """Return the numbers of a day."""
+        month_day = (day.month, day.day)
         if self.begin <= self.end:
-            return self.summer if self.begin <= here <= self.end else self.winter
-        return self.winter if self.end < here < self.begin else self.summer
+            return self.summer if self.begin <= month_day <= self.end else self.winter
+        return self.winter if self.end < month_day < self.begin else self.summer
 
     def columns(self, begin: Begin) -> tuple[float, ...] | tuple[NDArray[np.float64], ...]:
-        """The numbers of a timestep: floats where they hold for all, or columns with a row for each slot."""
+        """Return the numbers of a timestep: floats if all slots have the same, else columns with a row per slot."""
         if isinstance(begin, datetime):
             return self.band(begin)
         if begin.count(begin[0]) == len(begin):
@@ -70,11 +72,11 @@ class Seasons(Generic[Pair]):
 
 
 class Seasonal(RewardConfig):
-    """Knows summer from winter.
+    """Base of rewards that distinguish summer from winter.
 
     Attributes:
-        summer_begin, summer_end: first and last day of summer (month, day), both included; left out, 1 June to
-            30 September, or 1 December to 31 March where the building lies south of the equator.
+        summer_begin, summer_end: first and last day of summer (month, day), both inclusive; by default 1 June to
+            30 September, or 1 December to 31 March if the building is south of the equator.
     """
 
     summer_begin: MonthDay | None = None
@@ -87,11 +89,11 @@ class Seasonal(RewardConfig):
 
 
 class ComfortBand(Seasonal):
-    """Has a comfort band for winter and one for summer.
+    """Base of rewards with a comfort band for winter and one for summer.
 
     Attributes:
         winter, summer: the bands, degC.
-        temperatures: names of the sensors of zones' air temperatures; None is all.
+        temperatures: names of the sensors of zone air temperatures; None is all.
     """
 
     winter: Band = (20.0, 23.5)
@@ -99,18 +101,18 @@ class ComfortBand(Seasonal):
     temperatures: Names | None = None
 
     @model_validator(mode="after")
-    def _bands_are_upright(self) -> ComfortBand:
+    def _check_bands(self) -> ComfortBand:
         for name, (low, high) in (("winter", self.winter), ("summer", self.summer)):
             if not low < high:
-                raise ValueError(f"the {name} band's lower end {low} is not below its upper end {high}")
+                raise ValueError(f"the {name} band's lower bound {low} is not below its upper bound {high}")
         return self
 
     def season(self, manifest: Manifest | None = None) -> Seasons[Band]:
-        """The bands by day, with the summer of the building's hemisphere; of the northern one without a manifest."""
+        """Return the bands by day, with the summer of the building's hemisphere (without a manifest: northern)."""
         return self._seasons(self.winter, self.summer, manifest)
 
     def band(self, day: datetime) -> Band:
-        """The comfort band in degC of a day, in the northern hemisphere where `summer_begin` does not say."""
+        """Return the comfort band of a day in degC; by default with summer in the northern hemisphere."""
         return self.season().band(day)
 
 
@@ -141,7 +143,7 @@ class BandedBound(BoundReward):
 
     def _degrees(self, values: NDArray[np.float64], begin: Begin) -> Any:
         """Their sum over the zones."""
-        if values.ndim == 1 and len(self._zones) <= _IN_ORDER and isinstance(begin, datetime):
+        if values.ndim == 1 and len(self._zones) <= _MAX_SEQUENTIAL_SUM and isinstance(begin, datetime):
             low, high = self._season.band(begin)
             outside = 0.0
             for air in values.take(self._zones).tolist():

@@ -1,4 +1,4 @@
-"""What all kinds of reward have in common."""
+"""Base class of the rewards that a scenario can name."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ def _one_or_more(value: Any) -> Any:
 
 
 Names = Annotated[tuple[str, ...], BeforeValidator(_one_or_more, json_schema_input_type=str | list[str])]
-"""Names of sensors or meters; a single one may stand alone."""
+"""Names of sensors or meters; a single name is also accepted."""
 
 
 class RewardConfig(BaseModel, ABC):
-    """A reward that a scenario can name: frozen, checked, written out as `read_reward` reads it."""
+    """A frozen, validated reward that a scenario can name; its data is what `read_reward` accepts."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -28,8 +28,12 @@ class RewardConfig(BaseModel, ABC):
 
     @abstractmethod
     def bind(self, manifest: Manifest) -> BoundReward:
-        """See `Reward.bind`."""
+        """Bind the reward to a node's points.
+
+        Raises:
+            InvalidConfig: the node does not have a point that the reward needs.
+        """
 
     @model_serializer(mode="wrap")
-    def _with_its_kind(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+    def _serialize_with_kind(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
         return {"kind": self.kind, **dump(self)}

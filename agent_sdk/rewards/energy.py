@@ -1,4 +1,4 @@
-"""The energy that a timestep used, and rewards on what it costs."""
+"""The energy of a timestep, and the base of rewards on it."""
 
 from __future__ import annotations
 
@@ -17,36 +17,36 @@ from topics.messages import Aggregation, Manifest, Meter, Sensor
 
 J_PER_KWH = 3.6e6
 METERS = ("electricity:facility", "electricity:hvac")
-"""Those that are taken where nobody names one, the first that is there."""
+"""Default meters; the first that exists is used."""
 
 
 class Energy:
     """The energy of a timestep in kWh.
 
-    Meters (and sensors of energy) in J are exact. A sensor in W counts as its value for the whole timestep: exact
-    where it reads the timestep's mean, an approximation where it is instant.
+    Meters and energy sensors in J are exact. The value of a sensor in W is taken for the whole timestep: this is exact
+    if the sensor reports the timestep's mean, and an approximation if it reports an instant.
 
     Args:
-        kind: the reward's.
-        names: meters and sensors, added up; None: the meter Electricity:Facility, else Electricity:HVAC, else the
+        kind: the reward's kind.
+        names: meters and sensors to add up; None: the meter Electricity:Facility, else Electricity:HVAC, else the
             sensor of the HVAC's electricity demand.
-        manifest: of the node.
+        manifest: the node's manifest.
 
     Raises:
-        InvalidConfig: none of these, or something that is no energy.
+        InvalidConfig: the node has none of these, or one of them does not measure energy or power.
     """
 
     def __init__(self, kind: str, names: Sequence[str] | None, manifest: Manifest) -> None:
-        found = _default(kind, manifest) if names is None else [_index(kind, name, manifest) for name in names]
-        units = [p.unit for p in _points(manifest)]
+        points = _default(kind, manifest) if names is None else [_index(kind, name, manifest) for name in names]
+        units = [point.unit for point in _points(manifest)]
         per_step = {"J": 1.0 / J_PER_KWH, "W": 1e-3 / manifest.steps_per_hour}
-        self._indices = indices(found)
-        self._kwh = np.array([per_step[units[i]] for i in found])
+        self._indices = indices(points)
+        self._kwh = np.array([per_step[units[i]] for i in points])
         self.kw_per_kwh = float(manifest.steps_per_hour)
         """Mean power in kW of a timestep that used 1 kWh."""
 
     def kwh(self, values: NDArray[np.float64]) -> Any:
-        """Used in the timestep, kWh; of the leading shape of `values`."""
+        """Return the energy of the timestep in kWh, with the leading shape of `values`."""
         return np.add.reduce(values.take(self._indices, axis=-1) * self._kwh, axis=-1)
 
 
@@ -59,45 +59,46 @@ def _default(kind: str, manifest: Manifest) -> list[int]:
     for meter in METERS:
         if meter in meters:
             return [meters[meter]]
-    found = of_variables(manifest, HVAC_POWER.casefold())[:1]
-    if not found:
+    sensors = of_variables(manifest, HVAC_POWER.casefold())[:1]
+    if not sensors:
         raise InvalidConfig(
             f"the {kind} reward needs the energy that is used: name the meter 'Electricity:Facility' in meters=, or "
             "name other meters (J) or power sensors (W) as the reward's `energy`"
         )
-    return found
+    return sensors
 
 
 def _index(kind: str, name: str, manifest: Manifest) -> int:
     points = _points(manifest)
-    fit = [p.name for p in points if p.unit in ("J", "W")]
+    fitting = [point.name for point in points if point.unit in ("J", "W")]
     if name not in manifest.names:
         raise InvalidConfig(
-            f"the {kind} reward names {name!r}, which the node does not have; {did_you_mean(name, fit)}"
+            f"the {kind} reward names {name!r}, which the node does not have; {did_you_mean(name, fitting)}"
         )
-    place = manifest.names.index(name)
-    if name not in fit:
+    index = manifest.names.index(name)
+    if name not in fitting:
         raise InvalidConfig(
-            f"the {kind} reward needs energy in J or power in W, which {name!r} is not ({points[place].unit}); "
-            f"{did_you_mean(name, fit)}"
+            f"the {kind} reward needs energy in J or power in W, which {name!r} is not ({points[index].unit}); "
+            f"{did_you_mean(name, fitting)}"
         )
-    if place < len(manifest.sensors):
-        sensor = manifest.sensors[place]
+    if index < len(manifest.sensors):
+        sensor = manifest.sensors[index]
         if sensor.unit == "J" and sensor.aggregation is not Aggregation.SUM:
             raise InvalidConfig(
                 f"the {kind} reward needs the energy of the whole timestep, and {name!r} reads {sensor.aggregation!s}: "
                 f"({sensor.variable!r}, {sensor.key!r}, 'sum') in sensors= reads all of it"
             )
-    return place
+    return index
 
 
 class EnergyReward(ComfortBand):
-    """Weighs something that goes by energy against comfort.
+    """Base of rewards that weigh energy, or what depends on it, against comfort.
 
     Attributes:
-        weight: w, that of the energy, 0 to 1.
+        weight: w, the weight of energy, 0 to 1.
         lambda_temperature: 1/K.
-        energy: name or names of meters (J) or power sensors (W); see `Energy` for what is taken without.
+        energy: name or names of meters (J) or power sensors (W); None: the meter Electricity:Facility, else
+            Electricity:HVAC, else the sensor of the HVAC's electricity demand.
     """
 
     weight: float = Field(0.5, ge=0.0, le=1.0)

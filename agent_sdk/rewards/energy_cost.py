@@ -1,4 +1,4 @@
-"""Rewards on the energy bill."""
+"""Rewards on energy costs."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from topics.messages import Manifest
 
 
 class EnergyCostReward(EnergyReward):
-    """Power, degrees outside the comfort band, and what the energy costs.
+    """Weighted sum of power, of degrees outside the comfort band, and of energy costs.
 
         r = -w * lambda_energy * P - w_T * lambda_temperature * D - (1 - w - w_T) * lambda_cost * E * price
         D = sum_z max(low - T_z, T_z - high, 0)
 
     E is the timestep's energy in kWh, P its mean power in W, and the price that of the hour in which the timestep
-    began, in money per kWh. A price below zero gives a cost term above zero; all else is zero or below.
+    began, in currency per kWh. A negative price makes the cost term positive; the other terms are zero or negative.
 
-    Source: Sinergym's `EnergyCostLinearReward`, whose cost is the price alone, whatever was used.
+    Source: Sinergym's `EnergyCostLinearReward`, whose cost is the price alone, independent of the energy.
 
-    Terms: energy, comfort, cost. Measures: power_w, degrees_outside, energy_kwh, cost (in the price's money).
+    Terms: energy, comfort, cost. Metrics: power_w, degrees_outside, energy_kwh, cost (in the price's currency).
 
     Attributes:
-        price: see `agent_sdk.time_series`.
-        weight_temperature: w_T, 0 to 1; `weight` and it together are at most 1.
+        price: a signal of `agent_sdk.time_series`.
+        weight_temperature: w_T, 0 to 1; its sum with `weight` is at most 1.
         lambda_energy: 1/W.
-        lambda_cost: per unit of money.
+        lambda_cost: per unit of currency.
     """
 
     kind: Literal["energy_cost"] = "energy_cost"
@@ -42,9 +42,11 @@ class EnergyCostReward(EnergyReward):
     lambda_cost: float = Field(1.0, ge=0.0)
 
     @model_validator(mode="after")
-    def _weights_fit(self) -> EnergyCostReward:
+    def _check_weights(self) -> EnergyCostReward:
         if self.weight + self.weight_temperature > 1.0 + 1e-9:
-            raise ValueError(f"weight and weight_temperature are {self.weight} and {self.weight_temperature}: above 1")
+            raise ValueError(
+                f"the sum of weight {self.weight} and weight_temperature {self.weight_temperature} is above 1"
+            )
         return self
 
     def bind(self, manifest: Manifest) -> BoundReward:
@@ -69,20 +71,20 @@ class _ThreeTerms(MeteredBound):
 
 
 class TariffReward(EnergyReward):
-    """The energy bill under a tariff by the time of use, and degrees outside the comfort band.
+    """Weighted sum of energy costs under a time-of-use tariff and of degrees outside the comfort band.
 
         r = -w * lambda_cost * E * price - (1 - w) * lambda_temperature * sum_z max(low - T_z, T_z - high, 0)
 
-    E is the timestep's energy in kWh; the price is that of the first period that holds in the hour in which the
+    E is the timestep's energy in kWh; the price is that of the first period that contains the hour in which the
     timestep began, else `otherwise`. Weekdays are those of simulated time.
 
-    Terms: cost, comfort. Measures: degrees_outside, energy_kwh, cost (in the price's money).
+    Terms: cost, comfort. Metrics: degrees_outside, energy_kwh, cost (in the price's currency).
 
     Attributes:
-        periods: of dearer or cheaper hours; see `agent_sdk.time_series.Period`.
+        periods: hours with other prices; see `agent_sdk.time_series.Period`.
         otherwise: the price in all other hours.
-        unit: of all these prices, as EUR/kWh.
-        lambda_cost: per unit of money.
+        unit: unit of all these prices, such as EUR/kWh.
+        lambda_cost: per unit of currency.
     """
 
     kind: Literal["tariff"] = "tariff"
@@ -93,7 +95,7 @@ class TariffReward(EnergyReward):
 
     @field_validator("unit")
     @classmethod
-    def _is_a_price(cls, unit: str) -> str:
+    def _check_unit(cls, unit: str) -> str:
         per_kwh(unit)
         return unit
 
@@ -118,7 +120,7 @@ class _TwoTerms(MeteredBound):
 
 
 class _PerKwh:
-    """A price in money per kWh."""
+    """A price in currency per kWh."""
 
     def __init__(self, price: TimeSeries) -> None:
         price.load()

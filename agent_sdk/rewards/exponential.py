@@ -1,4 +1,4 @@
-"""A reward on which the far outside weighs much more than the near outside."""
+"""A reward that grows exponentially with the distance from the comfort band."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from agent_sdk.rewards.linear import WeightedBound, WeightedReward
 from agent_sdk.rewards.selectors import sum_at
 from topics.messages import Manifest
 
-MOST_K = 100.0
-"""What lies further outside counts as this far: e^100 is a number yet."""
+MAX_K = 100.0
+"""Upper limit of the degrees outside, so that the exponential stays finite."""
 
 
 class ExponentialReward(WeightedReward):
-    """As `LinearReward`, with the exponential of the degrees outside.
+    """`LinearReward` with the exponential of the degrees outside.
 
     Source: Sinergym's `ExpReward`.
 
         r = -w * lambda_energy * P - (1 - w) * lambda_temperature * sum_{z: v_z > 0} exp(v_z)
         v_z = max(low - T_z, T_z - high, 0), at most 100 K
 
-    A zone within the band (its ends included) adds 0, and one just outside adds 1: being outside at all has a
-    price. Terms: energy, comfort. Measures: power_w, degrees_outside.
+    A zone within the band (bounds included) adds 0, and a zone just outside adds 1: leaving the band has a fixed cost.
+    Terms: energy, comfort. Metrics: power_w, degrees_outside.
     """
 
     kind: Literal["exponential"] = "exponential"
@@ -38,7 +38,7 @@ class ExponentialReward(WeightedReward):
 class _Bound(WeightedBound):
     def __call__(self, values: NDArray[np.float64], begin: Begin) -> Outcome:
         outside = self._outside(values, begin)
-        price = np.where(outside > 0.0, np.exp(np.minimum(outside, MOST_K)), 0.0).sum(axis=-1)
+        price = np.where(outside > 0.0, np.exp(np.minimum(outside, MAX_K)), 0.0).sum(axis=-1)
         power_w = sum_at(values, self._powers)
         energy, comfort = self._energy * power_w, self._comfort * price
         terms = {"energy": energy, "comfort": comfort}

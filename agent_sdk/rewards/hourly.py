@@ -1,4 +1,4 @@
-"""A reward with other weights by day than by night."""
+"""A reward whose weights depend on the hour of the day."""
 
 from __future__ import annotations
 
@@ -17,19 +17,18 @@ from topics.messages import Manifest
 
 
 class HourlyReward(WeightedReward):
-    """As `LinearReward`, with a weight for some hours of the day and another for the rest.
+    """`LinearReward` with one weight for some hours of the day and another for the rest.
 
     Source: Sinergym's `HourlyLinearReward`, whose weight outside the hours is always 1.
 
         r = -w * lambda_energy * P - (1 - w) * lambda_temperature * sum_z max(low - T_z, T_z - high, 0)
         w = weight within hours, else weight_outside
 
-    Terms: energy, comfort. Measures: power_w, degrees_outside.
+    Terms: energy, comfort. Metrics: power_w, degrees_outside.
 
     Attributes:
-        hours: first hour, and the hour that is not in it any more: (9, 20) is from 9:00 until 20:00. (22, 6) spans
-            midnight.
-        weight_outside: w in all other hours, 0 to 1; 1 leaves comfort out.
+        hours: first hour, and the hour after the last: (9, 20) is from 9:00 until 20:00. (22, 6) spans midnight.
+        weight_outside: w in all other hours, 0 to 1; 1 ignores comfort.
     """
 
     kind: Literal["hourly"] = "hourly"

@@ -16,10 +16,10 @@ from topics.messages import Manifest
 
 
 class WeightedReward(ComfortBand):
-    """Weighs power against comfort.
+    """Base of rewards that weigh power against comfort.
 
     Attributes:
-        weight: w, that of energy, 0 to 1; comfort has the rest.
+        weight: w, the weight of energy, 0 to 1; that of comfort is 1 - w.
         lambda_energy: 1/W.
         lambda_temperature: 1/K.
         power: name or names of the sensors for P, W; None is the HVAC's electricity demand.
@@ -49,11 +49,11 @@ class LinearReward(WeightedReward):
 
         r = -w * lambda_energy * P - (1 - w) * lambda_temperature * sum_z max(low - T_z, T_z - high, 0)
 
-    P is the facility's HVAC electricity demand in W (or the sum of the sensors that are named), T_z the air
-    temperature of zone z in degC; the band is the summer one from `summer_begin` to `summer_end` (month, day; both
-    included), else the winter one, by the day on which the timestep began. Both terms are zero or negative.
+    P is the facility's HVAC electricity demand in W (or the sum of the named sensors), T_z the air temperature of
+    zone z in degC. The summer band is valid from `summer_begin` to `summer_end` (month, day; both inclusive), else the
+    winter band, by the day on which the timestep began. Both terms are zero or negative.
 
-    Terms: energy, comfort. Measures: power_w, degrees_outside.
+    Terms: energy, comfort. Metrics: power_w, degrees_outside.
     """
 
     kind: Literal["linear"] = "linear"

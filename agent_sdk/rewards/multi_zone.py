@@ -1,4 +1,4 @@
-"""A reward on how well each zone keeps its own setpoints."""
+"""A reward on how well each zone keeps its setpoints."""
 
 from __future__ import annotations
 
@@ -28,20 +28,20 @@ COOLING = "Zone Thermostat Cooling Setpoint Temperature"
 
 
 class MultiZoneReward(RewardConfig):
-    """Power, and degrees outside each zone's own band: its measured setpoints, and a threshold around them.
+    """Weighted sum of power and of degrees outside each zone's band: its setpoints and a threshold around them.
 
-    Source: Sinergym's `MultiZoneReward`, with one setpoint a zone.
+    Source: Sinergym's `MultiZoneReward`, which has one setpoint per zone.
 
         r = -w * lambda_energy * P - (1 - w) * lambda_temperature * sum_z max(h_z - d - T_z, T_z - c_z - d, 0)
 
-    h_z and c_z are the heating and cooling setpoint of zone z in degC (the same where there is one), d the
-    threshold. Terms: energy, comfort. Measures: power_w, degrees_outside.
+    h_z and c_z are the heating and cooling setpoint of zone z in degC (equal if there is only one), d the
+    threshold. Terms: energy, comfort. Metrics: power_w, degrees_outside.
 
     Attributes:
-        zones: the sensor of a zone's air temperature to that of its setpoint, or to [heating, cooling]; None: the
+        zones: the setpoint sensor, or [heating, cooling], by the sensor of the zone's air temperature; None: the
             sensors of 'Zone Air Temperature' with those of 'Zone Thermostat Heating Setpoint Temperature' and
             '... Cooling ...' that have the same key. A thermostat without one of the two reports 0 for it: name
-            the other alone.
+            only the other.
         threshold: d, K.
         weight, lambda_energy, lambda_temperature, power: as in `LinearReward`.
     """
@@ -56,7 +56,7 @@ class MultiZoneReward(RewardConfig):
 
     @field_validator("zones")
     @classmethod
-    def _one_or_two(cls, zones: dict[str, tuple[str, ...]] | None) -> dict[str, tuple[str, ...]] | None:
+    def _check_zones(cls, zones: dict[str, tuple[str, ...]] | None) -> dict[str, tuple[str, ...]] | None:
         if zones is not None and not zones:
             raise ValueError("at least one zone expected")
         for zone, setpoints in (zones or {}).items():
@@ -69,12 +69,12 @@ class MultiZoneReward(RewardConfig):
         return _Bound(self, manifest)
 
     def _points(self, manifest: Manifest) -> list[tuple[int, int, int]]:
-        """For each zone its air temperature, heating and cooling setpoint."""
+        """Return the indices of each zone's air temperature, heating and cooling setpoint."""
         if self.zones is not None:
             rows = []
             for zone, setpoints in self.zones.items():
-                found = [named(self.kind, name, manifest, ["degC"]) for name in (zone, *setpoints)]
-                rows.append((found[0], found[1], found[-1]))
+                points = [named(self.kind, name, manifest, ["degC"]) for name in (zone, *setpoints)]
+                rows.append((points[0], points[1], points[-1]))
             return rows
         air = of_variables(manifest, *ZONE_TEMPERATURES)
         both = zip(air, same_zone(air, HEATING, manifest), same_zone(air, COOLING, manifest), strict=True)

@@ -1,4 +1,4 @@
-"""A reward whose terms lie between 0 and -1, whatever the building's size."""
+"""A reward whose terms are between 0 and -1, independent of the building's size."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ from topics.messages import Manifest
 
 
 class NormalizedReward(ComfortBand):
-    """Power and degrees outside the band, each as a share of the greatest that was seen.
+    """Power and degrees outside the band, each divided by its maximum so far.
 
         r = -w * P / P_max - (1 - w) * D / D_max,    D = sum_z max(low - T_z, T_z - high, 0)
 
-    The maxima begin with `max_power_w` and `max_degrees` and grow with what is seen, this timestep included (so each
-    share lies between 0 and 1; 0 / 0 is 0). With `moving: false` they stay as given, and shares may be above 1. Each
-    slot has its own. A new episode keeps them unless `forget` is set.
+    The maxima start at `max_power_w` and `max_degrees` and grow with the values, including those of this timestep (so
+    each quotient is between 0 and 1; 0 / 0 is 0). With `moving: false` they are constant, and quotients may be above 1.
+    Each slot has its own maxima. A new episode keeps them unless `forget` is set.
 
-    Source: Sinergym's `NormalizedLinearReward`, as it is documented; its code never moves the maxima.
+    Source: Sinergym's `NormalizedLinearReward` as documented; its code never changes the maxima.
 
-    Terms: energy, comfort. Measures: power_w, degrees_outside, max_power_w, max_degrees.
+    Terms: energy, comfort. Metrics: power_w, degrees_outside, max_power_w, max_degrees.
 
     Attributes:
-        weight: w, that of energy, 0 to 1.
-        max_power_w: W; None begins at 0.
-        max_degrees: K; None begins at 0.
+        weight: w, the weight of energy, 0 to 1.
+        max_power_w: W; None starts at 0.
+        max_degrees: K; None starts at 0.
         moving: whether the maxima grow.
-        forget: whether a new episode begins with new maxima.
+        forget: whether a new episode resets the maxima.
         power: name or names of the sensors for P, W; None is the HVAC's electricity demand.
     """
 
@@ -48,9 +48,9 @@ class NormalizedReward(ComfortBand):
     power: Names | None = None
 
     @model_validator(mode="after")
-    def _has_maxima(self) -> NormalizedReward:
+    def _check_maxima(self) -> NormalizedReward:
         if not self.moving and (self.max_power_w is None or self.max_degrees is None):
-            raise ValueError("maxima that do not move have to be given: max_power_w and max_degrees")
+            raise ValueError("moving: false needs max_power_w and max_degrees")
         return self
 
     def bind(self, manifest: Manifest) -> BoundReward:
@@ -63,15 +63,15 @@ class _Bound(BandedBound):
         super().__init__(of, manifest)
         self._of = of
         self._powers = powers(of.kind, of.power, manifest)
-        self._memory = SlotState(of.kind, max_power_w=of.max_power_w or 0.0, max_degrees=of.max_degrees or 0.0)
+        self._state = SlotState(of.kind, max_power_w=of.max_power_w or 0.0, max_degrees=of.max_degrees or 0.0)
 
     def __call__(self, values: NDArray[np.float64], begin: Begin) -> Outcome:
         outside, power_w = self._degrees(values, begin), sum_at(values, self._powers)
-        maxima = self._memory.of(values.shape[:-1])
+        maxima = self._state.of(values.shape[:-1])
         if self._of.moving:
             most_w = np.maximum(maxima["max_power_w"], power_w)
             most_k = np.maximum(maxima["max_degrees"], outside)
-            self._memory.keep(max_power_w=most_w, max_degrees=most_k)
+            self._state.store(max_power_w=most_w, max_degrees=most_k)
         else:
             most_w, most_k = maxima["max_power_w"][()], maxima["max_degrees"][()]
         energy = -self._of.weight * _share(power_w, most_w)
@@ -81,13 +81,13 @@ class _Bound(BandedBound):
 
     def reset(self, slots: Sequence[int] | None = None) -> None:
         if self._of.forget:
-            self._memory.forget(slots)
+            self._state.reset(slots)
 
     def state(self) -> dict[str, Any]:
-        return self._memory.state()
+        return self._state.state()
 
     def restore(self, state: dict[str, Any]) -> None:
-        self._memory.restore(state)
+        self._state.restore(state)
 
 
 def _share(part: Any, most: Any) -> Any:

@@ -1,4 +1,4 @@
-"""A reward that asks for comfort where people are."""
+"""A reward on comfort in occupied zones."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ _UNITS = ("1", "count", "fraction")
 
 
 class OccupiedReward(WeightedReward):
-    """As `LinearReward`, with the degrees of each zone weighed by its people.
+    """`LinearReward` with the degrees of each zone weighted by its occupancy.
 
         r = -w * lambda_energy * P - (1 - w) * lambda_temperature * sum_z n_z * max(low - T_z, T_z - high, 0)
 
-    n_z is 1 while people are in zone z (`by: presence`) or their number (`by: people`), and `empty_weight` while
-    nobody is. Terms: energy, comfort. Measures: power_w, degrees_outside (weighed), people (in all these zones).
+    n_z is 1 while zone z is occupied (`by: presence`) or its number of people (`by: people`), and `empty_weight` while
+    it is empty. Terms: energy, comfort. Metrics: power_w, degrees_outside (weighted), people (in all these zones).
 
     Attributes:
-        by: what weighs.
+        by: the weights, `presence` or `people`.
         empty_weight: n_z of an empty zone.
-        occupants: the sensor of a zone's air temperature to that of its people; None: the sensors of 'Zone People
-            Occupant Count' with the same key. Zones without any (plenums) are left out, unless `temperatures` names
-            them: then it is an error.
+        occupants: the sensor of a zone's number of people by that of its air temperature; None: the sensors of 'Zone
+            People Occupant Count' with the same key. Zones without such a sensor (plenums) are ignored, unless
+            `temperatures` names them, which is an error.
     """
 
     kind: Literal["occupied"] = "occupied"
@@ -44,10 +44,10 @@ class OccupiedReward(WeightedReward):
         return _Bound(self, manifest)
 
     def pairs(self, zones: list[int], manifest: Manifest) -> list[tuple[int, int]]:
-        """Those of these zones' temperatures that count, each with its people, by their places in a sample.
+        """Return the zones' temperatures with their numbers of people, as indices in a sample.
 
         Raises:
-            InvalidConfig: a zone that is named has no people, or none has any.
+            InvalidConfig: a zone that the reward names has no number of people, or no zone has one.
         """
         return _pairs(self, zones, manifest)
 
@@ -70,22 +70,21 @@ class _Bound(WeightedBound):
         return Outcome(energy + comfort, {"energy": energy, "comfort": comfort}, measures)
 
 
-def _pairs(of: OccupiedReward, zones: list[int], manifest: Manifest) -> list[tuple[int, int]]:
-    """Zones' temperatures with their people."""
-    if of.occupants is not None:
-        said = {
-            named(of.kind, zone, manifest, ["degC"]): named(of.kind, people, manifest, _UNITS)
-            for zone, people in of.occupants.items()
+def _pairs(reward: OccupiedReward, zones: list[int], manifest: Manifest) -> list[tuple[int, int]]:
+    if reward.occupants is not None:
+        by_zone = {
+            named(reward.kind, zone, manifest, ["degC"]): named(reward.kind, people, manifest, _UNITS)
+            for zone, people in reward.occupants.items()
         }
-        found = [said.get(zone) for zone in zones]
+        sensors = [by_zone.get(zone) for zone in zones]
     else:
-        found = same_zone(zones, PEOPLE, manifest)
-    without = [manifest.sensors[zone] for zone, people in zip(zones, found, strict=True) if people is None]
-    if len(without) == len(zones) or (without and of.temperatures is not None):
-        lacking = without[0]
+        sensors = same_zone(zones, PEOPLE, manifest)
+    missing = [manifest.sensors[zone] for zone, people in zip(zones, sensors, strict=True) if people is None]
+    if len(missing) == len(zones) or (missing and reward.temperatures is not None):
+        first = missing[0]
         raise InvalidConfig(
-            f"the {of.kind} reward does not know how many people are at {lacking.name!r}: name a sensor in sensors=, "
-            f"as ({PEOPLE!r}, {lacking.key!r}), or one of those that are there as the reward's "
-            f"`occupants`: {{{lacking.name}: sensor}}"
+            f"the {reward.kind} reward needs the number of people at {first.name!r}: name a sensor in sensors=, "
+            f"such as ({PEOPLE!r}, {first.key!r}), or name an existing sensor as the reward's "
+            f"`occupants`: {{{first.name}: sensor}}"
         )
-    return [(zone, people) for zone, people in zip(zones, found, strict=True) if people is not None]
+    return [(zone, people) for zone, people in zip(zones, sensors, strict=True) if people is not None]

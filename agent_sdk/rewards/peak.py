@@ -1,4 +1,4 @@
-"""A reward on the month's peak demand."""
+"""A reward on the monthly peak demand."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from topics.messages import Manifest
 
 
 class PeakReward(EnergyReward):
-    """Power, degrees outside the comfort band, and what is added to the month's peak.
+    """Weighted sum of power, of degrees outside the comfort band, and of increases of the month's peak demand.
 
         r = -w * lambda_energy * P - (1 - w) * lambda_temperature * D - lambda_peak * max(K - K_max, 0)
         D = sum_z max(low - T_z, T_z - high, 0)
 
-    P is the timestep's mean power in W, K the same in kW, and K_max the greatest of the calendar month so far, at
+    P is the timestep's mean power in W, K the same in kW, and K_max the maximum of K in the calendar month so far, at
     least the threshold. Over a month the last terms add up to -lambda_peak * (peak - threshold): a demand charge, paid
-    when it arises. A new month, or a new episode, begins at the threshold; each slot has its own.
+    when it arises. K_max restarts at the threshold with each month and each episode; each slot has its own.
 
-    Terms: energy, comfort, peak. Measures: power_w, degrees_outside, energy_kwh, peak_kw (K_max with this timestep,
-    the threshold at least).
+    Terms: energy, comfort, peak. Metrics: power_w, degrees_outside, energy_kwh, peak_kw (K_max including this timestep,
+    at least the threshold).
 
     Attributes:
-        threshold_kw: below it no peak counts, kW.
+        threshold_kw: peak demand without charge, kW.
         lambda_energy: 1/W.
         lambda_peak: 1/kW.
     """
@@ -51,7 +51,7 @@ class _Bound(MeteredBound):
         self._least_kw, self._of_peak = of.threshold_kw, -of.lambda_peak
         self._of_power = -of.weight * of.lambda_energy
         self._of_comfort = -(1.0 - of.weight) * of.lambda_temperature
-        self._memory = SlotState(of.kind, month=-1.0, peak_kw=of.threshold_kw)
+        self._state = SlotState(of.kind, month=-1.0, peak_kw=of.threshold_kw)
 
     def __call__(self, values: NDArray[np.float64], begin: Begin) -> Outcome:
         outside, kwh = self._degrees(values, begin), self._energy.kwh(values)
@@ -64,26 +64,26 @@ class _Bound(MeteredBound):
         return Outcome(energy + comfort + peak, {"energy": energy, "comfort": comfort, "peak": peak}, measures)
 
     def _peaks(self, demand_kw: Any, begin: Begin) -> tuple[Any, Any]:
-        """The month's peak before this timestep and with it."""
+        """Return the month's peak before and after this timestep."""
         shape = np.shape(demand_kw)
-        was, month = self._memory.of(shape), np.broadcast_to(_months(begin), shape)
+        was, month = self._state.of(shape), np.broadcast_to(_months(begin), shape)
         before_kw = np.where(was["month"] == month, was["peak_kw"], self._least_kw)
         peak_kw = np.maximum(before_kw, demand_kw)
-        self._memory.keep(month=month, peak_kw=peak_kw)
+        self._state.store(month=month, peak_kw=peak_kw)
         return before_kw, peak_kw
 
     def reset(self, slots: Sequence[int] | None = None) -> None:
-        self._memory.forget(slots)
+        self._state.reset(slots)
 
     def state(self) -> dict[str, Any]:
-        return self._memory.state()
+        return self._state.state()
 
     def restore(self, state: dict[str, Any]) -> None:
-        self._memory.restore(state)
+        self._state.restore(state)
 
 
 def _months(begin: Begin) -> Any:
-    """The months since year 0, so that the same month of another year is another one."""
+    """Return the months since year 0, which differ between years."""
     if isinstance(begin, datetime):
         return begin.year * 12 + begin.month
     return np.array([moment.year * 12 + moment.month for moment in begin])

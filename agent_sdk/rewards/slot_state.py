@@ -1,4 +1,4 @@
-"""What a reward remembers of each slot."""
+"""State of a reward, kept for each slot."""
 
 from __future__ import annotations
 
@@ -14,59 +14,59 @@ Numbers = dict[str, NDArray[np.float64]]
 
 
 class SlotState:
-    """Numbers by name, one of each for each slot.
+    """Numbers by name, each with one value per slot.
 
     Args:
-        kind: the reward's, for errors.
-        blank: the numbers before anything was seen.
+        kind: the reward's kind, for errors.
+        initial: the numbers' initial values.
     """
 
-    def __init__(self, kind: str, **blank: float) -> None:
-        self._kind, self._blank = kind, blank
+    def __init__(self, kind: str, **initial: float) -> None:
+        self._kind, self._initial = kind, initial
         self._numbers: Numbers = {}
 
     def of(self, shape: tuple[int, ...]) -> Numbers:
-        """The numbers, as arrays of the leading shape of the values; blank at first.
+        """Return the numbers as arrays of the leading shape of the values, with their initial values at first.
 
         Raises:
-            InvalidConfig: they were of another shape before.
+            InvalidConfig: the shape was another one before.
         """
         if not self._numbers:
-            self._numbers = {name: np.full(shape, value) for name, value in self._blank.items()}
-        was = next(iter(self._numbers.values())).shape
-        if was != shape:
+            self._numbers = {name: np.full(shape, value) for name, value in self._initial.items()}
+        former = next(iter(self._numbers.values())).shape
+        if former != shape:
             raise InvalidConfig(
-                f"the {self._kind} reward remembers something of each slot: values of the leading shape {was} "
+                f"the {self._kind} reward keeps state for each slot: values of the leading shape {former} "
                 f"expected, as before, got {shape}; bind it once for each use"
             )
         return self._numbers
 
-    def keep(self, **numbers: NDArray[np.float64]) -> None:
-        """Puts others in their place."""
+    def store(self, **numbers: NDArray[np.float64]) -> None:
+        """Replace the numbers."""
         self._numbers = {name: np.asarray(array, np.float64) for name, array in numbers.items()}
 
-    def forget(self, slots: Sequence[int] | None) -> None:
-        """Makes them blank, in these slots or in all."""
+    def reset(self, slots: Sequence[int] | None) -> None:
+        """Restore the initial values, in these slots or (None) in all."""
         if slots is None or any(array.ndim == 0 for array in self._numbers.values()):
             self._numbers = {}
             return
         for name, array in self._numbers.items():
             changed = array.copy()
-            changed[list(slots)] = self._blank[name]
+            changed[list(slots)] = self._initial[name]
             self._numbers[name] = changed
 
     def state(self) -> dict[str, Any]:
-        """As plain numbers and lists; empty before anything was seen."""
+        """Return the numbers as plain values; empty before the first use."""
         return {name: array.tolist() for name, array in self._numbers.items()}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Goes on from a `state`.
+        """Restore a state that `state` returned.
 
         Raises:
-            InvalidConfig: it is of something else.
+            InvalidConfig: it is the state of another reward.
         """
-        if state and set(state) != set(self._blank):
+        if state and set(state) != set(self._initial):
             raise InvalidConfig(
-                f"the {self._kind} reward remembers {', '.join(self._blank)}; the state has {', '.join(state)}"
+                f"the {self._kind} reward has the state {', '.join(self._initial)}, not {', '.join(state)}"
             )
         self._numbers = {name: np.array(state[name], np.float64) for name in state}

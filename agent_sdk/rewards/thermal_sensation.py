@@ -1,4 +1,4 @@
-"""A reward on how warm people feel."""
+"""A reward on thermal sensation: PMV or PPD."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ PMV, PPD = "Zone Thermal Comfort Fanger Model PMV", "Zone Thermal Comfort Fanger
 RADIANT, HUMIDITY = "Zone Mean Radiant Temperature", "Zone Air Relative Humidity"
 
 Votes = Callable[[NDArray[np.float64], Begin], NDArray[np.float64]]
-"""The values of a timestep to the predicted mean vote or the dissatisfied in percent, by zone."""
+"""A function from the values of a timestep to PMV, or PPD in percent, by zone."""
 
 
 class ThermalSensationReward(Seasonal):
-    """Power, and how far the predicted mean vote (PMV) or the dissatisfied (PPD) leave what is comfortable.
+    """Weighted sum of power and of the excess of the predicted mean vote (PMV) or percentage dissatisfied (PPD).
 
         by pmv: r = -w * lambda_energy * P - (1 - w) * lambda_sensation * sum_z max(|PMV_z| - limit, 0)
         by ppd: r = -w * lambda_energy * P - (1 - w) * lambda_sensation * sum_z max(PPD_z - limit, 0) / 100
@@ -34,12 +34,12 @@ class ThermalSensationReward(Seasonal):
     Source: Fanger's model in ISO 7730; its category B is |PMV| < 0.5, PPD < 10 %. PPD is 100 - 95 * exp(-0.03353 *
     PMV^4 - 0.2179 * PMV^2) percent.
 
-    The votes are EnergyPlus's own, where the node has sensors of 'Zone Thermal Comfort Fanger Model PMV' (or '... PPD'
-    for `by: ppd`), with people, clothing and air speed as the model says. Else they are computed by the library
-    pythermalcomfort (the extra `comfort`) from each zone's air temperature, mean radiant temperature and
-    relative humidity, with `met`, clothing and `air_speed` of this object.
+    EnergyPlus computes the votes if the node has sensors of 'Zone Thermal Comfort Fanger Model PMV' (or '... PPD' for
+    `by: ppd`), with the people, clothing and air speed of the model. Else the library pythermalcomfort (the extra
+    `comfort`) computes them from each zone's air temperature, mean radiant temperature and relative humidity, with
+    `met`, the clothing and the `air_speed` of this reward.
 
-    Terms: energy, comfort. Measures: power_w, beyond_limit (the sum over the zones), and pmv_mean or ppd_mean (over
+    Terms: energy, comfort. Metrics: power_w, beyond_limit (the sum over the zones), and pmv_mean or ppd_mean (over
     the zones).
 
     Attributes:
@@ -47,11 +47,11 @@ class ThermalSensationReward(Seasonal):
         limit: of |PMV| (None: 0.5) or PPD in percent (None: 10).
         weight, lambda_energy, power: as in `LinearReward`.
         lambda_sensation: the comfort term's factor.
-        pmv, ppd: names of sensors of these; None is all that are there.
-        temperatures, radiant, humidities: names of sensors in the same order of zones; None is each zone's.
+        pmv, ppd: names of their sensors; None is all that the node has.
+        temperatures, radiant, humidities: names of sensors, in the same order of zones; None is those of each zone.
         met: metabolic rate, met, 0.8 to 4.
         clo_winter, clo_summer: clothing, clo, 0 to 2.
-        air_speed: relative to the body, m/s, 0 to 1.
+        air_speed: relative air speed, m/s, 0 to 1.
     """
 
     kind: Literal["thermal_sensation"] = "thermal_sensation"
@@ -76,23 +76,23 @@ class ThermalSensationReward(Seasonal):
         return _Bound(self, manifest)
 
     def _votes(self, manifest: Manifest) -> Votes:
-        """PMV by zone, from the best that is there."""
+        """Return PMV by zone: from sensors if there are any, else computed."""
         if self._computes():
             return self._computed(manifest)
-        found = _sensors(self.kind, self.pmv, PMV, "1", manifest)
-        return _read(found) if found is not None else self._computed(manifest)
+        sensors = _sensors(self.kind, self.pmv, PMV, "1", manifest)
+        return _read(sensors) if sensors is not None else self._computed(manifest)
 
     def _dissatisfied(self, manifest: Manifest) -> Votes:
-        """PPD by zone, in percent."""
+        """Return PPD by zone, in percent."""
         if not self._computes() and self.pmv is None:
-            found = _sensors(self.kind, self.ppd, PPD, "percent", manifest)
-            if found is not None:
-                return _read(found)
+            sensors = _sensors(self.kind, self.ppd, PPD, "percent", manifest)
+            if sensors is not None:
+                return _read(sensors)
         votes = self._votes(manifest)
-        return lambda values, begin: dissatisfied(votes(values, begin))
+        return lambda values, begin: percentage_dissatisfied(votes(values, begin))
 
     def _computes(self) -> bool:
-        """Whether sensors are named to compute from, and none to read."""
+        """Whether the reward names sensors to compute votes from, and no sensors of votes."""
         sources = (self.temperatures, self.radiant, self.humidities)
         return self.pmv is None and self.ppd is None and any(names is not None for names in sources)
 
@@ -106,32 +106,32 @@ class ThermalSensationReward(Seasonal):
 
         def votes(values: NDArray[np.float64], begin: Begin) -> NDArray[np.float64]:
             (clo,) = clothing.columns(begin)
-            found = pmv_ppd(
+            result = pmv_ppd(
                 tdb=values.take(air, axis=-1), tr=values.take(radiant, axis=-1), rh=values.take(humid, axis=-1),
                 vr=self.air_speed, met=self.met, clo=clo, model="7730-2005", limit_inputs=False, round_output=False,
             )  # fmt: skip
-            return np.asarray(found.pmv, np.float64)
+            return np.asarray(result.pmv, np.float64)
 
         return votes
 
     def _of_zones(
         self, zones: list[int], names: Sequence[str] | None, variable: str, field: str, unit: str, manifest: Manifest
     ) -> Indices:
-        """A sensor for each zone: those that are named, else those with the zones' keys."""
+        """Return a sensor for each zone: those that are named, else those with the zones' keys."""
         if names is not None:
             if len(names) != len(zones):
                 raise InvalidConfig(f"the {self.kind} reward names {len(names)} {field} for {len(zones)} temperatures")
             return indices([named(self.kind, name, manifest, [unit]) for name in names])
-        found = []
-        for zone, other in zip(zones, same_zone(zones, variable, manifest), strict=True):
-            if other is None:
+        sensors = []
+        for zone, sensor in zip(zones, same_zone(zones, variable, manifest), strict=True):
+            if sensor is None:
                 air = manifest.sensors[zone]
                 raise InvalidConfig(
-                    f"the {self.kind} reward needs ({variable!r}, {air.key!r}) beside {air.name!r}: name it in "
+                    f"the {self.kind} reward needs ({variable!r}, {air.key!r}) in addition to {air.name!r}: name it in "
                     f"sensors=, or name others as the reward's `{field}`, or sensors of {PMV!r}"
                 )
-            found.append(other)
-        return indices(found)
+            sensors.append(sensor)
+        return indices(sensors)
 
 
 class _Bound(BoundReward):
@@ -157,11 +157,11 @@ class _Bound(BoundReward):
         return Outcome(energy + comfort, {"energy": energy, "comfort": comfort}, measures)
 
 
-def dissatisfied(pmv: NDArray[np.float64]) -> NDArray[np.float64]:
-    """PPD in percent (5 to 100) of a predicted mean vote; ISO 7730, equation 5."""
+def percentage_dissatisfied(pmv: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return PPD in percent (5 to 100) for a predicted mean vote; ISO 7730, equation 5."""
     squared = np.square(pmv)
-    found: NDArray[np.float64] = 100.0 - 95.0 * np.exp(-0.03353 * np.square(squared) - 0.2179 * squared)
-    return found
+    ppd: NDArray[np.float64] = 100.0 - 95.0 * np.exp(-0.03353 * np.square(squared) - 0.2179 * squared)
+    return ppd
 
 
 def _read(points: Indices) -> Votes:
@@ -169,15 +169,15 @@ def _read(points: Indices) -> Votes:
 
 
 def _sensors(kind: str, names: Sequence[str] | None, variable: str, unit: str, manifest: Manifest) -> Indices | None:
-    """Those that are named, else those of the variable; None if there are none."""
+    """Return the named sensors, else those of the variable; None if there are none."""
     if names is not None:
         return indices([named(kind, name, manifest, [unit]) for name in names])
-    found = of_variables(manifest, variable.casefold())
-    return indices(found) if found else None
+    sensors = of_variables(manifest, variable.casefold())
+    return indices(sensors) if sensors else None
 
 
 def _library(kind: str) -> Callable[..., Any]:
-    """Fanger's model; the library takes a second to import, so only when it is wanted."""
+    """Return Fanger's model; the import takes a second and happens only when it is needed."""
     try:
         models = importlib.import_module("pythermalcomfort.models")
     except ImportError:
@@ -185,5 +185,5 @@ def _library(kind: str) -> Callable[..., Any]:
             f"the {kind} reward needs the library pythermalcomfort to compute votes: {install_command('comfort')}; "
             f"or name sensors of {PMV!r} in sensors="
         ) from None
-    found: Callable[..., Any] = models.pmv_ppd_iso
-    return found
+    model: Callable[..., Any] = models.pmv_ppd_iso
+    return model

@@ -40,7 +40,7 @@ from agent_sdk.rewards import (
     from_function,
     read_reward,
 )
-from agent_sdk.rewards.thermal_sensation import dissatisfied
+from agent_sdk.rewards.thermal_sensation import percentage_dissatisfied
 from topics import yaml12
 from topics.errors import InvalidConfig, UnknownName
 from topics.messages import Aggregation, Manifest, Meter, Sensor
@@ -462,7 +462,7 @@ def test_energypluss_own_dissatisfied_and_those_of_the_votes() -> None:
 def test_the_dissatisfied_of_the_standard() -> None:
     """ISO 7730, table 1 (PMV to PPD in whole percent)."""
     table = {2.0: 77, 1.5: 51, 1.0: 26, 0.5: 10, 0.0: 5, -0.5: 10, -1.0: 26, -2.0: 77}
-    assert np.round(dissatisfied(np.array(list(table)))).tolist() == list(table.values())
+    assert np.round(percentage_dissatisfied(np.array(list(table)))).tolist() == list(table.values())
 
 
 needs_library = pytest.mark.skipif(not HAVE_LIBRARY, reason="pip install -e '.[comfort]'")
@@ -638,7 +638,7 @@ def test_a_state_is_a_copy_and_an_empty_one_is_the_beginning() -> None:
 
 def test_the_state_of_another_reward_and_other_slots_are_refused() -> None:
     bound = NormalizedReward().bind(NODE)
-    with pytest.raises(InvalidConfig, match="remembers max_power_w, max_degrees; the state has month, peak_kw"):
+    with pytest.raises(InvalidConfig, match="has the state max_power_w, max_degrees, not month, peak_kw"):
         bound.restore({"month": 1, "peak_kw": 2})
     bound(np.array([values(), values()]), WINTER)
     with pytest.raises(InvalidConfig, match=r"leading shape \(2,\) expected, as before, got \(\)"):
@@ -661,12 +661,14 @@ THERE: dict[str, tuple[RewardConfig, Manifest, str]] = {
     "no setpoints": (MultiZoneReward(), WARM, "the multi_zone reward needs .*'Zone Thermostat Heating Setpoint"),
     "unknown setpoint": (MultiZoneReward(zones={"north": "setpoint"}), NODE, "multi_zone reward names 'setpoint'"),
     "people as a setpoint": (MultiZoneReward(zones={"north": "north_people"}), NODE, "in degC, which 'north_people'"),
-    "nobody": (OccupiedReward(), WARM, r"at 'north': name a sensor in sensors=, as \('Zone People Occupant Count', 'N"),
+    "nobody": (OccupiedReward(), WARM,
+               r"at 'north': name a sensor in sensors=, such as \('Zone People Occupant Count', 'N"),
     "unknown people": (OccupiedReward(occupants={"north": "crowd"}), NODE, "occupied reward names 'crowd'"),
     "watts as people": (OccupiedReward(occupants={"north": "power"}), NODE, "in 1 or count or fraction, which 'power'"),
     "nobody named for one": (OccupiedReward(occupants={"north": "north_people"}, temperatures=("north", "south")),
-                             NODE, "how many people are at 'south'"),
-    "no radiant temperature": (ThermalSensationReward(), WARM, r"\('Zone Mean Radiant Temperature', 'North'\) beside"),
+                             NODE, "number of people at 'south'"),
+    "no radiant temperature": (ThermalSensationReward(), WARM,
+                               r"\('Zone Mean Radiant Temperature', 'North'\) in addition"),
     "two for one": (ThermalSensationReward(temperatures="north", radiant=("north_radiant", "south_radiant")), NODE,
                     "names 2 radiant for 1 temperatures"),
     "degrees as votes": (ThermalSensationReward(pmv="north"), NODE, "thermal_sensation reward needs a sensor in 1"),
@@ -799,9 +801,9 @@ def test_a_function_or_class_that_does_not_fit() -> None:
     for function in (lambda: 0.0, lambda v: 0.0, lambda v, b, more: 0.0, type("Silent", (), {}), object):
         with pytest.raises(InvalidConfig, match=r"should take \(values, begin\)"):
             read_reward(function)
-    with pytest.raises(InvalidConfig, match=r"Needy cannot be made without arguments .*'weight'"):
+    with pytest.raises(InvalidConfig, match=r"Needy cannot be instantiated without arguments .*'weight'"):
         read_reward(Needy).bind(NODE)
-    with pytest.raises(InvalidConfig, match="CarbonReward cannot be made without arguments"):
+    with pytest.raises(InvalidConfig, match="CarbonReward cannot be instantiated without arguments"):
         read_reward(CarbonReward)
 
 
@@ -809,7 +811,7 @@ def test_a_function_or_class_that_does_not_fit() -> None:
 def test_a_term_that_is_no_number(term: Any) -> None:
     for gives in (term, {"comfort": term}):
         name = "comfort" if isinstance(gives, dict) else "reward"
-        with pytest.raises(InvalidConfig, match=f"gave '{name}': .*a finite number expected"):
+        with pytest.raises(InvalidConfig, match=f"returned .* for '{name}'; a finite number expected"):
             read_reward(lambda v, b, gives=gives: gives).bind(NODE)(values(), WINTER)
 
 
@@ -820,7 +822,7 @@ def asks_for_norht(values: Mapping[str, Any], begin: datetime) -> float:
 @pytest.mark.parametrize("slots", [None, 2])
 def test_a_function_that_asks_for_a_point_that_is_not_there(slots: int | None) -> None:
     given = values() if slots is None else np.array([values()] * slots)
-    with pytest.raises(UnknownName, match=r"asks_for_norht asks for 'norht', .*near names: 'north'") as raised:
+    with pytest.raises(UnknownName, match=r"asks_for_norht reads 'norht', .*near names: 'north'") as raised:
         read_reward(asks_for_norht).bind(NODE)(given, WINTER if slots is None else [WINTER] * slots)
     assert isinstance(raised.value.__cause__, KeyError)
 

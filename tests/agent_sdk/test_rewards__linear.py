@@ -230,7 +230,7 @@ def test_a_scenario_names_the_parameters() -> None:
     ("said", "words"),
     [
         ("liner", "no kind 'liner'; near names: 'linear'"),
-        ({"weight": 0.3}, "its kind is missing; there are: linear"),
+        ({"weight": 0.3}, "reward: kind is missing; there are: linear"),
         ({"kind": ["linear"]}, "no kind"),
     ],
     ids=str,
