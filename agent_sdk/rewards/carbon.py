@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
-from agent_sdk.rewards.base import Begin, BoundReward, Outcome
-from agent_sdk.rewards.energy import EnergyReward, MeteredBound
+from agent_sdk.rewards.base import BoundReward
+from agent_sdk.rewards.energy import EnergyReward
+from agent_sdk.rewards.terms import PricedEnergy, Term, TermSum
 from agent_sdk.time_series import Intensity, grams_per_kwh
 from topics.messages import Manifest
+from topics.typing_compat import override
 
 
 class CarbonReward(EnergyReward):
@@ -33,22 +33,13 @@ class CarbonReward(EnergyReward):
     intensity: Intensity
     lambda_carbon: float = Field(1.0, ge=0.0)
 
+    @override
     def bind(self, manifest: Manifest) -> BoundReward:
-        """See `Reward.bind`."""
-        return _Bound(self, manifest)
-
-
-class _Bound(MeteredBound):
-    def __init__(self, of: CarbonReward, manifest: Manifest) -> None:
-        super().__init__(of, manifest)
-        of.intensity.load()
-        self._intensity, self._kg = of.intensity, grams_per_kwh(of.intensity.unit) * 1e-3
-        self._of_carbon = -of.weight * of.lambda_carbon
-        self._of_comfort = -(1.0 - of.weight) * of.lambda_temperature
-
-    def __call__(self, values: NDArray[np.float64], begin: Begin) -> Outcome:
-        outside, kwh = self._degrees(values, begin), self._energy.kwh(values)
-        co2_kg = kwh * (self._intensity.at(begin) * self._kg)
-        carbon, comfort = self._of_carbon * co2_kg, self._of_comfort * outside
-        measures = {"degrees_outside": outside, "energy_kwh": kwh, "co2_kg": co2_kg}
-        return Outcome(carbon + comfort, {"carbon": carbon, "comfort": comfort}, measures)
+        degrees, meter = self._degrees_outside(manifest), self._energy_meter(manifest)
+        self.intensity.load()
+        emissions = PricedEnergy(meter, self.intensity, grams_per_kwh(self.intensity.unit) * 1e-3, "co2_kg")
+        terms = [
+            Term("carbon", -self.weight * self.lambda_carbon, emissions),
+            Term("comfort", -(1.0 - self.weight) * self.lambda_temperature, degrees),
+        ]
+        return TermSum(terms, ["degrees_outside", "energy_kwh", "co2_kg"])

@@ -3,21 +3,15 @@
 from __future__ import annotations
 
 from datetime import date, datetime
-from typing import Annotated, Any, Generic, TypeVar
+from typing import Annotated
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import AfterValidator, model_validator
 
-from agent_sdk.rewards.base import Begin, BoundReward
 from agent_sdk.rewards.config import Names, RewardConfig
+from agent_sdk.rewards.seasons import Pair, Seasons
 from agent_sdk.rewards.selectors import temperatures
+from agent_sdk.rewards.terms import Band, DegreesOutside
 from topics.messages import Manifest
-
-Band = tuple[float, float]
-"""Lowest and highest comfortable air temperature, degC, both inclusive."""
-
-Pair = TypeVar("Pair", bound=tuple[float, ...])
 
 NORTH = ((6, 1), (9, 30))
 SOUTH = ((12, 1), (3, 31))
@@ -28,47 +22,11 @@ def _check_day(value: tuple[int, int]) -> tuple[int, int]:
     try:
         date(2000, *value)
     except ValueError:
-        raise ValueError("a month and a day expected, as [6, 1]") from None
+        raise ValueError("a month and a day expected, such as [6, 1]") from None
     return value
 
 
 MonthDay = Annotated[tuple[int, int], AfterValidator(_check_day)]
-
-
-_MAX_SEQUENTIAL_SUM = 7
-"""NumPy adds up to this many numbers sequentially: a plain loop gives the same bits, faster."""
-
-
-class Seasons(Generic[Pair]):
-    """Numbers that differ between summer and winter.
-
-    Args:
-        winter: numbers on all other days.
-        summer: numbers on days of summer.
-        begin: first day of summer (month, day).
-        end: last day of summer (month, day), inclusive; summer may span the turn of the year.
-    """
-
-    __slots__ = ("begin", "end", "summer", "winter")
-
-    def __init__(self, winter: Pair, summer: Pair, begin: tuple[int, int], end: tuple[int, int]) -> None:
-        self.winter, self.summer, self.begin, self.end = winter, summer, begin, end
-
-    def band(self, day: datetime) -> Pair:
-        """Return the numbers of a day."""
-        month_day = (day.month, day.day)
-        if self.begin <= self.end:
-            return self.summer if self.begin <= month_day <= self.end else self.winter
-        return self.winter if self.end < month_day < self.begin else self.summer
-
-    def columns(self, begin: Begin) -> tuple[float, ...] | tuple[NDArray[np.float64], ...]:
-        """Return the numbers of a timestep: floats if all slots have the same, else columns with a row per slot."""
-        if isinstance(begin, datetime):
-            return self.band(begin)
-        if begin.count(begin[0]) == len(begin):
-            return self.band(begin[0])
-        rows = np.array([self.band(day) for day in begin], np.float64)
-        return tuple(rows[:, i : i + 1] for i in range(len(self.winter)))
 
 
 class Seasonal(RewardConfig):
@@ -115,39 +73,6 @@ class ComfortBand(Seasonal):
         """Return the comfort band of a day in degC; by default with summer in the northern hemisphere."""
         return self.season().band(day)
 
-
-class BandedBound(BoundReward):
-    """Measures how far zones are outside the band.
-
-    Args:
-        of: the reward.
-        manifest: of the node.
-
-    Raises:
-        InvalidConfig: there are no such temperatures.
-    """
-
-    def __init__(self, of: ComfortBand, manifest: Manifest) -> None:
-        self._season = of.season(manifest)
-        self._zones = temperatures(of.kind, of.temperatures, manifest)
-
-    def band(self, day: datetime) -> Band:
-        """The comfort band in degC of a day."""
-        return self._season.band(day)
-
-    def _outside(self, values: NDArray[np.float64], begin: Begin) -> NDArray[np.float64]:
-        """Degrees outside the band, by zone."""
-        low, high = self._season.columns(begin)
-        air = values.take(self._zones, axis=-1)
-        return np.maximum(np.maximum(low - air, air - high), 0.0)
-
-    def _degrees(self, values: NDArray[np.float64], begin: Begin) -> Any:
-        """Their sum over the zones."""
-        if values.ndim == 1 and len(self._zones) <= _MAX_SEQUENTIAL_SUM and isinstance(begin, datetime):
-            low, high = self._season.band(begin)
-            outside = 0.0
-            for air in values.take(self._zones).tolist():
-                outside += max(low - air, air - high, 0.0)
-            return outside
-        degrees: NDArray[np.float64] = np.add.reduce(self._outside(values, begin), axis=-1)
-        return degrees
+    def _degrees_outside(self, manifest: Manifest) -> DegreesOutside:
+        season = self.season(manifest)
+        return DegreesOutside(season, temperatures(self.kind, self.temperatures, manifest))

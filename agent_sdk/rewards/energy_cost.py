@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
-from agent_sdk.rewards.base import Begin, BoundReward, Outcome
-from agent_sdk.rewards.energy import EnergyReward, MeteredBound
+from agent_sdk.rewards.base import BoundReward
+from agent_sdk.rewards.energy import EnergyReward
+from agent_sdk.rewards.energy_meter import EnergyMeter
+from agent_sdk.rewards.terms import MeanPower, PricedEnergy, Term, TermSum
 from agent_sdk.time_series import Number, Period, Price, TimeOfUse, TimeSeries, Unit, per_kwh
 from topics.messages import Manifest
+from topics.typing_compat import override
 
 
 class EnergyCostReward(EnergyReward):
@@ -49,25 +50,16 @@ class EnergyCostReward(EnergyReward):
             )
         return self
 
+    @override
     def bind(self, manifest: Manifest) -> BoundReward:
-        """See `Reward.bind`."""
-        return _ThreeTerms(self, manifest)
-
-
-class _ThreeTerms(MeteredBound):
-    def __init__(self, of: EnergyCostReward, manifest: Manifest) -> None:
-        super().__init__(of, manifest)
-        self._price = _PerKwh(of.price)
-        self._of_power = -of.weight * of.lambda_energy
-        self._of_comfort = -of.weight_temperature * of.lambda_temperature
-        self._of_cost = -max(1.0 - of.weight - of.weight_temperature, 0.0) * of.lambda_cost
-
-    def __call__(self, values: NDArray[np.float64], begin: Begin) -> Outcome:
-        outside, kwh = self._degrees(values, begin), self._energy.kwh(values)
-        power_w, cost = kwh * self._energy.kw_per_kwh * 1e3, kwh * self._price.at(begin)
-        energy, comfort, money = self._of_power * power_w, self._of_comfort * outside, self._of_cost * cost
-        measures = {"power_w": power_w, "degrees_outside": outside, "energy_kwh": kwh, "cost": cost}
-        return Outcome(energy + comfort + money, {"energy": energy, "comfort": comfort, "cost": money}, measures)
+        degrees, meter = self._degrees_outside(manifest), self._energy_meter(manifest)
+        weight_cost = max(1.0 - self.weight - self.weight_temperature, 0.0)
+        terms = [
+            Term("energy", -self.weight * self.lambda_energy, MeanPower(meter)),
+            Term("comfort", -self.weight_temperature * self.lambda_temperature, degrees),
+            Term("cost", -weight_cost * self.lambda_cost, _cost(meter, self.price)),
+        ]
+        return TermSum(terms, ["power_w", "degrees_outside", "energy_kwh", "cost"])
 
 
 class TariffReward(EnergyReward):
@@ -99,33 +91,17 @@ class TariffReward(EnergyReward):
         per_kwh(unit)
         return unit
 
+    @override
     def bind(self, manifest: Manifest) -> BoundReward:
-        """See `Reward.bind`."""
-        return _TwoTerms(self, manifest)
+        degrees, meter = self._degrees_outside(manifest), self._energy_meter(manifest)
+        price = TimeOfUse(table=self.periods, otherwise=self.otherwise, unit=self.unit)
+        terms = [
+            Term("cost", -self.weight * self.lambda_cost, _cost(meter, price)),
+            Term("comfort", -(1.0 - self.weight) * self.lambda_temperature, degrees),
+        ]
+        return TermSum(terms, ["degrees_outside", "energy_kwh", "cost"])
 
 
-class _TwoTerms(MeteredBound):
-    def __init__(self, of: TariffReward, manifest: Manifest) -> None:
-        super().__init__(of, manifest)
-        self._price = _PerKwh(TimeOfUse(table=of.periods, otherwise=of.otherwise, unit=of.unit))
-        self._of_cost = -of.weight * of.lambda_cost
-        self._of_comfort = -(1.0 - of.weight) * of.lambda_temperature
-
-    def __call__(self, values: NDArray[np.float64], begin: Begin) -> Outcome:
-        outside, kwh = self._degrees(values, begin), self._energy.kwh(values)
-        cost = kwh * self._price.at(begin)
-        money, comfort = self._of_cost * cost, self._of_comfort * outside
-        measures = {"degrees_outside": outside, "energy_kwh": kwh, "cost": cost}
-        return Outcome(money + comfort, {"cost": money, "comfort": comfort}, measures)
-
-
-class _PerKwh:
-    """A price in currency per kWh."""
-
-    def __init__(self, price: TimeSeries) -> None:
-        price.load()
-        self._signal, self._factor = price, per_kwh(price.unit)
-
-    def at(self, begin: Begin) -> float | NDArray[np.float64]:
-        price: float | NDArray[np.float64] = self._signal.at(begin) * self._factor
-        return price
+def _cost(meter: EnergyMeter, price: TimeSeries) -> PricedEnergy:
+    price.load()
+    return PricedEnergy(meter, price, per_kwh(price.unit), "cost")

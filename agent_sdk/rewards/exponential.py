@@ -4,16 +4,11 @@ from __future__ import annotations
 
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
-from agent_sdk.rewards.base import Begin, BoundReward, Outcome
-from agent_sdk.rewards.linear import WeightedBound, WeightedReward
-from agent_sdk.rewards.selectors import sum_at
+from agent_sdk.rewards.base import BoundReward
+from agent_sdk.rewards.linear import WeightedReward
+from agent_sdk.rewards.terms import ExponentialDegrees, TermSum
 from topics.messages import Manifest
-
-MAX_K = 100.0
-"""Upper limit of the degrees outside, so that the exponential stays finite."""
+from topics.typing_compat import override
 
 
 class ExponentialReward(WeightedReward):
@@ -30,16 +25,8 @@ class ExponentialReward(WeightedReward):
 
     kind: Literal["exponential"] = "exponential"
 
+    @override
     def bind(self, manifest: Manifest) -> BoundReward:
-        """See `Reward.bind`."""
-        return _Bound(self, manifest)
-
-
-class _Bound(WeightedBound):
-    def __call__(self, values: NDArray[np.float64], begin: Begin) -> Outcome:
-        outside = self._outside(values, begin)
-        price = np.where(outside > 0.0, np.exp(np.minimum(outside, MAX_K)), 0.0).sum(axis=-1)
-        power_w = sum_at(values, self._powers)
-        energy, comfort = self._energy * power_w, self._comfort * price
-        terms = {"energy": energy, "comfort": comfort}
-        return Outcome(energy + comfort, terms, {"power_w": power_w, "degrees_outside": outside.sum(axis=-1)})
+        energy = self._energy_term(manifest)
+        comfort = self._comfort_term(ExponentialDegrees(self._degrees_outside(manifest)))
+        return TermSum([energy, comfort], ["power_w", "degrees_outside"])

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from datetime import datetime
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
-from agent_sdk.rewards.base import Begin, BoundReward, Outcome
-from agent_sdk.rewards.linear import WeightedBound, WeightedReward
-from agent_sdk.rewards.selectors import sum_at
+from agent_sdk.rewards.base import Begin, BoundReward
+from agent_sdk.rewards.linear import WeightedReward
+from agent_sdk.rewards.terms import Term, TermSum
 from agent_sdk.time_series import Hours, within
 from topics.messages import Manifest
+from topics.typing_compat import override
 
 
 class HourlyReward(WeightedReward):
@@ -35,26 +36,22 @@ class HourlyReward(WeightedReward):
     hours: Hours = (9, 20)
     weight_outside: float = Field(1.0, ge=0.0, le=1.0)
 
+    @override
     def bind(self, manifest: Manifest) -> BoundReward:
-        """See `Reward.bind`."""
-        return _Bound(self, manifest)
+        weights = [self.weight if within(self.hours, hour) else self.weight_outside for hour in range(24)]
+        energy_factors = [-weight * self.lambda_energy for weight in weights]
+        comfort_factors = [-(1.0 - weight) * self.lambda_temperature for weight in weights]
+        energy = self._energy_term(manifest)._replace(factor=_by_hour(energy_factors))
+        comfort = Term("comfort", _by_hour(comfort_factors), self._degrees_outside(manifest))
+        return TermSum([energy, comfort], ["power_w", "degrees_outside"])
 
 
-class _Bound(WeightedBound):
-    def __init__(self, of: HourlyReward, manifest: Manifest) -> None:
-        super().__init__(of, manifest)
-        self._of = of
-        self._weights = [of.weight if within(of.hours, hour) else of.weight_outside for hour in range(24)]
+def _by_hour(factors: list[float]) -> Callable[[Begin], Any]:
+    """Return a function from the beginning of a timestep to the factor of its hour."""
 
-    def __call__(self, values: NDArray[np.float64], begin: Begin) -> Outcome:
-        weight = self._weight(begin)
-        outside, power_w = self._degrees(values, begin), sum_at(values, self._powers)
-        energy = -weight * self._of.lambda_energy * power_w
-        comfort = -(1.0 - weight) * self._of.lambda_temperature * outside
-        terms = {"energy": energy, "comfort": comfort}
-        return Outcome(energy + comfort, terms, {"power_w": power_w, "degrees_outside": outside})
-
-    def _weight(self, begin: Begin) -> Any:
+    def factor(begin: Begin) -> Any:
         if isinstance(begin, datetime):
-            return self._weights[begin.hour]
-        return np.array([self._weights[moment.hour] for moment in begin])
+            return factors[begin.hour]
+        return np.array([factors[moment.hour] for moment in begin])
+
+    return factor

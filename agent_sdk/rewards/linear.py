@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
-from agent_sdk.rewards.base import Begin, BoundReward, Outcome
-from agent_sdk.rewards.comfort_band import BandedBound, ComfortBand
+from agent_sdk.rewards.base import BoundReward
+from agent_sdk.rewards.comfort_band import ComfortBand
 from agent_sdk.rewards.config import Names
-from agent_sdk.rewards.selectors import powers, sum_at
+from agent_sdk.rewards.selectors import powers
+from agent_sdk.rewards.terms import Power, Quantity, Term, TermSum
 from topics.messages import Manifest
+from topics.typing_compat import override
 
 
 class WeightedReward(ComfortBand):
@@ -30,15 +30,11 @@ class WeightedReward(ComfortBand):
     lambda_temperature: float = Field(1.0, ge=0.0)
     power: Names | None = None
 
+    def _energy_term(self, manifest: Manifest) -> Term:
+        return Term("energy", -self.weight * self.lambda_energy, Power(powers(self.kind, self.power, manifest)))
 
-class WeightedBound(BandedBound):
-    """Knows the factors of both terms."""
-
-    def __init__(self, of: WeightedReward, manifest: Manifest) -> None:
-        self._powers = powers(of.kind, of.power, manifest)
-        super().__init__(of, manifest)
-        self._energy = -of.weight * of.lambda_energy
-        self._comfort = -(1.0 - of.weight) * of.lambda_temperature
+    def _comfort_term(self, quantity: Quantity) -> Term:
+        return Term("comfort", -(1.0 - self.weight) * self.lambda_temperature, quantity)
 
 
 class LinearReward(WeightedReward):
@@ -58,15 +54,7 @@ class LinearReward(WeightedReward):
 
     kind: Literal["linear"] = "linear"
 
+    @override
     def bind(self, manifest: Manifest) -> BoundReward:
-        """See `Reward.bind`."""
-        return _Bound(self, manifest)
-
-
-class _Bound(WeightedBound):
-    def __call__(self, values: NDArray[np.float64], begin: Begin) -> Outcome:
-        outside = self._degrees(values, begin)
-        power_w = sum_at(values, self._powers)
-        energy, comfort = self._energy * power_w, self._comfort * outside
-        terms = {"energy": energy, "comfort": comfort}
-        return Outcome(energy + comfort, terms, {"power_w": power_w, "degrees_outside": outside})
+        energy = self._energy_term(manifest)
+        return TermSum([energy, self._comfort_term(self._degrees_outside(manifest))], ["power_w", "degrees_outside"])

@@ -4,24 +4,15 @@ from __future__ import annotations
 
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
-from agent_sdk.rewards.base import Begin, BoundReward, Outcome
+from agent_sdk.rewards.base import BoundReward
 from agent_sdk.rewards.config import Names, RewardConfig
-from agent_sdk.rewards.selectors import (
-    ZONE_TEMPERATURES,
-    Indices,
-    indices,
-    named,
-    of_variables,
-    powers,
-    same_zone,
-    sum_at,
-)
+from agent_sdk.rewards.selectors import ZONE_TEMPERATURES, indices, named, of_variables, powers, same_zone
+from agent_sdk.rewards.terms import Power, SetpointDegrees, Term, TermSum
 from topics.errors import InvalidConfig
 from topics.messages import Manifest
+from topics.typing_compat import override
 
 HEATING = "Zone Thermostat Heating Setpoint Temperature"
 COOLING = "Zone Thermostat Cooling Setpoint Temperature"
@@ -64,9 +55,19 @@ class MultiZoneReward(RewardConfig):
                 raise ValueError(f"{zone}: a setpoint, or [heating, cooling] expected")
         return zones
 
+    @override
     def bind(self, manifest: Manifest) -> BoundReward:
-        """See `Reward.bind`."""
-        return _Bound(self, manifest)
+        power = Power(powers(self.kind, self.power, manifest))
+        air, heating, cooling = map(indices, zip(*self._points(manifest), strict=True))
+        terms = [
+            Term("energy", -self.weight * self.lambda_energy, power),
+            Term(
+                "comfort",
+                -(1.0 - self.weight) * self.lambda_temperature,
+                SetpointDegrees(air, heating, cooling, self.threshold),
+            ),
+        ]
+        return TermSum(terms, ["power_w", "degrees_outside"])
 
     def _points(self, manifest: Manifest) -> list[tuple[int, int, int]]:
         """Return the indices of each zone's air temperature, heating and cooling setpoint."""
@@ -85,27 +86,3 @@ class MultiZoneReward(RewardConfig):
                 "same key: name them in sensors=, or name others as the reward's `zones`: {temperature: setpoint}"
             )
         return rows
-
-
-class _Bound(BoundReward):
-    def __init__(self, of: MultiZoneReward, manifest: Manifest) -> None:
-        self._powers = powers(of.kind, of.power, manifest)
-        self._air, self._heat, self._cool = _columns(of._points(manifest))  # noqa: SLF001
-        self._threshold_k = of.threshold
-        self._energy = -of.weight * of.lambda_energy
-        self._comfort = -(1.0 - of.weight) * of.lambda_temperature
-
-    def __call__(self, values: NDArray[np.float64], begin: Begin) -> Outcome:  # noqa: ARG002
-        air = values.take(self._air, axis=-1)
-        cold = values.take(self._heat, axis=-1) - self._threshold_k - air
-        warm = air - values.take(self._cool, axis=-1) - self._threshold_k
-        outside = np.maximum(np.maximum(cold, warm), 0.0).sum(axis=-1)
-        power_w = sum_at(values, self._powers)
-        energy, comfort = self._energy * power_w, self._comfort * outside
-        terms = {"energy": energy, "comfort": comfort}
-        return Outcome(energy + comfort, terms, {"power_w": power_w, "degrees_outside": outside})
-
-
-def _columns(rows: list[tuple[int, int, int]]) -> tuple[Indices, Indices, Indices]:
-    air, heat, cool = zip(*rows, strict=True)
-    return indices(air), indices(heat), indices(cool)

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from agent_sdk.rewards.base import Begin, BoundReward, Outcome
-from agent_sdk.rewards.comfort_band import BandedBound, ComfortBand
+from agent_sdk.rewards.base import BoundReward
+from agent_sdk.rewards.comfort_band import ComfortBand
 from agent_sdk.rewards.config import Names
-from agent_sdk.rewards.selectors import powers, sum_at
+from agent_sdk.rewards.selectors import powers
 from agent_sdk.rewards.slot_state import SlotState
+from agent_sdk.rewards.terms import Power, RelativeToMaximum, Term, TermSum
 from topics.messages import Manifest
+from topics.typing_compat import override
 
 
 class NormalizedReward(ComfortBand):
@@ -53,42 +52,16 @@ class NormalizedReward(ComfortBand):
             raise ValueError("moving: false needs max_power_w and max_degrees")
         return self
 
+    @override
     def bind(self, manifest: Manifest) -> BoundReward:
-        """See `Reward.bind`."""
-        return _Bound(self, manifest)
-
-
-class _Bound(BandedBound):
-    def __init__(self, of: NormalizedReward, manifest: Manifest) -> None:
-        super().__init__(of, manifest)
-        self._of = of
-        self._powers = powers(of.kind, of.power, manifest)
-        self._state = SlotState(of.kind, max_power_w=of.max_power_w or 0.0, max_degrees=of.max_degrees or 0.0)
-
-    def __call__(self, values: NDArray[np.float64], begin: Begin) -> Outcome:
-        outside, power_w = self._degrees(values, begin), sum_at(values, self._powers)
-        maxima = self._state.of(values.shape[:-1])
-        if self._of.moving:
-            most_w = np.maximum(maxima["max_power_w"], power_w)
-            most_k = np.maximum(maxima["max_degrees"], outside)
-            self._state.store(max_power_w=most_w, max_degrees=most_k)
-        else:
-            most_w, most_k = maxima["max_power_w"][()], maxima["max_degrees"][()]
-        energy = -self._of.weight * _share(power_w, most_w)
-        comfort = -(1.0 - self._of.weight) * _share(outside, most_k)
-        measures = {"power_w": power_w, "degrees_outside": outside, "max_power_w": most_w, "max_degrees": most_k}
-        return Outcome(energy + comfort, {"energy": energy, "comfort": comfort}, measures)
-
-    def reset(self, slots: Sequence[int] | None = None) -> None:
-        if self._of.forget:
-            self._state.reset(slots)
-
-    def state(self) -> dict[str, Any]:
-        return self._state.state()
-
-    def restore(self, state: dict[str, Any]) -> None:
-        self._state.restore(state)
-
-
-def _share(part: Any, most: Any) -> Any:
-    return part / np.where(most > 0.0, most, 1.0)
+        degrees = self._degrees_outside(manifest)
+        power = Power(powers(self.kind, self.power, manifest))
+        maxima = SlotState(self.kind, max_power_w=self.max_power_w or 0.0, max_degrees=self.max_degrees or 0.0)
+        relative_power = RelativeToMaximum(power, maxima, "max_power_w", moving=self.moving)
+        relative_degrees = RelativeToMaximum(degrees, maxima, "max_degrees", moving=self.moving)
+        return TermSum(
+            [Term("energy", -self.weight, relative_power), Term("comfort", -(1.0 - self.weight), relative_degrees)],
+            ["power_w", "degrees_outside", "max_power_w", "max_degrees"],
+            maxima,
+            keeps_state=not self.forget,
+        )

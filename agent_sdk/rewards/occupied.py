@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
-from agent_sdk.rewards.base import Begin, BoundReward, Outcome
-from agent_sdk.rewards.linear import WeightedBound, WeightedReward
-from agent_sdk.rewards.selectors import indices, named, same_zone, sum_at
+from agent_sdk.rewards.base import BoundReward
+from agent_sdk.rewards.linear import WeightedReward
+from agent_sdk.rewards.selectors import indices, named, same_zone
+from agent_sdk.rewards.terms import DegreesOutside, OccupiedDegrees, TermSum
 from topics.errors import InvalidConfig
 from topics.messages import Manifest
+from topics.typing_compat import override
 
 PEOPLE = "Zone People Occupant Count"
 _UNITS = ("1", "count", "fraction")
@@ -39,9 +39,17 @@ class OccupiedReward(WeightedReward):
     empty_weight: float = Field(0.0, ge=0.0)
     occupants: dict[str, str] | None = None
 
+    @override
     def bind(self, manifest: Manifest) -> BoundReward:
-        """See `Reward.bind`."""
-        return _Bound(self, manifest)
+        energy, degrees = self._energy_term(manifest), self._degrees_outside(manifest)
+        zones, people = zip(*self.pairs(degrees.zones.tolist(), manifest), strict=True)
+        occupied = OccupiedDegrees(
+            DegreesOutside(degrees.season, indices(zones)),
+            indices(people),
+            by_number=self.by == "people",
+            empty_weight=self.empty_weight,
+        )
+        return TermSum([energy, self._comfort_term(occupied)], ["power_w", "degrees_outside", "people"])
 
     def pairs(self, zones: list[int], manifest: Manifest) -> list[tuple[int, int]]:
         """Return the zones' temperatures with their numbers of people, as indices in a sample.
@@ -50,24 +58,6 @@ class OccupiedReward(WeightedReward):
             InvalidConfig: a zone that the reward names has no number of people, or no zone has one.
         """
         return _pairs(self, zones, manifest)
-
-
-class _Bound(WeightedBound):
-    def __init__(self, of: OccupiedReward, manifest: Manifest) -> None:
-        super().__init__(of, manifest)
-        pairs = of.pairs(self._zones.tolist(), manifest)
-        self._zones = indices([zone for zone, _ in pairs])
-        self._people = indices([people for _, people in pairs])
-        self._by_number, self._empty = of.by == "people", of.empty_weight
-
-    def __call__(self, values: NDArray[np.float64], begin: Begin) -> Outcome:
-        people = values.take(self._people, axis=-1)
-        weight = np.where(people > 0.0, people if self._by_number else 1.0, self._empty)
-        outside = (weight * self._outside(values, begin)).sum(axis=-1)
-        power_w = sum_at(values, self._powers)
-        energy, comfort = self._energy * power_w, self._comfort * outside
-        measures = {"power_w": power_w, "degrees_outside": outside, "people": people.sum(axis=-1)}
-        return Outcome(energy + comfort, {"energy": energy, "comfort": comfort}, measures)
 
 
 def _pairs(reward: OccupiedReward, zones: list[int], manifest: Manifest) -> list[tuple[int, int]]:

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from datetime import datetime
-from typing import Any, Literal
+from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
-from agent_sdk.rewards.base import Begin, BoundReward, Outcome
-from agent_sdk.rewards.energy import EnergyReward, MeteredBound
+from agent_sdk.rewards.base import BoundReward
+from agent_sdk.rewards.energy import EnergyReward
 from agent_sdk.rewards.slot_state import SlotState
+from agent_sdk.rewards.terms import MeanPower, PeakIncrease, Term, TermSum
 from topics.messages import Manifest
+from topics.typing_compat import override
 
 
 class PeakReward(EnergyReward):
@@ -40,50 +38,13 @@ class PeakReward(EnergyReward):
     lambda_energy: float = Field(1e-4, ge=0.0)
     lambda_peak: float = Field(1.0, ge=0.0)
 
+    @override
     def bind(self, manifest: Manifest) -> BoundReward:
-        """See `Reward.bind`."""
-        return _Bound(self, manifest)
-
-
-class _Bound(MeteredBound):
-    def __init__(self, of: PeakReward, manifest: Manifest) -> None:
-        super().__init__(of, manifest)
-        self._least_kw, self._of_peak = of.threshold_kw, -of.lambda_peak
-        self._of_power = -of.weight * of.lambda_energy
-        self._of_comfort = -(1.0 - of.weight) * of.lambda_temperature
-        self._state = SlotState(of.kind, month=-1.0, peak_kw=of.threshold_kw)
-
-    def __call__(self, values: NDArray[np.float64], begin: Begin) -> Outcome:
-        outside, kwh = self._degrees(values, begin), self._energy.kwh(values)
-        demand_kw = kwh * self._energy.kw_per_kwh
-        power_w = demand_kw * 1e3
-        before_kw, peak_kw = self._peaks(demand_kw, begin)
-        energy, comfort = self._of_power * power_w, self._of_comfort * outside
-        peak = self._of_peak * (peak_kw - before_kw)
-        measures = {"power_w": power_w, "degrees_outside": outside, "energy_kwh": kwh, "peak_kw": peak_kw}
-        return Outcome(energy + comfort + peak, {"energy": energy, "comfort": comfort, "peak": peak}, measures)
-
-    def _peaks(self, demand_kw: Any, begin: Begin) -> tuple[Any, Any]:
-        """Return the month's peak before and after this timestep."""
-        shape = np.shape(demand_kw)
-        was, month = self._state.of(shape), np.broadcast_to(_months(begin), shape)
-        before_kw = np.where(was["month"] == month, was["peak_kw"], self._least_kw)
-        peak_kw = np.maximum(before_kw, demand_kw)
-        self._state.store(month=month, peak_kw=peak_kw)
-        return before_kw, peak_kw
-
-    def reset(self, slots: Sequence[int] | None = None) -> None:
-        self._state.reset(slots)
-
-    def state(self) -> dict[str, Any]:
-        return self._state.state()
-
-    def restore(self, state: dict[str, Any]) -> None:
-        self._state.restore(state)
-
-
-def _months(begin: Begin) -> Any:
-    """Return the months since year 0, which differ between years."""
-    if isinstance(begin, datetime):
-        return begin.year * 12 + begin.month
-    return np.array([moment.year * 12 + moment.month for moment in begin])
+        degrees, meter = self._degrees_outside(manifest), self._energy_meter(manifest)
+        peaks = SlotState(self.kind, month=-1.0, peak_kw=self.threshold_kw)
+        terms = [
+            Term("energy", -self.weight * self.lambda_energy, MeanPower(meter)),
+            Term("comfort", -(1.0 - self.weight) * self.lambda_temperature, degrees),
+            Term("peak", -self.lambda_peak, PeakIncrease(meter, peaks, self.threshold_kw)),
+        ]
+        return TermSum(terms, ["power_w", "degrees_outside", "energy_kwh", "peak_kw"], peaks)

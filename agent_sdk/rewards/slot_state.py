@@ -42,8 +42,8 @@ class SlotState:
         return self._numbers
 
     def store(self, **numbers: NDArray[np.float64]) -> None:
-        """Replace the numbers."""
-        self._numbers = {name: np.asarray(array, np.float64) for name, array in numbers.items()}
+        """Replace some of the numbers."""
+        self._numbers |= {name: np.asarray(array, np.float64) for name, array in numbers.items()}
 
     def reset(self, slots: Sequence[int] | None) -> None:
         """Restore the initial values, in these slots or (None) in all."""

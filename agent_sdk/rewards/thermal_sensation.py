@@ -10,19 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from agent_sdk.rewards.base import Begin, BoundReward, Outcome
+from agent_sdk.rewards.base import Begin, BoundReward
 from agent_sdk.rewards.comfort_band import Seasonal
 from agent_sdk.rewards.config import Names
-from agent_sdk.rewards.selectors import Indices, indices, named, of_variables, powers, same_zone, sum_at, temperatures
+from agent_sdk.rewards.selectors import Indices, indices, named, of_variables, powers, same_zone, temperatures
+from agent_sdk.rewards.terms import ExcessVotes, Power, Term, TermSum, Votes
 from topics.errors import InvalidConfig
 from topics.extras import install_command
 from topics.messages import Manifest
+from topics.typing_compat import override
 
 PMV, PPD = "Zone Thermal Comfort Fanger Model PMV", "Zone Thermal Comfort Fanger Model PPD"
 RADIANT, HUMIDITY = "Zone Mean Radiant Temperature", "Zone Air Relative Humidity"
-
-Votes = Callable[[NDArray[np.float64], Begin], NDArray[np.float64]]
-"""A function from the values of a timestep to PMV, or PPD in percent, by zone."""
 
 
 class ThermalSensationReward(Seasonal):
@@ -71,9 +70,18 @@ class ThermalSensationReward(Seasonal):
     clo_summer: float = Field(0.5, ge=0.0, le=2.0)
     air_speed: float = Field(0.1, ge=0.0, le=1.0)
 
+    @override
     def bind(self, manifest: Manifest) -> BoundReward:
-        """See `Reward.bind`."""
-        return _Bound(self, manifest)
+        power = Power(powers(self.kind, self.power, manifest))
+        by_ppd = self.by == "ppd"
+        votes = self._dissatisfied(manifest) if by_ppd else self._votes(manifest)
+        default_limit, scale, mean = (10.0, 0.01, "ppd_mean") if by_ppd else (0.5, 1.0, "pmv_mean")
+        excess = ExcessVotes(votes, default_limit if self.limit is None else self.limit, mean)
+        terms = [
+            Term("energy", -self.weight * self.lambda_energy, power),
+            Term("comfort", -(1.0 - self.weight) * self.lambda_sensation * scale, excess),
+        ]
+        return TermSum(terms, ["power_w", "beyond_limit", mean])
 
     def _votes(self, manifest: Manifest) -> Votes:
         """Return PMV by zone: from sensors if there are any, else computed."""
@@ -132,29 +140,6 @@ class ThermalSensationReward(Seasonal):
                 )
             sensors.append(sensor)
         return indices(sensors)
-
-
-class _Bound(BoundReward):
-    def __init__(self, of: ThermalSensationReward, manifest: Manifest) -> None:
-        self._powers = powers(of.kind, of.power, manifest)
-        self._percent = of.by == "ppd"
-        self._votes = of._dissatisfied(manifest) if self._percent else of._votes(manifest)  # noqa: SLF001
-        usual = 10.0 if self._percent else 0.5
-        self._limit = usual if of.limit is None else of.limit
-        self._energy = -of.weight * of.lambda_energy
-        self._comfort = -(1.0 - of.weight) * of.lambda_sensation * (0.01 if self._percent else 1.0)
-
-    def __call__(self, values: NDArray[np.float64], begin: Begin) -> Outcome:
-        votes = self._votes(values, begin)
-        beyond = np.maximum(np.abs(votes) - self._limit, 0.0).sum(axis=-1)
-        power_w = sum_at(values, self._powers)
-        energy, comfort = self._energy * power_w, self._comfort * beyond
-        measures = {
-            "power_w": power_w,
-            "beyond_limit": beyond,
-            "ppd_mean" if self._percent else "pmv_mean": votes.mean(axis=-1),
-        }
-        return Outcome(energy + comfort, {"energy": energy, "comfort": comfort}, measures)
 
 
 def percentage_dissatisfied(pmv: NDArray[np.float64]) -> NDArray[np.float64]:

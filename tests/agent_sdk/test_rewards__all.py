@@ -572,9 +572,10 @@ def test_a_sensor_of_energy_has_to_read_the_sum() -> None:
 )  # fmt: skip
 @pytest.mark.parametrize("kind", ["linear", "exponential", "hourly", "normalized", "energy_cost", "peak", "occupied"])
 def test_summer_is_in_december_south_of_the_equator(kind: str, day: tuple[int, int], summer: bool) -> None:
-    bound: Any = made(kind).bind(NODE_SOUTH)
+    reward: Any = made(kind)
+    bound = reward.bind(NODE_SOUTH)
     moment = datetime(2017, *day, 12)
-    assert bound.band(moment) == ((23.0, 26.0) if summer else (20.0, 23.5))
+    assert reward.season(NODE_SOUTH).band(moment) == ((23.0, 26.0) if summer else (20.0, 23.5))
     sample = values(NODE_SOUTH, north=26.0, south=26.0, north_people=1.0, south_people=1.0)
     assert (bound(sample, moment).terms["comfort"] == 0.0) == summer
 
@@ -582,8 +583,6 @@ def test_summer_is_in_december_south_of_the_equator(kind: str, day: tuple[int, i
 def test_who_names_a_summer_has_it_in_both_hemispheres() -> None:
     own = LinearReward(summer_begin=(6, 1), summer_end=(9, 30))
     for node in (NODE, NODE_SOUTH):
-        bound: Any = own.bind(node)
-        assert bound.band(SUMMER) == (23.0, 26.0)
         assert own.season(node).band(SUMMER) == (23.0, 26.0)
     half = LinearReward(summer_end=(12, 15)).season(NODE_SOUTH)
     assert [half.band(datetime(2017, 12, d)) == (23.0, 26.0) for d in (1, 15, 16)] == [True, True, False]
@@ -592,9 +591,9 @@ def test_who_names_a_summer_has_it_in_both_hemispheres() -> None:
 @pytest.mark.parametrize("latitude_deg", [None, 0.0, 51.0])
 def test_summer_is_in_june_elsewhere(latitude_deg: float | None) -> None:
     node = NODE.model_copy(update={"latitude_deg": latitude_deg})
-    bound: Any = LinearReward().bind(node)
-    assert bound.band(SUMMER) == LinearReward().band(SUMMER) == (23.0, 26.0)
-    assert bound.band(WINTER) == (20.0, 23.5)
+    season = LinearReward().season(node)
+    assert season.band(SUMMER) == LinearReward().band(SUMMER) == (23.0, 26.0)
+    assert season.band(WINTER) == (20.0, 23.5)
 
 
 def test_each_slot_has_its_own_season() -> None:

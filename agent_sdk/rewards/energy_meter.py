@@ -1,0 +1,88 @@
+"""The energy of a timestep, from meters or power sensors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent_sdk.rewards.selectors import HVAC_POWER, indices, of_variables
+from topics.errors import InvalidConfig, did_you_mean
+from topics.messages import Aggregation, Manifest, Meter, Sensor
+
+J_PER_KWH = 3.6e6
+METERS = ("electricity:facility", "electricity:hvac")
+"""Default meters; the first that exists is used."""
+
+
+class EnergyMeter:
+    """The energy of a timestep in kWh.
+
+    Meters and energy sensors in J are exact. The value of a sensor in W is taken for the whole timestep: this is exact
+    if the sensor reports the timestep's mean, and an approximation if it reports an instant.
+
+    Args:
+        kind: the reward's kind.
+        names: meters and sensors to add up; None: the meter Electricity:Facility, else Electricity:HVAC, else the
+            sensor of the HVAC's electricity demand.
+        manifest: the node's manifest.
+
+    Raises:
+        InvalidConfig: the node has none of these, or one of them does not measure energy or power.
+    """
+
+    def __init__(self, kind: str, names: Sequence[str] | None, manifest: Manifest) -> None:
+        points = _default(kind, manifest) if names is None else [_index(kind, name, manifest) for name in names]
+        units = [point.unit for point in _points(manifest)]
+        per_step = {"J": 1.0 / J_PER_KWH, "W": 1e-3 / manifest.steps_per_hour}
+        self._indices = indices(points)
+        self._kwh = np.array([per_step[units[i]] for i in points])
+        self.kw_per_kwh = float(manifest.steps_per_hour)
+        """Mean power in kW of a timestep that used 1 kWh."""
+
+    def kwh(self, values: NDArray[np.float64]) -> Any:
+        """Return the energy of the timestep in kWh, with the leading shape of `values`."""
+        return np.add.reduce(values.take(self._indices, axis=-1) * self._kwh, axis=-1)
+
+
+def _points(manifest: Manifest) -> list[Sensor | Meter]:
+    return [*manifest.sensors, *manifest.meters]
+
+
+def _default(kind: str, manifest: Manifest) -> list[int]:
+    meters = {m.meter.casefold(): len(manifest.sensors) + i for i, m in enumerate(manifest.meters)}
+    for meter in METERS:
+        if meter in meters:
+            return [meters[meter]]
+    sensors = of_variables(manifest, HVAC_POWER.casefold())[:1]
+    if not sensors:
+        raise InvalidConfig(
+            f"the {kind} reward needs the energy that is used: name the meter 'Electricity:Facility' in meters=, or "
+            "name other meters (J) or power sensors (W) as the reward's `energy`"
+        )
+    return sensors
+
+
+def _index(kind: str, name: str, manifest: Manifest) -> int:
+    points = _points(manifest)
+    fitting = [point.name for point in points if point.unit in ("J", "W")]
+    if name not in manifest.names:
+        raise InvalidConfig(
+            f"the {kind} reward names {name!r}, which the node does not have; {did_you_mean(name, fitting)}"
+        )
+    index = manifest.names.index(name)
+    if name not in fitting:
+        raise InvalidConfig(
+            f"the {kind} reward needs energy in J or power in W, which {name!r} is not ({points[index].unit}); "
+            f"{did_you_mean(name, fitting)}"
+        )
+    if index < len(manifest.sensors):
+        sensor = manifest.sensors[index]
+        if sensor.unit == "J" and sensor.aggregation is not Aggregation.SUM:
+            raise InvalidConfig(
+                f"the {kind} reward needs the energy of the whole timestep, and {name!r} reads {sensor.aggregation!s}: "
+                f"({sensor.variable!r}, {sensor.key!r}, 'sum') in sensors= reads all of it"
+            )
+    return index
