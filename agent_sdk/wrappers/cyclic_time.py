@@ -78,8 +78,8 @@ class CyclicTime(BuildingWrapper):
     beginning of the episode). The hour includes minutes; a week begins on Sunday, a year on 1 January.
 
     Args:
-        fields: any of `hour`, `day_of_week`, `day_of_year`; `hour` adds `hour_sin` and `hour_cos`.
-        replace: whether to remove the equivalent time features from the observation.
+        fields: any of `hour`, `day_of_week`, `day_of_year`, by default all; `hour` adds `hour_sin` and `hour_cos`.
+        replace: whether to remove the equivalent time features from the observation; True by default.
 
     Raises:
         InvalidConfig: there is no such field.

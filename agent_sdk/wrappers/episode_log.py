@@ -118,7 +118,7 @@ class EpisodeLog(BuildingWrapper):
 
     Args:
         folder: the output folder, which is created if necessary.
-        format: `csv`, or `parquet` (needs the extra `parquet`).
+        format: `csv`, the default, or `parquet` (needs the extra `parquet`).
 
     Raises:
         InvalidConfig: there is no such format, the extra is missing, or an inner wrapper is a `RewardVector`.

@@ -128,7 +128,7 @@ class TensorBoardLog(BuildingWrapper):
 
     Args:
         folder: folder of TensorBoard's event file.
-        every: interval of `steps/…`, in steps.
+        every: interval of `steps/…` in steps; 1000 by default.
 
     Raises:
         InvalidConfig: the extra is missing, or an inner wrapper is a `RewardVector`.
@@ -186,8 +186,8 @@ class WeightsAndBiasesLog(BuildingWrapper):
     Args:
         project: name of the project.
         name: name of the run.
-        every: interval of `steps/…`, in steps.
-        mode: `offline` writes files that `wandb sync` uploads later; `online` needs a login.
+        every: interval of `steps/…` in steps; 1000 by default.
+        mode: `offline`, the default, writes files that `wandb sync` uploads later; `online` needs a login.
         folder: folder of wandb's files; None is the working directory.
         config: the run's configuration.
         entity: the user or team that owns the run; None is the default of the login.

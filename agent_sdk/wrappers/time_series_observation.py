@@ -88,7 +88,7 @@ class TimeSeriesObservation(BuildingWrapper):
         signals: signals by name: numbers, signals of `agent_sdk.time_series` or their data (`{"hourly": […], "unit":
             "EUR/MWh"}`, `{"table": […], "otherwise": 0.12, "unit": "EUR/kWh"}`, `{"csv": …}`), or any objects with
             `at(time) -> float`.
-        hours: horizons in hours; 0 is now.
+        hours: horizons in hours; 0, the default, is now.
 
     Raises:
         InvalidConfig: a value is not a signal, or an hour is negative.

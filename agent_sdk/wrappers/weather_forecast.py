@@ -230,9 +230,10 @@ class WeatherForecast(BuildingWrapper):
     Args:
         columns: columns of an EPW file, such as `dry_bulb_temperature`; its value 3 h ahead is named
             `dry_bulb_temperature_in_3h`.
-        n: number of values of each column.
-        spacing_h: hours between them.
-        errors: sigma in the column's unit, or `{"sigma": …, "tau_h": …, "mu": …, "low": …, "high": …}`, by column.
+        n: number of values of each column; 5 by default.
+        spacing_h: hours between them; 1 by default.
+        errors: sigma in the column's unit, or `{"sigma": …, "tau_h": …, "mu": …, "low": …, "high": …}`, by column;
+            none by default.
 
     Raises:
         InvalidConfig: `errors` names a column that `columns` does not, or n or spacing_h is not above 0; at reset, the
