@@ -1,4 +1,4 @@
-"""Common logic of the incremental wrappers: values of named actions that increments change within bounds."""
+"""Wrappers whose actions change values within bounds instead of setting them."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from gymnasium.spaces import Box
+from gymnasium.spaces import Box, Discrete
 from numpy.typing import NDArray
 
+from agent_sdk.wrappers.adapters import BuildingWrapper
 from agent_sdk.wrappers.base import EnvView, ResetBatch, Values, WrapperLogic
 from agent_sdk.wrappers.names import indices_of, reject_wrappers
 from topics.errors import InvalidAction, InvalidConfig
@@ -36,7 +37,7 @@ def rounded(increments: Floats, steps: Floats, max_increments: Floats) -> Floats
     return np.where(steps > 0, np.clip(np.round(increments / divisors), -largest, largest) * divisors, increments)
 
 
-class IncrementalLogic(WrapperLogic):
+class _IncrementalLogic(WrapperLogic):
     """Base of the incremental wrappers: named actions have values, which are `initial` at each episode's start."""
 
     def __init__(self, view: EnvView, initial: Mapping[str, float]) -> None:
@@ -89,6 +90,126 @@ class IncrementalLogic(WrapperLogic):
         self._values[:] = rows.reshape(self._values.shape)
 
 
-def invalid_action(wrapper_name: str, action: Any, expected: Any) -> InvalidAction:
+def _invalid_action(wrapper_name: str, action: Any, expected: Any) -> InvalidAction:
     """Return the error for an action outside the wrapper's space."""
     return InvalidAction(f"{wrapper_name}: action {np.asarray(action).tolist()} is not in {expected}")
+
+
+class _IncrementalActionLogic(_IncrementalLogic):
+    def __init__(
+        self, view: EnvView, increments: Mapping[str, float | Sequence[float]], initial: Mapping[str, float]
+    ) -> None:
+        if set(increments) != set(initial):
+            raise InvalidConfig(f"{view.wrapper_name}: increments and initial have to name the same actions")
+        indices_of(increments, view.action_names, view.wrapper_name, "action")
+        super().__init__(view, {name: initial[name] for name in increments})
+        pairs = [_increment_and_step(value, f"{view.wrapper_name}: {name}") for name, value in increments.items()]
+        self._max, self._steps = np.array(pairs).reshape(-1, 2).T
+        low, high = self.inner.low.astype(np.float32), self.inner.high.astype(np.float32)
+        low[self.indices], high[self.indices] = -self._max, self._max
+        self._space = self.action_space = Box(low, high, dtype=np.float32)
+        self.action_names = self.names
+
+    def act(self, slots: list[int], actions: Values) -> Values:
+        inner = actions.astype(np.float32)
+        low, high = self._space.low, self._space.high
+        if inner.shape[1:] != low.shape or not ((inner >= low) & (inner <= high) & np.isfinite(inner)).all():
+            raise _invalid_action(self.view.wrapper_name, actions if self.view.vector else actions[0], self._space)
+        inner[:, self.indices] = self.move(
+            slots, rounded(inner[:, self.indices].astype(np.float64), self._steps, self._max)
+        )
+        return inner
+
+
+def _increment_and_step(value: Any, label: str) -> tuple[float, float]:
+    try:
+        increment, step = value if isinstance(value, Sequence) else (value, 0.0)
+        is_valid = 0 < increment < np.inf and 0 <= step <= increment
+    except (TypeError, ValueError):
+        is_valid = False
+    if not is_valid:
+        raise InvalidConfig(
+            f"{label}: got {value!r}; the largest increment has to be above 0 and its step not above the increment"
+        )
+    return float(increment), float(step)
+
+
+class IncrementalAction(BuildingWrapper):
+    """Take named actions as increments of their previous values, in the action's unit; other actions are unchanged.
+
+    The values start at `initial` in each episode and stay within the actions' bounds.
+
+    Args:
+        increments: the largest increment by action, or (largest increment, step), in which case increments are rounded
+            to the nearest multiple of the step, half to even.
+        initial: the value of each of these actions at an episode's start.
+
+    Raises:
+        InvalidConfig: there is no such action, an initial value is missing or out of bounds, or an inner wrapper
+            changes the units of actions. `InvalidAction` at a step: the action is not in the space; nothing was
+            simulated.
+    """
+
+    logic = _IncrementalActionLogic
+
+
+class _DiscreteIncrementalActionLogic(_IncrementalLogic):
+    def __init__(
+        self, view: EnvView, steps: Mapping[str, float | Sequence[float]], initial: Mapping[str, float]
+    ) -> None:
+        super().__init__(view, initial)
+        if missing := [name for name in self.names if name not in initial]:
+            raise InvalidConfig(f"{view.wrapper_name}: initial also needs a value for {', '.join(missing)}")
+        indices = indices_of(steps, list(initial), view.wrapper_name, "action")
+        if not steps:
+            raise InvalidConfig(f"{view.wrapper_name}: steps has to name at least one action")
+        rows = [np.zeros(len(initial))]
+        for index, (name, value) in zip(indices, steps.items(), strict=True):
+            sizes = _sizes(value, f"{view.wrapper_name}: {name}")
+            for size in (*sizes, *(-size for size in sizes)):
+                rows.append(np.zeros(len(initial)))
+                rows[-1][index] = size
+        self._table = np.array(rows)
+        self.action_space = Discrete(len(self._table))
+        self.action_names = tuple(steps)
+
+    def act(self, slots: list[int], actions: Values) -> Values:
+        is_valid = actions.ndim == 1 and np.issubdtype(actions.dtype, np.integer)
+        if not is_valid or not ((actions >= 0) & (actions < len(self._table))).all():
+            raise _invalid_action(
+                self.view.wrapper_name, actions if self.view.vector else actions[0], self.action_space
+            )
+        inner = np.empty((len(slots), len(self.names)), np.float32)
+        inner[:, self.indices] = self.move(slots, self._table[actions])
+        return inner
+
+
+def _sizes(value: float | Sequence[float], label: str) -> list[float]:
+    try:
+        sizes = [float(size) for size in (value if isinstance(value, Sequence | np.ndarray) else [value])]
+    except (TypeError, ValueError):
+        sizes = []
+    if not sizes or not all(0 < size < np.inf for size in sizes) or len(set(sizes)) < len(sizes):
+        raise InvalidConfig(f"{label}: a step above 0, or several different ones, expected; got {value!r}")
+    return sizes
+
+
+class DiscreteIncrementalAction(BuildingWrapper):
+    """Take discrete actions: 0 changes nothing, each other number changes one action by one step.
+
+    The numbers from 1 on increase the first action of `steps` by each of its steps, then decrease it by each; the
+    numbers of the other actions follow. The values start at `initial` in each episode and stay within the actions'
+    bounds.
+
+    Args:
+        steps: the step or steps by action, in the action's unit: with `[0.5, 1.0, 1.5, 2.0]` for each of two setpoints
+            there are 17 choices.
+        initial: the value of every action of the environment at an episode's start; those without a step keep it.
+
+    Raises:
+        InvalidConfig: there is no such action, an initial value is missing or out of bounds, a step is not above 0 or
+            listed twice, or an inner wrapper changes the units of actions. `InvalidAction` at a step: there is no such
+            choice.
+    """
+
+    logic = _DiscreteIncrementalActionLogic

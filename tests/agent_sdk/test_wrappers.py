@@ -34,8 +34,8 @@ from agent_sdk.testing import FakeEnv
 from agent_sdk.testing.fake_vector_env import FakeVectorEnv
 from agent_sdk.time_series import HourlySeries
 from agent_sdk.wrappers.base import Infos
-from agent_sdk.wrappers.cyclic_time import cyclic
 from agent_sdk.wrappers.incremental import rounded
+from agent_sdk.wrappers.observation import cyclic
 from agent_sdk.wrappers.weather_forecast import ErrorModel, error_path
 from topics.errors import InvalidAction, InvalidConfig, UnknownName
 
