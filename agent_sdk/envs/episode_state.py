@@ -75,7 +75,7 @@ class EpisodeState(Generic[C]):
 
     def wrapper_states(self) -> WeakKeyDictionary[Any, Any]:
         """Return the state of each wrapper."""
-        return WeakKeyDictionary({wrapper: wrapper.remembered() for wrapper in self.wrappers})
+        return WeakKeyDictionary({wrapper: wrapper.snapshot_state() for wrapper in self.wrappers})
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Restore a captured state."""

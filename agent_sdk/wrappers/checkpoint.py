@@ -40,12 +40,8 @@ def save_wrappers(env: Any, path: str | Path) -> None:
     content = {"wrappers": [{"wrapper": wrapper.name, **wrapper.get()} for wrapper in _stateful_wrappers(env)]}
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    hidden = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        hidden.write_text(yaml12.dump(content), encoding="utf-8")
-        hidden.replace(path)
-    finally:
-        hidden.unlink(missing_ok=True)
+    with atomic_file(path) as temporary:
+        temporary.write_text(yaml12.dump(content), encoding="utf-8")
 
 
 def restore_wrappers(env: Any, path: str | Path) -> None:
