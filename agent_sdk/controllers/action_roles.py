@@ -10,11 +10,12 @@ from enum import StrEnum
 from agent_sdk.controllers.base import Values
 from agent_sdk.controllers.comfort_band import rewarded_temperatures
 from agent_sdk.controllers.parameters import bounds
+from topics import energyplus_names
+from topics.energyplus_names import ZONE_TEMPERATURES
 from topics.messages import Action, Actuator, Manifest, Sensor
 
-THERMOSTAT = "zone temperature control"
+THERMOSTAT = energyplus_names.THERMOSTAT.casefold()
 OCCUPANTS = "zone people occupant count"
-ZONE_TEMPERATURES = ("zone air temperature", "zone mean air temperature")
 
 # Range of zone setpoints, and the limit between chilled water and heating water.
 _ZONE_SETPOINT_DEGC = (10.0, 40.0)

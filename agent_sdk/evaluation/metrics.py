@@ -14,7 +14,8 @@ from agent_sdk.bus.sample import SampleView
 from agent_sdk.rewards import REWARDS, MultiZoneReward, OccupiedReward, Reward, read_reward
 from agent_sdk.rewards.comfort_band import ComfortBand
 from agent_sdk.rewards.occupied import PEOPLE
-from agent_sdk.rewards.selectors import HVAC_POWER, same_zone, temperatures
+from agent_sdk.rewards.selectors import same_zone, temperatures
+from topics.energyplus_names import HVAC_POWER
 from topics.errors import InvalidConfig
 from topics.messages import Aggregation, Manifest
 

@@ -14,9 +14,6 @@ from topics.errors import InvalidConfig
 from topics.messages import Manifest
 from topics.typing_compat import override
 
-HEATING = "Zone Thermostat Heating Setpoint Temperature"
-COOLING = "Zone Thermostat Cooling Setpoint Temperature"
-
 
 class MultiZoneReward(RewardConfig):
     """Weighted sum of power and of degrees outside each zone's band: its setpoints and a threshold around them.

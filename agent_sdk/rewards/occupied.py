@@ -14,7 +14,7 @@ from topics.errors import InvalidConfig
 from topics.messages import Manifest
 from topics.typing_compat import override
 
-PEOPLE = "Zone People Occupant Count"
+PEOPLE = OCCUPANTS
 _UNITS = ("1", "count", "fraction")
 
 

@@ -8,11 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from topics.energyplus_names import HVAC_POWER, ZONE_TEMPERATURES
 from topics.errors import InvalidConfig, did_you_mean
 from topics.messages import Manifest
-
-HVAC_POWER = "Facility Total HVAC Electricity Demand Rate"
-ZONE_TEMPERATURES = ("zone air temperature", "zone mean air temperature")
 
 Indices = NDArray[np.intp]
 """Indices among the values of a sample."""

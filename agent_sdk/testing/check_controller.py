@@ -16,6 +16,7 @@ from agent_sdk.testing import synthetic_samples
 from agent_sdk.testing.fake_building import FakeBuilding
 from agent_sdk.testing.fake_link import FakeLink
 from agent_sdk.testing.report import Check, Report, name_of, raised, run
+from topics.energyplus_names import THERMOSTAT
 from topics.errors import ZenostatError
 from topics.messages import Manifest
 
@@ -23,7 +24,7 @@ Maker = Callable[[Manifest], ControllerProtocol]
 """A controller's class, or a function that makes one."""
 
 _SAMPLES = 200
-_THERMOSTAT = "zone temperature control"
+_THERMOSTAT = THERMOSTAT.casefold()
 
 
 def check_controller(make: Maker, manifest: Manifest | None = None, *, skip: Iterable[str] = ()) -> Report:

@@ -13,6 +13,7 @@ from pydantic import ValidationError
 import topics
 from agent_sdk.testing.rc_zones import Zone
 from topics.codec import describe_validation_errors
+from topics.energyplus_names import COOLING_SETPOINT, HEATING_SETPOINT, THERMOSTAT
 from topics.errors import InvalidConfig, did_you_mean
 from topics.keys import check_name
 from topics.messages import (
@@ -30,9 +31,9 @@ from topics.messages import (
     Versions,
 )
 
-HEATING, COOLING = "Heating Setpoint", "Cooling Setpoint"
+HEATING, COOLING = HEATING_SETPOINT, COOLING_SETPOINT
 
-_THERMOSTAT = "Zone Temperature Control"
+_THERMOSTAT = THERMOSTAT
 _BOUNDS = {HEATING: (15.0, 22.5), COOLING: (22.5, 30.0)}
 _AIR_DEGC = (-100.0, 200.0)
 _YEAR = 2017

@@ -19,12 +19,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
+from topics.energyplus_names import SCHEDULE_VALUE, THERMOSTAT
 from topics.messages import Actuator
 
 Objects = Mapping[str, Mapping[str, Any]]
 
-_ZONE_CONTROL = "zone temperature control"
-_SCHEDULE_VALUE = "schedule value"
+_ZONE_CONTROL = THERMOSTAT.casefold()
+_SCHEDULE_VALUE = SCHEDULE_VALUE.casefold()
 _APPROACH = "FlowControlWithApproachTemperatures"
 _EMS = "EnergyManagementSystem:"
 

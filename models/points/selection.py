@@ -9,6 +9,18 @@ from typing import TypeVar
 
 from models.building.model import Building
 from models.points.discovery import ActuatorPoint, MeterPoint, PointCatalog, Variable, locations
+from topics.energyplus_names import (
+    COOLING_SETPOINT,
+    COOLING_SETPOINT_VARIABLE,
+    FUELS,
+    HEATING_SETPOINT,
+    HEATING_SETPOINT_VARIABLE,
+    HVAC_POWER,
+    OCCUPANTS,
+    SCHEDULE_VALUE,
+    THERMOSTAT,
+    ZONE_TEMPERATURE,
+)
 from topics.errors import ErrorCollector, InvalidConfig, UnknownName, UsageError, did_you_mean
 from topics.keys import check_name, safe_name
 from topics.messages import Actuator, Aggregation, Meter, Sensor
@@ -20,43 +32,24 @@ T = TypeVar("T")
 Spec = Mapping[str, Sequence[object]]
 MeterSpec = Mapping[str, str]
 
-HVAC_POWER = "Facility Total HVAC Electricity Demand Rate"
-ZONE_TEMPERATURE = "Zone Air Temperature"
-THERMOSTAT = "Zone Temperature Control"
-
 _ZONE_SENSORS = {
     "air_temperature": ZONE_TEMPERATURE,
     "relative_humidity": "Zone Air Relative Humidity",
-    "occupants": "Zone People Occupant Count",
+    "occupants": OCCUPANTS,
 }
 _SITE_SENSORS = {
     "outdoor_temperature": ("Site Outdoor Air Drybulb Temperature", "Environment"),
     "outdoor_humidity": ("Site Outdoor Air Relative Humidity", "Environment"),
     "hvac_electricity_power": (HVAC_POWER, "Whole Building"),
 }
-_FUELS = (
-    "Electricity",
-    "NaturalGas",
-    "DistrictCooling",
-    "DistrictHeatingWater",
-    "DistrictHeatingSteam",
-    "Propane",
-    "FuelOilNo1",
-    "FuelOilNo2",
-    "Gasoline",
-    "Diesel",
-    "Coal",
-    "OtherFuel1",
-    "OtherFuel2",
-)
 
 # Thermostat bounds: those of the medium office in the paper that Zenostat follows (Sinergym). They meet
 # at 22.5 degC because EnergyPlus aborts the run when a heating setpoint is above the cooling setpoint.
-_SETPOINT_BOUNDS = {"Heating Setpoint": (15.0, 22.5), "Cooling Setpoint": (22.5, 30.0)}
+_SETPOINT_BOUNDS = {HEATING_SETPOINT: (15.0, 22.5), COOLING_SETPOINT: (22.5, 30.0)}
 
 _FEEDBACK = {
-    (THERMOSTAT, "Heating Setpoint"): "Zone Thermostat Heating Setpoint Temperature",
-    (THERMOSTAT, "Cooling Setpoint"): "Zone Thermostat Cooling Setpoint Temperature",
+    (THERMOSTAT, HEATING_SETPOINT): HEATING_SETPOINT_VARIABLE,
+    (THERMOSTAT, COOLING_SETPOINT): COOLING_SETPOINT_VARIABLE,
 }
 
 # Rates and flows: EnergyPlus itself reports their means, and energy can be calculated only from means.
@@ -228,7 +221,7 @@ def _meter(available: PointCatalog, name: str, spec: object) -> tuple[Meter, Met
 
 def _meter_low(meter: MeterPoint) -> float | None:
     """Return 0 for a fuel's meter, since consumption is never negative."""
-    return 0.0 if meter.name.split(":")[0] in _FUELS else None
+    return 0.0 if meter.name.split(":")[0] in FUELS else None
 
 
 def _actuator(building: Building, available: PointCatalog, name: str, spec: Sequence[object]) -> Actuator:
@@ -244,8 +237,8 @@ def _actuator(building: Building, available: PointCatalog, name: str, spec: Sequ
     if low is not None and high is not None and not low < high:
         raise InvalidConfig(f"actuator {name!r}: its lower bound {low} is not below its upper bound {high}")
     feedback = _FEEDBACK.get((point.component_type, point.control_type))
-    if point.control_type == "Schedule Value":
-        feedback = "Schedule Value"
+    if point.control_type == SCHEDULE_VALUE:
+        feedback = SCHEDULE_VALUE
     if feedback and (feedback.casefold(), point.key.casefold()) not in available.by_variable:
         feedback = None
     return Actuator(
@@ -300,7 +293,7 @@ def actuator_bounds(building: Building, actuator: ActuatorPoint) -> tuple[float 
     """Return an actuator's bounds: a thermostat's, its schedule's type limits, or those of its unit."""
     if actuator.component_type == THERMOSTAT and actuator.control_type in _SETPOINT_BOUNDS:
         return _SETPOINT_BOUNDS[actuator.control_type]
-    if actuator.control_type == "Schedule Value":
+    if actuator.control_type == SCHEDULE_VALUE:
         schedule = building.find(actuator.component_type, actuator.key)
         bounds = building.find("ScheduleTypeLimits", str(schedule.get("schedule_type_limits_name", "")))
         low, high = bounds.get("lower_limit_value"), bounds.get("upper_limit_value")
@@ -337,7 +330,7 @@ def default_sensors(available: PointCatalog) -> dict[str, tuple[str, str]]:
 def default_meters(available: PointCatalog) -> dict[str, str]:
     """Return the facility's meters of the fuels that the model uses, and the HVAC's electricity."""
     names = {m.name for m in available.meters}
-    candidates = [f"{fuel}:Facility" for fuel in _FUELS] + ["Electricity:HVAC"]
+    candidates = [f"{fuel}:Facility" for fuel in FUELS] + ["Electricity:HVAC"]
     return {safe_name(name.replace(":", "_")): name for name in candidates if name in names}
 
 

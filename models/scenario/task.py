@@ -7,8 +7,9 @@ from typing import TypeVar
 
 import numpy as np
 
-from models.points.selection import THERMOSTAT, Points
+from models.points.selection import Points
 from models.scenario.schema import Scenario
+from topics.energyplus_names import COOLING_SETPOINT, THERMOSTAT
 from topics.errors import InvalidConfig, did_you_mean
 from topics.keys import check_name, safe_name
 from topics.messages import Action, Actuator, DiscreteAction, Task, TerminationLimit
@@ -158,7 +159,7 @@ def _choice(members: Sequence[Action], by_name: dict[str, Actuator], count: int)
         assert action.low is not None
         assert action.high is not None
         steps = np.linspace(action.low, action.high, count)
-        downwards = by_name[action.actuators[0]].control_type == "Cooling Setpoint"
+        downwards = by_name[action.actuators[0]].control_type == COOLING_SETPOINT
         columns.append(steps[::-1] if downwards else steps)
     rows = tuple(tuple(row) for row in np.column_stack(columns).tolist())
     return DiscreteAction(actions=tuple(a.name for a in members), values=rows)

@@ -1,0 +1,47 @@
+"""EnergyPlus's names of the points that Zenostat treats specially.
+
+EnergyPlus ignores case; where a name comes from a model, compare it case-folded.
+"""
+
+from __future__ import annotations
+
+THERMOSTAT = "Zone Temperature Control"
+"""Component type of the actuators of a zone's thermostat."""
+
+HEATING_SETPOINT = "Heating Setpoint"
+COOLING_SETPOINT = "Cooling Setpoint"
+"""Control types of a zone's thermostat."""
+
+SCHEDULE_VALUE = "Schedule Value"
+"""Control type of a schedule, and the output variable that reports its value."""
+
+HEATING_SETPOINT_VARIABLE = "Zone Thermostat Heating Setpoint Temperature"
+COOLING_SETPOINT_VARIABLE = "Zone Thermostat Cooling Setpoint Temperature"
+"""Output variables that report a thermostat's effective setpoints."""
+
+HVAC_POWER = "Facility Total HVAC Electricity Demand Rate"
+"""Output variable of the HVAC's electric power in W, with the key `Whole Building`."""
+
+ZONE_TEMPERATURE = "Zone Air Temperature"
+OCCUPANTS = "Zone People Occupant Count"
+"""Output variables of a zone."""
+
+ZONE_TEMPERATURES = ("zone air temperature", "zone mean air temperature")
+"""Output variables that report a zone's air temperature, case-folded."""
+
+FUELS = (
+    "Electricity",
+    "NaturalGas",
+    "DistrictCooling",
+    "DistrictHeatingWater",
+    "DistrictHeatingSteam",
+    "Propane",
+    "FuelOilNo1",
+    "FuelOilNo2",
+    "Gasoline",
+    "Diesel",
+    "Coal",
+    "OtherFuel1",
+    "OtherFuel2",
+)
+"""Resources whose meters count consumption, as in `Electricity:Facility`."""
