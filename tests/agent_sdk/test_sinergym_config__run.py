@@ -39,9 +39,9 @@ def test_the_initial_context_rules_from_the_first_timestep(scratch: Path) -> Non
 
 def test_arguments_replace_a_reward_and_choices_in_code(scratch: Path) -> None:
     path = of_the_five_zones(scratch, reward="mymod:MyReward", action_space_discrete="Discrete(7)")
-    with pytest.raises(InvalidConfig, match="reward: 'mymod:MyReward' is not known here"):
+    with pytest.raises(InvalidConfig, match="reward: unknown reward 'mymod:MyReward'"):
         gym.make("zenostat/Sinergym-v1", config=path, variant="hot-discrete", discrete=5, **DAY)
-    with pytest.raises(InvalidConfig, match="stands in code"):
+    with pytest.raises(InvalidConfig, match="is defined in code"):
         gym.make("zenostat/Sinergym-v1", config=path, variant="hot-discrete", reward=None, **DAY)
     with gym.make(
         "zenostat/Sinergym-v1",
