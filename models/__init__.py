@@ -1,4 +1,4 @@
-"""What can be simulated: find, check and prepare buildings, weather files, points and run periods.
+"""Buildings, weather files, points and run periods: find, check and prepare them for simulation.
 
 Nothing in this package uses the bus.
 """

@@ -197,7 +197,7 @@ def evict(name: str) -> bool:
 def _locked(folder: Path) -> Iterator[Path]:
     """Create `folder` and lock it between processes; remove what a killed process left in it.
 
-    The kernel releases the lock of a killed process. The lock file lies beside the folder and stays there.
+    The kernel releases the lock of a killed process. The lock file is next to the folder and is not deleted.
     """
     from filelock import FileLock  # not at the top: it registers fork hooks, and a node forks without ever using it
 

@@ -1,1 +1,1 @@
-"""Scenarios from configurations of Sinergym. No code of theirs is run."""
+"""Scenarios from configurations of Sinergym, read without running its code."""
