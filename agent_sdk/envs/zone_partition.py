@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+from topics.energyplus_names import THERMOSTAT
 from topics.errors import InvalidConfig, did_you_mean
 from topics.keys import safe_name
 from topics.messages import Action, Manifest
@@ -12,7 +13,7 @@ from topics.messages import Action, Manifest
 BUILDING = "building"
 """The agent of all actions that belong to no single zone."""
 
-_THERMOSTAT = "zone temperature control"
+_THERMOSTAT = THERMOSTAT.casefold()
 _OUTDOORS = "environment"
 
 

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk.rewards.selectors import HVAC_POWER, indices, of_variables
+from agent_sdk.rewards.selectors import indices, of_variables
+from topics.energyplus_names import HVAC_POWER
 from topics.errors import InvalidConfig, did_you_mean
 from topics.messages import Aggregation, Manifest, Meter, Sensor
 

@@ -8,8 +8,9 @@ from pydantic import Field, field_validator
 
 from agent_sdk.rewards.base import BoundReward
 from agent_sdk.rewards.config import Names, RewardConfig
-from agent_sdk.rewards.selectors import ZONE_TEMPERATURES, indices, named, of_variables, powers, same_zone
+from agent_sdk.rewards.selectors import indices, named, of_variables, powers, same_zone
 from agent_sdk.rewards.terms import Power, SetpointDegrees, Term, TermSum
+from topics.energyplus_names import COOLING_SETPOINT_VARIABLE, HEATING_SETPOINT_VARIABLE, ZONE_TEMPERATURES
 from topics.errors import InvalidConfig
 from topics.messages import Manifest
 from topics.typing_compat import override
@@ -75,11 +76,17 @@ class MultiZoneReward(RewardConfig):
                 rows.append((points[0], points[1], points[-1]))
             return rows
         air = of_variables(manifest, *ZONE_TEMPERATURES)
-        both = zip(air, same_zone(air, HEATING, manifest), same_zone(air, COOLING, manifest), strict=True)
+        both = zip(
+            air,
+            same_zone(air, HEATING_SETPOINT_VARIABLE, manifest),
+            same_zone(air, COOLING_SETPOINT_VARIABLE, manifest),
+            strict=True,
+        )
         rows = [(zone, heat, cool) for zone, heat, cool in both if heat is not None and cool is not None]
         if not rows:
             raise InvalidConfig(
-                f"the {self.kind} reward needs sensors of 'Zone Air Temperature', '{HEATING}' and '{COOLING}' with the "
-                "same key: name them in sensors=, or name others as the reward's `zones`: {temperature: setpoint}"
+                f"the {self.kind} reward needs sensors of 'Zone Air Temperature', '{HEATING_SETPOINT_VARIABLE}' and "
+                f"'{COOLING_SETPOINT_VARIABLE}' with the same key: name them in sensors=, or name others as the "
+                "reward's `zones`: {temperature: setpoint}"
             )
         return rows

@@ -10,6 +10,7 @@ from agent_sdk.rewards.base import BoundReward
 from agent_sdk.rewards.linear import WeightedReward
 from agent_sdk.rewards.selectors import indices, named, same_zone
 from agent_sdk.rewards.terms import DegreesOutside, OccupiedDegrees, TermSum
+from topics.energyplus_names import OCCUPANTS
 from topics.errors import InvalidConfig
 from topics.messages import Manifest
 from topics.typing_compat import override
