@@ -1,4 +1,4 @@
-"""For tests: a fake building, and conformance checks for controllers, rewards and environments of one's own."""
+"""Test kit: a fake building, and conformance checks for your own controllers, rewards and environments."""
 
 from agent_sdk.testing.check_controller import check_controller
 from agent_sdk.testing.check_environment import check_environment

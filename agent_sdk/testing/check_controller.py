@@ -1,4 +1,4 @@
-"""Checks for controllers."""
+"""Conformance checks for controllers."""
 
 from __future__ import annotations
 
@@ -20,43 +20,43 @@ from topics.energyplus_names import THERMOSTAT
 from topics.errors import ZenostatError
 from topics.messages import Manifest
 
-Maker = Callable[[Manifest], ControllerProtocol]
-"""A controller's class, or a function that makes one."""
+ControllerFactory = Callable[[Manifest], ControllerProtocol]
+"""A controller class, or a function that creates a controller."""
 
 _SAMPLES = 200
 _THERMOSTAT = THERMOSTAT.casefold()
 
 
-def check_controller(make: Maker, manifest: Manifest | None = None, *, skip: Iterable[str] = ()) -> Report:
-    """Checks a controller: `check_controller(MyRules)`, `check_controller(lambda m: MyRules(m, margin=0.5))`.
+def check_controller(make: ControllerFactory, manifest: Manifest | None = None, *, skip: Iterable[str] = ()) -> Report:
+    """Check a controller: `check_controller(MyRules)`, `check_controller(lambda m: MyRules(m, margin=0.5))`.
 
-    It is shown episodes of invented samples; without a `manifest` those of a fake building, of which it also
-    controls a whole episode.
+    The controller receives episodes of synthetic samples. Without a `manifest`, they are those of a fake building, of
+    which the controller also controls a whole episode.
 
     Args:
-        make: makes the controller from a manifest. A controller that draws needs a fixed seed.
-        manifest: of the node that it is for.
-        skip: names of checks to leave out.
+        make: function that creates the controller from a manifest. A random controller needs a fixed seed.
+        manifest: manifest of the node that the controller is for.
+        skip: names of checks to skip.
 
     Returns:
-        What was checked.
+        Report of all checks.
 
     Raises:
-        ConformanceError: all that is wrong, each with the name of its check.
+        ConformanceError: some checks failed; the text names each with its errors.
     """
     checks = (
         CONTROLLER_CHECKS if manifest is None else {n: c for n, c in CONTROLLER_CHECKS.items() if c is not _controls}
     )
-    return run(name_of(make), checks, _Stage(make, manifest), skip).require()
+    return run(name_of(make), checks, _CheckContext(make, manifest), skip).require()
 
 
-class _Stage:
-    """A controller's maker, and what a new controller answers to an episode."""
+class _CheckContext:
+    """Factory of a controller, with the answers of a new controller to an episode."""
 
-    def __init__(self, make: Maker, manifest: Manifest | None) -> None:
+    def __init__(self, make: ControllerFactory, manifest: Manifest | None) -> None:
         self.make = make
         self.manifest = FakeBuilding(begin="07-02", end="07-03").manifest if manifest is None else manifest
-        self.before = self.manifest.model_dump()
+        self.manifest_before = self.manifest.model_dump()
         self._answers: list[Any] | None = None
 
     def samples(self, seed: int) -> list[SampleView]:
@@ -64,25 +64,25 @@ class _Stage:
 
     @property
     def answers(self) -> list[Any]:
-        """Of a new controller, to the first episode: each what `act` gave, or the exception that it raised."""
+        """Return the answers of a new controller to the first episode; an exception in place of a missing answer."""
         if self._answers is None:
             self._answers = play(self.make(self.manifest), self.samples(0))
         return self._answers
 
     @property
-    def given(self) -> Iterator[tuple[int, Mapping[str, Any]]]:
-        """The steps and answers that can be looked at."""
+    def valid_answers(self) -> Iterator[tuple[int, Mapping[str, Any]]]:
+        """Yield the steps and answers that are mappings."""
         return ((step, a) for step, a in enumerate(self.answers) if isinstance(a, Mapping))
 
 
 def play(controller: ControllerProtocol, samples: list[SampleView]) -> list[Any]:
-    """The controller's answers to all samples of an episode but the last; an exception in place of an answer."""
+    """Return a controller's answers to all samples of an episode but the last; exceptions in place of answers."""
     begin(controller, samples[0])
     return [_answer(controller, sample) for sample in samples[:-1]]
 
 
 def begin(controller: ControllerProtocol, sample: SampleView) -> None:
-    """Tells a controller that an episode begins, if it wants to know."""
+    """Call the controller's `begin(sample)` if it has one."""
     if hasattr(controller, "begin"):
         controller.begin(sample)
 
@@ -92,88 +92,88 @@ def _answer(controller: ControllerProtocol, sample: SampleView) -> Any:
         answer = controller.act(sample)
     except Exception as error:
         return error
-    # What is kept must not change when the controller changes its own later.
+    # Copy the answer: the controller may change its own dictionary later.
     return dict(answer) if isinstance(answer, Mapping) else answer
 
 
-def _is_made(stage: _Stage) -> Iterator[str]:
+def _is_created(context: _CheckContext) -> Iterator[str]:
     try:
-        controller = stage.make(stage.manifest)
+        controller = context.make(context.manifest)
     except Exception as error:
-        yield raised(error, f"making it from the manifest of node {stage.manifest.node!r}")
+        yield raised(error, f"creating it from the manifest of node {context.manifest.node!r}")
         return
     if not callable(getattr(controller, "act", None)):
         yield f"{name_of(controller)} has no method act(sample)"
 
 
-def _answers(stage: _Stage) -> Iterator[str]:
-    errors = [(step, answer) for step, answer in enumerate(stage.answers) if isinstance(answer, Exception)]
+def _answers(context: _CheckContext) -> Iterator[str]:
+    errors = [(step, answer) for step, answer in enumerate(context.answers) if isinstance(answer, Exception)]
     if errors:
         step, error = errors[0]
-        yield f"{raised(error, 'act')} (at sample {step}; at {len(errors)} of {len(stage.answers)} samples)"
-    for step, answer in enumerate(stage.answers):
+        yield f"{raised(error, 'act')} (at sample {step}; at {len(errors)} of {len(context.answers)} samples)"
+    for step, answer in enumerate(context.answers):
         if not isinstance(answer, Mapping | Exception):
-            yield f"act gave {answer!r} at sample {step}; a dictionary of actuators and values expected"
+            yield f"act returned {answer!r} at sample {step}; expected a dictionary of actuators and values"
             return
 
 
-def _known(stage: _Stage) -> Iterator[str]:
-    names = {a.name for a in stage.manifest.actuators}
-    for _, answer in stage.given:
+def _names_known(context: _CheckContext) -> Iterator[str]:
+    names = {a.name for a in context.manifest.actuators}
+    for _, answer in context.valid_answers:
         for name in answer:
             if name not in names:
                 yield f"the node has no actuator {name!r}"
 
 
-def _finite(stage: _Stage) -> Iterator[str]:
-    seen = set()
-    for step, answer in stage.given:
+def _finite(context: _CheckContext) -> Iterator[str]:
+    reported = set()
+    for step, answer in context.valid_answers:
         for name, value in answer.items():
-            if value is not None and not _is_number(value) and name not in seen:
-                seen.add(name)
-                yield f"{name} = {value!r} at sample {step}; a finite number, or None to release it, expected"
+            if value is not None and not _is_number(value) and name not in reported:
+                reported.add(name)
+                yield f"{name} = {value!r} at sample {step}; expected a finite number, or None to relinquish it"
 
 
 def _is_number(value: Any) -> bool:
     return isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
 
 
-def _bounded(stage: _Stage) -> Iterator[str]:
-    bounds = {a.name: (a.low, a.high) for a in stage.manifest.actuators}
-    seen = set()
-    for step, answer in stage.given:
+def _bounded(context: _CheckContext) -> Iterator[str]:
+    bounds = {a.name: (a.low, a.high) for a in context.manifest.actuators}
+    reported = set()
+    for step, answer in context.valid_answers:
         for name, value in answer.items():
             low, high = bounds.get(name, (None, None))
-            if not _is_number(value) or name in seen:
+            if not _is_number(value) or name in reported:
                 continue
             if (low is not None and value < low) or (high is not None and value > high):
-                seen.add(name)
+                reported.add(name)
                 yield f"{name} = {float(value):g} at sample {step}; its bounds are {low} to {high}"
 
 
-def _uncrossed(stage: _Stage) -> Iterator[str]:
-    thermostats = [a for a in stage.manifest.actuators if a.component_type.casefold() == _THERMOSTAT]
+def _uncrossed(context: _CheckContext) -> Iterator[str]:
+    thermostats = [a for a in context.manifest.actuators if a.component_type.casefold() == _THERMOSTAT]
     kinds = ("heating setpoint", "cooling setpoint")
     by_kind = [{a.key: a.name for a in thermostats if a.control_type.casefold() == kind} for kind in kinds]
     pairs = [(by_kind[0][key], by_kind[1][key]) for key in by_kind[0] if key in by_kind[1]]
-    held: dict[str, Any] = {}
-    for step, answer in stage.given:
-        held |= answer
+    commanded: dict[str, Any] = {}
+    for step, answer in context.valid_answers:
+        commanded |= answer
         for heating, cooling in pairs:
-            low, high = held.get(heating, math.nan), held.get(cooling, math.nan)
+            low, high = commanded.get(heating, math.nan), commanded.get(cooling, math.nan)
             if _is_number(low) and _is_number(high) and low > high:
                 yield (
-                    f"{heating} = {float(low):g} lies above {cooling} = {float(high):g} at sample {step}; "
-                    "EnergyPlus ends a run on that"
+                    f"{heating} = {float(low):g} is above {cooling} = {float(high):g} at sample {step}; "
+                    "EnergyPlus stops in that case"
                 )
                 return
 
 
-def _harmless(stage: _Stage) -> Iterator[str]:
-    samples = stage.samples(0)
+def _harmless(context: _CheckContext) -> Iterator[str]:
+    samples = context.samples(0)
     wires = [sample.message.model_dump() for sample in samples]
-    play(stage.make(stage.manifest), samples)
-    if stage.manifest.model_dump() != stage.before:
+    play(context.make(context.manifest), samples)
+    if context.manifest.model_dump() != context.manifest_before:
         yield "it changed the manifest"
     for sample, wire in zip(samples, wires, strict=True):
         if sample.message.model_dump() != wire:
@@ -181,38 +181,38 @@ def _harmless(stage: _Stage) -> Iterator[str]:
             return
 
 
-def _repeatable(stage: _Stage) -> Iterator[str]:
-    again = play(stage.make(stage.manifest), stage.samples(0))
-    yield from _difference(stage.answers, again, "a second one, made alike, answered the same samples differently")
+def _repeatable(context: _CheckContext) -> Iterator[str]:
+    again = play(context.make(context.manifest), context.samples(0))
+    yield from _difference(context.answers, again, "a second instance answered the same samples differently")
 
 
-def _forgets(stage: _Stage) -> Iterator[str]:
-    used = stage.make(stage.manifest)
-    play(used, stage.samples(1))
-    after = play(used, stage.samples(0))
-    lack = "" if hasattr(used, "begin") else "; it has no begin(sample) that could forget"
-    yield from _difference(stage.answers, after, f"after another episode it answered differently{lack}")
+def _resets(context: _CheckContext) -> Iterator[str]:
+    used = context.make(context.manifest)
+    play(used, context.samples(1))
+    after = play(used, context.samples(0))
+    hint = "" if hasattr(used, "begin") else "; it has no begin(sample) to reset its state"
+    yield from _difference(context.answers, after, f"after another episode it answered differently{hint}")
 
 
-def _separate(stage: _Stage) -> Iterator[str]:
-    one, other = stage.make(stage.manifest), stage.make(stage.manifest)
-    mine, theirs = stage.samples(0), stage.samples(1)
-    begin(one, mine[0])
-    begin(other, theirs[0])
+def _separate(context: _CheckContext) -> Iterator[str]:
+    checked, companion = context.make(context.manifest), context.make(context.manifest)
+    samples, other_samples = context.samples(0), context.samples(1)
+    begin(checked, samples[0])
+    begin(companion, other_samples[0])
     answers = []
-    for sample, another in zip(mine[:-1], theirs[:-1], strict=True):
-        answers.append(_answer(one, sample))
-        _answer(other, another)
+    for sample, other_sample in zip(samples[:-1], other_samples[:-1], strict=True):
+        answers.append(_answer(checked, sample))
+        _answer(companion, other_sample)
     yield from _difference(
-        stage.answers, answers, "beside another one that controls another node it answered differently"
+        context.answers, answers, "next to an instance that controls another node it answered differently"
     )
 
 
-def _difference(these: list[Any], those: list[Any], what: str) -> Iterator[str]:
-    for step, (this, that) in enumerate(zip(these, those, strict=True)):
-        # An exception is equal to itself only; its text tells.
-        if repr(this) != repr(that):
-            yield f"{what}: at sample {step} {_short(this)} and {_short(that)}"
+def _difference(expected: list[Any], actual: list[Any], description: str) -> Iterator[str]:
+    for step, (first, second) in enumerate(zip(expected, actual, strict=True)):
+        # Compare texts: exceptions are only equal to themselves.
+        if repr(first) != repr(second):
+            yield f"{description}: at sample {step} {_short(first)} and {_short(second)}"
             return
 
 
@@ -221,29 +221,29 @@ def _short(answer: Any) -> str:
     return text if len(text) <= 120 else text[:119] + "…"
 
 
-def _joins(stage: _Stage) -> Iterator[str]:
-    late = stage.samples(0)[_SAMPLES // 2 :]
-    controller = stage.make(stage.manifest)
+def _joins(context: _CheckContext) -> Iterator[str]:
+    late = context.samples(0)[_SAMPLES // 2 :]
+    controller = context.make(context.manifest)
     try:
         begin(controller, late[0])
         controller.act(late[0])
     except Exception as error:
-        if not isinstance(stage.answers[_SAMPLES // 2], Exception):
+        if not isinstance(context.answers[_SAMPLES // 2], Exception):
             yield raised(error, f"joining at sample {late[0].step}")
 
 
-def _leaves_random_alone(stage: _Stage) -> Iterator[str]:
+def _leaves_random_alone(context: _CheckContext) -> Iterator[str]:
     python, numpy = random.getstate(), repr(np.random.get_state())
-    play(stage.make(stage.manifest), stage.samples(0))
+    play(context.make(context.manifest), context.samples(0))
     if random.getstate() != python:
-        yield "it draws from Python's global generator; draw from a random.Random of its own"
+        yield "it draws from Python's global generator; use an own random.Random"
     if repr(np.random.get_state()) != numpy:
-        yield "it draws from NumPy's global generator; draw from a numpy.random.default_rng of its own"
+        yield "it draws from NumPy's global generator; use an own numpy.random.default_rng"
 
 
-def _controls(stage: _Stage) -> Iterator[str]:
+def _controls(context: _CheckContext) -> Iterator[str]:
     link = FakeLink(FakeBuilding(begin="07-02", end="07-03"))
-    controller = stage.make(link.manifest)
+    controller = context.make(link.manifest)
     sample = link.reset(seed=0)
     begin(controller, sample)
     while not sample.truncated:
@@ -255,19 +255,19 @@ def _controls(stage: _Stage) -> Iterator[str]:
             return
 
 
-CONTROLLER_CHECKS: dict[str, Check[_Stage]] = {
-    "is made from a manifest": _is_made,
+CONTROLLER_CHECKS: dict[str, Check[_CheckContext]] = {
+    "is created from a manifest": _is_created,
     "answers each sample": _answers,
-    "names only actuators of the node": _known,
+    "names only actuators of the node": _names_known,
     "values are finite": _finite,
     "values are within bounds": _bounded,
     "heating stays below cooling": _uncrossed,
     "changes neither sample nor manifest": _harmless,
     "the same samples get the same answers": _repeatable,
-    "forgets at an episode's begin": _forgets,
-    "shares nothing with others of its kind": _separate,
-    "can join amid an episode": _joins,
+    "resets at the start of an episode": _resets,
+    "shares no state between instances": _separate,
+    "can join during an episode": _joins,
     "leaves the global random generators alone": _leaves_random_alone,
-    "controls a fake building to the episode's end": _controls,
+    "controls a fake building to the end of the episode": _controls,
 }
-"""In the order in which `check_controller` runs them."""
+"""Checks by name, in the order in which `check_controller` runs them."""

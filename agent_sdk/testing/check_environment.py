@@ -1,4 +1,4 @@
-"""Checks for environments."""
+"""Conformance checks for environments."""
 
 from __future__ import annotations
 
@@ -19,107 +19,107 @@ from topics.messages import Manifest
 
 Env = gym.Env[Any, Any]
 
-_AMID = 30
+_PARTIAL_STEPS = 30
 _RESET_KEYS = ("time", "step", "effective", "late", "rejected", "weather", "weather_noise")
 _STEP_KEYS = ("time", "step", "effective", "late", "rejected")
 _ROUNDING = 1e-9
 
 
-def check_environment(env: Env, *, most: int = 10_000, skip: Iterable[str] = ()) -> Report:
-    """Checks an environment of Zenostat's kind: one of its own, under wrappers, or somebody else's.
+def check_environment(env: Env, *, max_steps: int = 10_000, skip: Iterable[str] = ()) -> Report:
+    """Check an environment with Zenostat's interface: one of Zenostat, wrapped or not, or your own.
 
-    It is reset and stepped a dozen times and stays open.
+    The checks reset the environment about ten times and leave it open.
 
     Args:
-        env: of one building.
-        most: an episode that has not ended after so many timesteps is not followed further.
-        skip: names of checks to leave out.
+        env: environment of one building.
+        max_steps: maximum number of timesteps in an episode; longer episodes fail a check.
+        skip: names of checks to skip.
 
     Returns:
-        What was checked.
+        Report of all checks.
 
     Raises:
-        ConformanceError: all that is wrong, each with the name of its check.
+        ConformanceError: some checks failed; the text names each with its errors.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        return run(str(env), ENVIRONMENT_CHECKS, _Stage(env, most), skip).require()
+        return run(str(env), ENVIRONMENT_CHECKS, _CheckContext(env, max_steps), skip).require()
 
 
-class _Stage:
-    """An environment and one whole episode of it."""
+class _CheckContext:
+    """An environment, with one whole episode of it."""
 
-    def __init__(self, env: Env, most: int) -> None:
-        self.env, self.most = env, most
+    def __init__(self, env: Env, max_steps: int) -> None:
+        self.env, self.max_steps = env, max_steps
         self.manifest: Manifest | None = getattr(env.unwrapped, "manifest", None)
         self._episode: list[tuple[Any, ...]] | None = None
 
     @property
     def episode(self) -> list[tuple[Any, ...]]:
-        """(observation, reward, terminated, truncated, info) of each sample; sample 0 has no reward."""
+        """Return (observation, reward, terminated, truncated, info) of each sample; the reward of sample 0 is 0."""
         if self._episode is None:
-            self._episode = play(self.env, 1, self.most)
+            self._episode = play(self.env, 1, self.max_steps)
         return self._episode
 
 
-def play(env: Env, seed: int, most: int) -> list[tuple[Any, ...]]:
-    """An episode of at most so many random steps, all drawn from the seed."""
+def play(env: Env, seed: int, max_steps: int) -> list[tuple[Any, ...]]:
+    """Run an episode of at most `max_steps` random actions, all determined by the seed."""
     env.action_space.seed(seed)
     observation, info = env.reset(seed=seed)
-    came: list[tuple[Any, ...]] = [(observation, 0.0, False, False, info)]
-    while len(came) <= most and not (came[-1][2] or came[-1][3]):
-        came.append(env.step(env.action_space.sample()))
-    return came
+    episode: list[tuple[Any, ...]] = [(observation, 0.0, False, False, info)]
+    while len(episode) <= max_steps and not (episode[-1][2] or episode[-1][3]):
+        episode.append(env.step(env.action_space.sample()))
+    return episode
 
 
-def _plays(stage: _Stage) -> Iterator[str]:
+def _plays(context: _CheckContext) -> Iterator[str]:
     try:
-        came = play(stage.env, 1, 1)
+        episode = play(context.env, 1, 1)
     except Exception as error:
         yield raised(error, "reset(seed=1) or a step")
         return
-    if len(came[-1]) != 5:
-        yield f"step gave {len(came[-1])} values; observation, reward, terminated, truncated and info expected"
+    if len(episode[-1]) != 5:
+        yield f"step returned {len(episode[-1])} values; expected observation, reward, terminated, truncated and info"
 
 
-def _gymnasium(stage: _Stage) -> Iterator[str]:
-    check_env(stage.env, skip_render_check=True)
+def _gymnasium(context: _CheckContext) -> Iterator[str]:
+    check_env(context.env, skip_render_check=True)
     yield from ()
 
 
-def _steps(stage: _Stage) -> Iterator[str]:
-    count = len(stage.episode) - 1
-    ends = [(terminated, truncated) for _, _, terminated, truncated, _ in stage.episode]
+def _steps(context: _CheckContext) -> Iterator[str]:
+    count = len(context.episode) - 1
+    ends = [(terminated, truncated) for _, _, terminated, truncated, _ in context.episode]
     if not any(ends[-1]):
         yield f"the episode has not ended after {count} timesteps"
-    if stage.manifest is not None and ends[-1] == (False, True) and count != stage.manifest.steps:
-        yield f"the episode was truncated after {count} timesteps; {stage.manifest.steps} expected"
+    if context.manifest is not None and ends[-1] == (False, True) and count != context.manifest.steps:
+        yield f"the episode was truncated after {count} timesteps; expected {context.manifest.steps}"
     if any(not isinstance(flag, bool | np.bool_) for pair in ends for flag in pair):
-        yield "terminated and truncated are no truth values"
+        yield "terminated and truncated are not Boolean"
 
 
-def _observed(stage: _Stage) -> Iterator[str]:
-    space = stage.env.observation_space
-    for step, (observation, *_) in enumerate(stage.episode):
+def _observed(context: _CheckContext) -> Iterator[str]:
+    space = context.env.observation_space
+    for step, (observation, *_) in enumerate(context.episode):
         if not space.contains(observation):
-            yield f"the observation of sample {step} is not in the observation space{_where(space, observation)}"
+            yield f"the observation of sample {step} is not in the observation space{_explain(space, observation)}"
             return
 
 
-def _where(space: Any, observation: Any) -> str:
+def _explain(space: Any, observation: Any) -> str:
     if not isinstance(space, Box) or np.shape(observation) != space.shape:
-        return f": shape {np.shape(observation)}, {space} expected"
+        return f": shape {np.shape(observation)}, expected {space}"
     outside = np.flatnonzero(~((observation >= space.low) & (observation <= space.high)))
     if len(outside):
         first = outside[0]
         return f": value {first} is {observation[first]:g}, bounds {space.low[first]:g} to {space.high[first]:g}"
-    return f": {observation.dtype}, {space.dtype} expected"
+    return f": {observation.dtype}, expected {space.dtype}"
 
 
-def _rewarded(stage: _Stage) -> Iterator[str]:
-    for step, (_, reward, _, _, info) in enumerate(stage.episode[1:], start=1):
+def _rewarded(context: _CheckContext) -> Iterator[str]:
+    for step, (_, reward, _, _, info) in enumerate(context.episode[1:], start=1):
         if not isinstance(reward, float) or not np.isfinite(reward):
-            yield f"the reward of step {step} is {reward!r}; a finite float expected"
+            yield f"the reward of step {step} is {reward!r}; expected a finite float"
             return
         terms = info.get("reward_terms") if isinstance(info, dict) else None
         if terms is not None and not np.isclose(sum(terms.values()), reward, rtol=_ROUNDING, atol=_ROUNDING):
@@ -127,61 +127,61 @@ def _rewarded(stage: _Stage) -> Iterator[str]:
             return
 
 
-def _informed(stage: _Stage) -> Iterator[str]:
-    infos = [info for *_, info in stage.episode]
-    for when, info, keys in (("reset", infos[0], _RESET_KEYS), ("step", infos[1], _STEP_KEYS)):
+def _informed(context: _CheckContext) -> Iterator[str]:
+    infos = [info for *_, info in context.episode]
+    for method, info, keys in (("reset", infos[0], _RESET_KEYS), ("step", infos[1], _STEP_KEYS)):
         missing = [key for key in keys if key not in info]
         if missing:
-            yield f"the info of {when} lacks {', '.join(missing)}"
+            yield f"the info of {method} lacks {', '.join(missing)}"
     steps = [info.get("step") for info in infos]
     if "step" in infos[0] and steps != list(range(len(infos))):
-        yield f"info['step'] counts {steps[:4]} ...; 0, 1, 2, 3 ... expected"
+        yield f"info['step'] counts {steps[:4]} ...; expected 0, 1, 2, 3 ..."
     if all("time" in info for info in infos):
         times = [datetime.fromisoformat(info["time"]) for info in infos]
         lengths = {after - before for before, after in pairwise(times)}
         if len(lengths) != 1 or min(lengths).total_seconds() <= 0:
-            yield "info['time'] does not go on by one timestep each step"
+            yield "info['time'] does not advance by one timestep per step"
 
 
-def _named(stage: _Stage) -> Iterator[str]:
-    env, observation = stage.env, stage.episode[-1][0]
+def _named(context: _CheckContext) -> Iterator[str]:
+    env, observation = context.env, context.episode[-1][0]
     try:
         names = tuple(env.get_wrapper_attr("observation_names"))
-        named = env.get_wrapper_attr("observation_dict")(observation)
+        values = env.get_wrapper_attr("observation_dict")(observation)
     except AttributeError as error:
         yield f"it has no observation_names or no observation_dict: {error}"
         return
     if len(set(names)) != len(names):
-        yield "observation_names has a name twice"
+        yield "observation_names contains a name twice"
     if (len(names),) != np.shape(observation):
         yield f"observation_names has {len(names)} names for an observation of shape {np.shape(observation)}"
-    elif tuple(named) != names or not np.array_equal(np.array(list(named.values()), np.float32), observation):
-        yield "observation_dict does not give the observation's values by observation_names"
+    elif tuple(values) != names or not np.array_equal(np.array(list(values.values()), np.float32), observation):
+        yield "observation_dict does not return the values of the observation by observation_names"
 
 
-def _seeded(stage: _Stage) -> Iterator[str]:
-    amid = play(stage.env, 1, _AMID)
-    yield from _difference(stage.episode, amid, "the same seed and actions gave another episode")
+def _seeded(context: _CheckContext) -> Iterator[str]:
+    again = play(context.env, 1, _PARTIAL_STEPS)
+    yield from _difference(context.episode, again, "the same seed and actions resulted in another episode")
 
 
-def _anew(stage: _Stage) -> Iterator[str]:
-    play(stage.env, 2, _AMID // 2)
-    after = play(stage.env, 1, _AMID)
-    yield from _difference(stage.episode, after, "an episode that was left amid leaves a trace in the next")
+def _anew(context: _CheckContext) -> Iterator[str]:
+    play(context.env, 2, _PARTIAL_STEPS // 2)
+    after = play(context.env, 1, _PARTIAL_STEPS)
+    yield from _difference(context.episode, after, "an episode that was not finished affects the next one")
 
 
-def _difference(these: list[tuple[Any, ...]], those: list[tuple[Any, ...]], what: str) -> Iterator[str]:
-    for step, (this, that) in enumerate(zip(these, those, strict=False)):
-        if not np.array_equal(this[0], that[0], equal_nan=True):
-            yield f"{what}: the observation of sample {step} differs"
+def _difference(expected: list[tuple[Any, ...]], actual: list[tuple[Any, ...]], description: str) -> Iterator[str]:
+    for step, (first, second) in enumerate(zip(expected, actual, strict=False)):
+        if not np.array_equal(first[0], second[0], equal_nan=True):
+            yield f"{description}: the observation of sample {step} differs"
             return
-        if this[1:4] != that[1:4]:
-            yield f"{what}: reward or end of step {step} differ: {this[1:4]} and {that[1:4]}"
+        if first[1:4] != second[1:4]:
+            yield f"{description}: reward or end of step {step} differ: {first[1:4]} and {second[1:4]}"
             return
 
 
-def _strict(stage: _Stage) -> Iterator[str]:
-    env = stage.env
+def _strict(context: _CheckContext) -> Iterator[str]:
+    env = context.env
     if not isinstance(env.action_space, Box) or not env.action_space.shape[0]:
         return
     _, info = env.reset(seed=1)
@@ -191,31 +191,31 @@ def _strict(stage: _Stage) -> Iterator[str]:
     except (ZenostatError, gym.error.Error):
         *_, info = env.step(env.action_space.sample())
         if info.get("step", 1) != 1:
-            yield f"a refused action was simulated: the step after it is {info['step']}; 1 expected"
+            yield f"a rejected action was simulated: the step after it is {info['step']}; expected 1"
         return
-    yield "an action that is not a number was taken; InvalidAction expected"
+    yield "an action of NaN was accepted; expected InvalidAction"
 
 
-def _over(stage: _Stage) -> Iterator[str]:
-    play(stage.env, 1, stage.most)
+def _over(context: _CheckContext) -> Iterator[str]:
+    play(context.env, 1, context.max_steps)
     try:
-        stage.env.step(stage.env.action_space.sample())
+        context.env.step(context.env.action_space.sample())
     except (ZenostatError, gym.error.Error):
         return
-    yield "a step after the episode's end was taken; EpisodeChanged expected"
+    yield "a step after the end of the episode was accepted; expected EpisodeChanged"
 
 
-ENVIRONMENT_CHECKS: dict[str, Check[_Stage]] = {
+ENVIRONMENT_CHECKS: dict[str, Check[_CheckContext]] = {
     "can be reset and stepped": _plays,
     "gymnasium's own checks": _gymnasium,
     "an episode has its N timesteps": _steps,
     "observations are in their space": _observed,
-    "rewards are finite, and the sum of their terms": _rewarded,
-    "info has its keys, and counts": _informed,
+    "rewards are finite and equal the sum of their terms": _rewarded,
+    "info has its keys and counts steps": _informed,
     "observations have names": _named,
-    "the same seed gives the same episode": _seeded,
-    "a reset amid an episode leaves no trace": _anew,
-    "an action that is no number is refused": _strict,
-    "a step after the end is refused": _over,
+    "the same seed results in the same episode": _seeded,
+    "a reset during an episode leaves no trace": _anew,
+    "an action of NaN is rejected": _strict,
+    "a step after the end is rejected": _over,
 }
-"""In the order in which `check_environment` runs them."""
+"""Checks by name, in the order in which `check_environment` runs them."""

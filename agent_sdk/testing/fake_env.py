@@ -1,4 +1,4 @@
-"""The Gymnasium environment on a fake building."""
+"""Gymnasium environment of a fake building."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from topics.errors import InvalidConfig
 
 
 class FakeEnv(BuildingEnv):
-    """`BuildingEnv` without EnergyPlus and without another process: `gym.make("zenostat/Fake-v1", zones=5)`.
+    """`BuildingEnv` without EnergyPlus or another process: `gym.make("zenostat/Fake-v1", zones=5)`.
 
-    Spaces, info, episodes, rewards, context and weather are those of `BuildingEnv`; it is the same code on a
-    `FakeBuilding`.
+    It is the code of `BuildingEnv` on a `FakeBuilding`, with the same spaces, info, episodes, rewards, context and
+    weather.
 
     Args:
-        zones: how many, or each of them.
-        reward: an object of `agent_sdk.rewards`, or a kind or a kind with its parameters; None gives 0.0; left out,
-            the linear one.
+        zones: number of zones, or the zones.
+        reward: an object of `agent_sdk.rewards`, a kind, or a kind with its parameters; None: always 0.0; default:
+            the linear reward.
         render_mode: None or `rgb_array`.
-        building: all else that `FakeBuilding` takes.
+        building: further arguments of `FakeBuilding`.
 
     Raises:
-        InvalidConfig: what cannot be.
+        InvalidConfig: an argument is invalid.
     """
 
     def __init__(
@@ -39,6 +39,6 @@ class FakeEnv(BuildingEnv):
         **building: Any,
     ) -> None:
         if render_mode == "rerun":
-            raise InvalidConfig("render_mode 'rerun' shows a bus, which a fake building has none of; take 'rgb_array'")
+            raise InvalidConfig("render_mode 'rerun' shows a bus, but a fake building has none; use 'rgb_array'")
         link = FakeLink(FakeBuilding(zones, **building))
         super().__init__(reward=reward, render_mode=render_mode, link=link)

@@ -1,4 +1,4 @@
-"""A controller's hold on a fake building: the interface of `ControllerLink`, in this process."""
+"""Connection to a fake building with the interface of `ControllerLink`, in the same process."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ Floats = NDArray[np.float64]
 
 
 class FakeLink:
-    """Samples of a fake building out, commands in: what an environment or a controller's loop runs on.
+    """Receive samples from a fake building and send commands, from an environment or a controller's loop.
 
     Args:
-        building: a default one if left out.
-        name: of the controller, as `value_source` has it.
+        building: the fake building; default: `FakeBuilding()`.
+        name: name of the controller in `value_source`.
 
     Attributes:
-        manifest: the building's.
-        accepted: the answer to the latest reset.
+        manifest: manifest of the building.
+        accepted: reply to the latest reset.
     """
 
     accepted: Ack
@@ -38,16 +38,16 @@ class FakeLink:
         self._actuators = {a.name: i for i, a in enumerate(self.manifest.actuators)}
         self._low = np.array([-np.inf if a.low is None else a.low for a in self.manifest.actuators])
         self._high = np.array([np.inf if a.high is None else a.high for a in self.manifest.actuators])
-        self._held = np.full(len(self._actuators), np.nan)
+        self._commanded = np.full(len(self._actuators), np.nan)
         self._latest: SampleView | None = None
         self._sent: tuple[Floats, Floats] | None = None
         self._episode = -1
 
     def reset(self, *, seed: int | None = None) -> SampleView:
-        """Starts a new episode: its sample 0; all actuators are the building's own again."""
+        """Start a new episode under baseline control, and return its sample 0."""
         values = self.building.reset(seed)
         self._episode += 1
-        self._held[:] = np.nan
+        self._commanded[:] = np.nan
         self._sent = None
         climate = self.building.climate
         noise = {"sigma": climate.noise_k, "mu": 0.0, "tau_h": climate.noise_tau_h} if climate.noise_k else {}
@@ -61,30 +61,30 @@ class FakeLink:
                 )
             ],
         )
-        return self._sample(values, self.building.own_control)
+        return self._sample(values, self.building.baseline_control)
 
     def receive(self) -> SampleView:
-        """The next sample.
+        """Simulate a timestep, and return its sample.
 
         Raises:
-            RequestRejected: a value out of its actuator's bounds; the building waits for another command.
-            ModelError: a heating setpoint above the cooling setpoint.
+            RequestRejected: a value is out of its actuator's bounds; the building waits for another command.
+            ModelError: a heating setpoint is above the cooling setpoint.
             EpisodeChanged: the episode is over.
-            PeerError: nothing was sent, for which a real node would wait for ever.
+            PeerError: no command was sent; a real node would wait forever.
         """
         if self._latest is None or self._latest.truncated:
             raise EpisodeChanged("the episode is over; call reset()" if self._latest else "call reset() first")
         if self._sent is None:
             raise PeerError("the present sample is not answered; call send() before receive()")
-        (values, kinds), self._sent = self._sent, None
-        self._refuse(values, kinds)
-        self._held = np.where(
-            kinds == CommandOp.SET, values, np.where(kinds == CommandOp.RELINQUISH, np.nan, self._held)
+        (values, operations), self._sent = self._sent, None
+        self._check_bounds(values, operations)
+        self._commanded = np.where(
+            operations == CommandOp.SET, values, np.where(operations == CommandOp.RELINQUISH, np.nan, self._commanded)
         )
-        return self._sample(*self.building.advance(self._held))
+        return self._sample(*self.building.advance(self._commanded))
 
-    def send(self, values: Mapping[str, float | None] | Floats | None = None, operations: bytes | None = None) -> None:
-        """Answers the present sample, as `ControllerLink.send` does.
+    def send(self, values: Mapping[str, float | None] | Floats | None = None, mask: bytes | None = None) -> None:
+        """Answer the present sample; see `ControllerLink.send`.
 
         Raises:
             InvalidAction: an unknown actuator, a wrong shape, or a value that is not finite.
@@ -98,14 +98,14 @@ class FakeLink:
         )
 
     def weather(self, columns: Sequence[str]) -> WeatherSeries:
-        """See `FakeBuilding.weather`."""
+        """Return columns of the weather; see `FakeBuilding.weather`."""
         return self.building.weather(columns)
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing: a fake link has no resources."""
 
     def __iter__(self) -> Iterator[SampleView]:
-        """Samples from the present one to the episode's last; one that was not answered keeps all as it is."""
+        """Yield the samples from the present to the last of the episode; without `send`, commands stay as they are."""
         sample = self._latest if self._latest is not None and not self._latest.truncated else self.reset()
         while True:
             yield sample
@@ -115,33 +115,33 @@ class FakeLink:
                 self.send()
             sample = self.receive()
 
-    def _read_array(self, values: Floats, operations: bytes | None) -> tuple[Floats, Floats]:
-        if values.shape != self._held.shape:
-            raise InvalidAction(f"values of shape {values.shape}; {self._held.shape} expected: one for each actuator")
-        kinds = (
-            np.full(values.shape, float(CommandOp.SET))
-            if operations is None
-            else np.frombuffer(operations, np.uint8).astype(float)
+    def _read_array(self, values: Floats, mask: bytes | None) -> tuple[Floats, Floats]:
+        if values.shape != self._commanded.shape:
+            raise InvalidAction(
+                f"values of shape {values.shape}; {self._commanded.shape} expected: one for each actuator"
+            )
+        operations = (
+            np.full(values.shape, float(CommandOp.SET)) if mask is None else np.frombuffer(mask, np.uint8).astype(float)
         )
-        return values.astype(np.float64), kinds
+        return values.astype(np.float64), operations
 
     def _read(self, values: Mapping[str, float | None]) -> tuple[Floats, Floats]:
-        row, kinds = np.zeros_like(self._held), np.full_like(self._held, float(CommandOp.KEEP))
+        row, operations = np.zeros_like(self._commanded), np.full_like(self._commanded, float(CommandOp.KEEP))
         for name, value in values.items():
             if name not in self._actuators:
                 raise InvalidAction(f"node 'fake' has no actuator {name!r}; {did_you_mean(name, self._actuators)}")
             if value is not None and not np.isfinite(value):
-                raise InvalidAction(f"{name} = {value}; a finite number or None (release) expected")
+                raise InvalidAction(f"{name} = {value}; expected a finite number, or None to relinquish it")
             index = self._actuators[name]
-            row[index], kinds[index] = (0.0, CommandOp.RELINQUISH) if value is None else (value, CommandOp.SET)
-        return row, kinds
+            row[index], operations[index] = (0.0, CommandOp.RELINQUISH) if value is None else (value, CommandOp.SET)
+        return row, operations
 
-    def _refuse(self, values: Floats, kinds: Floats) -> None:
-        for index in np.flatnonzero((kinds == CommandOp.SET) & ~((values >= self._low) & (values <= self._high))):
+    def _check_bounds(self, values: Floats, operations: Floats) -> None:
+        for index in np.flatnonzero((operations == CommandOp.SET) & ~((values >= self._low) & (values <= self._high))):
             actuator = self.manifest.actuators[index]
             value = with_unit(f"{values[index]:g}", actuator.unit)
-            said = f"{actuator.name} = {value}; its bounds are {actuator.low} to {actuator.high}"
-            raise RequestRejected(f"node 'fake' did not take the command: {said}")
+            reason = f"{actuator.name} = {value}; its bounds are {actuator.low} to {actuator.high}"
+            raise RequestRejected(f"node 'fake' rejected the command: {reason}")
 
     def _sample(self, values: Floats, effective: Floats) -> SampleView:
         building = self.building
@@ -150,11 +150,11 @@ class FakeLink:
             episode=[self._episode],
             step=[building.step],
             time=[building.now.isoformat()],
-            elapsed_s=[building.step * building.run.step_s],
+            elapsed_s=[building.step * building.run_period.step_s],
             flags=[(Flag.NONE if building.step else Flag.FIRST) | (Flag.TRUNCATED if last else Flag.NONE)],
             values=values.astype("<f8").tobytes(),
             effective=effective.astype("<f8").tobytes(),
-            source_index=np.where(np.isnan(self._held), 0, 1).astype("<u2").tobytes(),
+            source_index=np.where(np.isnan(self._commanded), 0, 1).astype("<u2").tobytes(),
             sources=["", self.name],
         )
         self._latest = SampleView(wire, self.manifest, self._names, self)

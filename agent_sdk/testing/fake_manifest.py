@@ -1,4 +1,4 @@
-"""The run period, points and task of a fake building, as a real node says them."""
+"""Run period, points and task of a fake building, as in the manifest of a real node."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ _YEAR = 2017
 
 
 @dataclass(frozen=True)
-class Run:
-    """From `begin` on, `steps` timesteps."""
+class RunPeriod:
+    """A run period of `steps` timesteps from `begin`."""
 
     begin: datetime
     steps: int
@@ -53,27 +53,31 @@ class Run:
         return 3600.0 / self.steps_per_hour
 
     @classmethod
-    def read(cls, begin: str, end: str | None, steps_per_hour: int) -> Run:
-        """Both days included; `InvalidConfig` if they are none, or the wrong way round."""
+    def read(cls, begin: str, end: str | None, steps_per_hour: int) -> RunPeriod:
+        """Read a run period from its first and last day.
+
+        Raises:
+            InvalidConfig: a day is invalid, `end` is before `begin`, or the hour is not divisible by the timestep.
+        """
         first, last = _day("begin", begin), _day("end", begin if end is None else end)
         if last < first:
-            raise InvalidConfig(f"end = {end!r} lies before begin = {begin!r}; a later day expected")
+            raise InvalidConfig(f"end = {end!r} is before begin = {begin!r}; expected a later day")
         if not 1 <= steps_per_hour <= 60 or 60 % steps_per_hour:
-            raise InvalidConfig(f"steps_per_hour = {steps_per_hour}; a divisor of 60 expected")
+            raise InvalidConfig(f"steps_per_hour = {steps_per_hour}; expected a divisor of 60")
         return cls(first, 24 * ((last - first).days + 1) * steps_per_hour, steps_per_hour)
 
 
-def _day(what: str, text: str) -> datetime:
+def _day(name: str, text: str) -> datetime:
     try:
         return datetime.strptime(text if len(text) > 5 else f"{_YEAR}-{text}", "%Y-%m-%d")
     except ValueError:
-        raise InvalidConfig(f"{what} = {text!r}; MM-DD or YYYY-MM-DD expected") from None
+        raise InvalidConfig(f"{name} = {text!r}; expected MM-DD or YYYY-MM-DD") from None
 
 
-def manifest_of(
+def build_manifest(
     zones: Sequence[Zone],
-    run: Run,
-    dimming: bool,  # noqa: FBT001
+    run: RunPeriod,
+    equipment_control: bool,  # noqa: FBT001
     control: str,
     actions: Mapping[str, Sequence[str]] | None,
     discrete: int | None,
@@ -81,13 +85,13 @@ def manifest_of(
     reward: Mapping[str, Any] | None,
     terminate: Sequence[Mapping[str, Any]],
 ) -> Manifest:
-    """All that a fake building says of itself; see `FakeBuilding`."""
+    """Build the manifest of a fake building; see `FakeBuilding`."""
     actuators = _actuators(zones)
-    if dimming:
+    if equipment_control:
         actuators += [_actuator("equipment", "Schedule:Constant", "Schedule Value", "EQUIPMENT", "1", (0.0, 1.0))]
     sensors, meters = _sensors(zones), _meters()
-    made = _found(actuators, control) if actions is None else _named(actuators, actions)
-    task = _task(made, _steps(made, actuators, control, discrete), time, reward, terminate)
+    dimensions = _default_actions(actuators, control) if actions is None else _selected_actions(actuators, actions)
+    task = _task(dimensions, _discrete_actions(dimensions, actuators, control, discrete), time, reward, terminate)
     known = {s.name for s in sensors} | {m.name for m in meters}
     for limit in task.terminate:
         for name in limit.points:
@@ -133,12 +137,12 @@ def _sensor(name: str, variable: str, key: str, unit: str, bounds: tuple[float, 
 
 
 def _meters() -> list[Meter]:
-    named = {"electricity_facility": "Electricity:Facility", "electricity_hvac": "Electricity:HVAC"}
-    return [Meter(name=name, meter=meter, unit="J", low=0.0) for name, meter in named.items()]
+    meters = {"electricity_facility": "Electricity:Facility", "electricity_hvac": "Electricity:HVAC"}
+    return [Meter(name=name, meter=meter, unit="J", low=0.0) for name, meter in meters.items()]
 
 
 def _actuators(zones: Sequence[Zone]) -> list[Actuator]:
-    """A heating and a cooling setpoint for each zone, in that order."""
+    """Return a heating and a cooling setpoint for each zone, in this order."""
     return [
         _actuator(f"{zone.name}_{_safe(kind)}", _THERMOSTAT, kind, zone.name.upper(), "degC", bounds)
         for zone in zones
@@ -183,31 +187,31 @@ def _task(
         raise InvalidConfig(f"the fake building's task: {describe_validation_errors(error)}") from None
 
 
-def _found(actuators: Sequence[Actuator], control: str) -> tuple[Action, ...]:
+def _default_actions(actuators: Sequence[Actuator], control: str) -> tuple[Action, ...]:
     if control not in ("point", "zone", "building"):
-        raise InvalidConfig(f"control = {control!r}; 'point', 'zone' or 'building' expected")
+        raise InvalidConfig(f"control = {control!r}; expected 'point', 'zone' or 'building'")
     groups: dict[str, list[Actuator]] = {}
     for actuator in actuators:
-        together = control == "building" and actuator.component_type == _THERMOSTAT
-        groups.setdefault(_safe(actuator.control_type) if together else actuator.name, []).append(actuator)
+        is_shared = control == "building" and actuator.component_type == _THERMOSTAT
+        groups.setdefault(_safe(actuator.control_type) if is_shared else actuator.name, []).append(actuator)
     return tuple(_action(name, members) for name, members in groups.items())
 
 
-def _named(actuators: Sequence[Actuator], actions: Mapping[str, Sequence[str]]) -> tuple[Action, ...]:
-    by_name, taken, made = {a.name: a for a in actuators}, set[str](), []
+def _selected_actions(actuators: Sequence[Actuator], actions: Mapping[str, Sequence[str]]) -> tuple[Action, ...]:
+    by_name, assigned, selected = {a.name: a for a in actuators}, set[str](), []
     for name, members in actions.items():
         for member in members:
             if member not in by_name:
                 raise InvalidConfig(
                     f"action {name!r}: there is no actuator {member!r}; {did_you_mean(member, by_name)}"
                 )
-            if member in taken:
-                raise InvalidConfig(f"action {name!r}: the actuator {member!r} belongs to another action already")
-            taken.add(member)
+            if member in assigned:
+                raise InvalidConfig(f"action {name!r}: the actuator {member!r} already belongs to another action")
+            assigned.add(member)
         if not members:
             raise InvalidConfig(f"action {name!r} has no actuators; name at least one")
-        made.append(_action(check_name(name, "the action"), [by_name[member] for member in members]))
-    return tuple(made)
+        selected.append(_action(check_name(name, "the action"), [by_name[member] for member in members]))
+    return tuple(selected)
 
 
 def _action(name: str, members: Sequence[Actuator]) -> Action:
@@ -217,20 +221,20 @@ def _action(name: str, members: Sequence[Actuator]) -> Action:
     )
 
 
-def _steps(
+def _discrete_actions(
     actions: Sequence[Action], actuators: Sequence[Actuator], control: str, count: int | None
 ) -> tuple[DiscreteAction, ...]:
-    """Equal steps, as a scenario's `discrete: count` has them: heating setpoints upwards, cooling ones downwards."""
+    """Return equal steps as for `discrete: count` in a scenario: heating setpoints rise, cooling setpoints fall."""
     if count is None:
         return ()
     if count < 2:
-        raise InvalidConfig(f"discrete = {count}; at least 2 steps expected")
+        raise InvalidConfig(f"discrete = {count}; expected at least 2 steps")
     by_name = {a.name: a for a in actuators}
     groups: dict[str, list[Action]] = {}
     for action in actions:
         first = by_name[action.actuators[0]]
-        paired = first.component_type == _THERMOSTAT and control != "point"
-        group = ("all" if control == "building" else first.key) if paired else action.name
+        is_paired = first.component_type == _THERMOSTAT and control != "point"
+        group = ("all" if control == "building" else first.key) if is_paired else action.name
         groups.setdefault(f"{first.component_type}/{group}", []).append(action)
     choices = []
     for members in groups.values():

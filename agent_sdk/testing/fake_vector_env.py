@@ -1,4 +1,4 @@
-"""The vector environment on fake buildings."""
+"""Vector environment of fake buildings."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ Floats = NDArray[np.float64]
 
 
 class FakeSlots:
-    """A hold on several fake buildings that step together, as `ControllerLink` is one on a node with slots.
+    """Connection to several fake buildings that step together, like `ControllerLink` on a node with slots.
 
     Args:
-        buildings: with the same points.
-        name: of the controller, as `value_source` has it.
+        buildings: fake buildings with equal points.
+        name: name of the controller in `value_source`.
 
     Attributes:
-        manifest: that of the first, with the number of slots.
-        accepted: the answer to the latest reset.
+        manifest: manifest of the first building, with the number of slots.
+        accepted: reply to the latest reset.
     """
 
     accepted: Ack
@@ -46,24 +46,24 @@ class FakeSlots:
     def reset(
         self, *, seed: int | list[int | None] | None = None, slots: list[int] | None = None, snapshot: str = ""
     ) -> SampleView:
-        """Starts new episodes, in these slots or in all.
+        """Start new episodes in the given slots, or in all.
 
         Raises:
-            PeerError: some slots never began, or a snapshot, which fake buildings do not keep.
+            PeerError: not all slots were reset before, or `snapshot` is set, which fake buildings do not support.
         """
         if snapshot or (slots is not None and not self._latest):
-            raise PeerError("node 'fake' keeps no snapshots" if snapshot else "reset all slots first")
+            raise PeerError("node 'fake' has no snapshots" if snapshot else "reset all slots first")
         chosen = list(range(len(self._links))) if slots is None else slots
         seeds = [seed + i for i in range(len(chosen))] if isinstance(seed, int) else seed or [None] * len(chosen)
-        new = {slot: self._links[slot].reset(seed=one) for slot, one in zip(chosen, seeds, strict=True)}
+        new = {slot: self._links[slot].reset(seed=slot_seed) for slot, slot_seed in zip(chosen, seeds, strict=True)}
         self._latest = [new.get(slot) or self._latest[slot] for slot in range(len(self._links))]
         self._episodes = [view.episode for view in self._latest]
-        begun = [self._links[slot].accepted.episode_starts[0] for slot in chosen]
-        self.accepted, self._sent = Ack(episode=self._episodes, episode_starts=begun), []
-        return self._frame()
+        starts = [self._links[slot].accepted.episode_starts[0] for slot in chosen]
+        self.accepted, self._sent = Ack(episode=self._episodes, episode_starts=starts), []
+        return self._sample()
 
-    def send(self, values: Floats, operations: bytes | None = None, *, still: Sequence[int] = ()) -> None:
-        """Answers the present sample of all slots but those that are `still`.
+    def send(self, values: Floats, mask: bytes | None = None, *, still: Sequence[int] = ()) -> None:
+        """Answer the present sample of all slots except `still`.
 
         Raises:
             InvalidAction: a wrong shape.
@@ -75,45 +75,45 @@ class FakeSlots:
         self._sent = [slot for slot in range(len(self._links)) if slot not in still]
         rows = values.reshape(len(self._links), count)
         for slot in self._sent:
-            kinds = None if operations is None else operations[slot * count : (slot + 1) * count]
-            self._links[slot].send(rows[slot], kinds)
+            operations = None if mask is None else mask[slot * count : (slot + 1) * count]
+            self._links[slot].send(rows[slot], operations)
 
     def receive(self) -> SampleView:
-        """The next sample.
+        """Simulate a timestep, and return its sample.
 
         Raises:
-            EpisodeChanged: a slot that was answered is over.
-            PeerError: nothing was sent, for which a real node would wait for ever.
+            EpisodeChanged: the episode of an answered slot is over.
+            PeerError: no command was sent; a real node would wait forever.
         """
         if not self._sent:
             raise PeerError("the present sample is not answered; call send() before receive()")
         over = [slot for slot in self._sent if self._latest[slot].truncated]
         if over:
-            raise EpisodeChanged(f"slot {over[0]} is over; reset it, or leave it standing still")
+            raise EpisodeChanged(f"the episode of slot {over[0]} is over; reset the slot, or list it in still=")
         for slot in self._sent:
             self._latest[slot] = self._links[slot].receive()
         self._sent = []
-        return self._frame()
+        return self._sample()
 
     def weather(self, columns: Sequence[str], slot: int = 0) -> WeatherSeries:
-        """See `FakeBuilding.weather`."""
+        """Return columns of the weather of a slot; see `FakeBuilding.weather`."""
         return self._links[slot].weather(columns)
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing: a fake link has no resources."""
 
-    def _frame(self) -> SampleView:
-        wires = [view.message for view in self._latest]
+    def _sample(self) -> SampleView:
+        messages = [view.message for view in self._latest]
         wire = Sample(
-            episode=[one.episode[0] for one in wires],
-            step=[one.step[0] for one in wires],
-            time=[one.time[0] for one in wires],
-            elapsed_s=[one.elapsed_s[0] for one in wires],
-            flags=[one.flags[0] for one in wires],
-            values=b"".join(one.values for one in wires),
-            effective=b"".join(one.effective for one in wires),
-            source_index=b"".join(one.source_index for one in wires),
-            sources=wires[0].sources,
+            episode=[message.episode[0] for message in messages],
+            step=[message.step[0] for message in messages],
+            time=[message.time[0] for message in messages],
+            elapsed_s=[message.elapsed_s[0] for message in messages],
+            flags=[message.flags[0] for message in messages],
+            values=b"".join(message.values for message in messages),
+            effective=b"".join(message.effective for message in messages),
+            source_index=b"".join(message.source_index for message in messages),
+            sources=messages[0].sources,
         )
         return SampleView(wire, self.manifest, {name: i for i, name in enumerate(self.manifest.names)})
 
@@ -122,14 +122,14 @@ class FakeVectorEnv(BuildingVectorEnv):
     """`BuildingVectorEnv` without EnergyPlus: `gym.make_vec("zenostat/Fake-v1", num_envs=8, zones=5)`.
 
     Args:
-        num_envs: how many.
-        zones: of each building: how many, or each of them.
+        num_envs: number of environments.
+        zones: number of zones of each building, or the zones.
         reward, render_mode: see `FakeEnv`.
         autoreset_mode: see `BuildingVectorEnv`.
-        building: all else that `FakeBuilding` takes.
+        building: further arguments of `FakeBuilding`.
 
     Raises:
-        InvalidConfig: what cannot be.
+        InvalidConfig: an argument is invalid.
     """
 
     def __init__(
@@ -143,7 +143,7 @@ class FakeVectorEnv(BuildingVectorEnv):
         **building: Any,
     ) -> None:
         if render_mode == "rerun":
-            raise InvalidConfig("render_mode 'rerun' shows a bus, which a fake building has none of; take 'rgb_array'")
+            raise InvalidConfig("render_mode 'rerun' shows a bus, but a fake building has none; use 'rgb_array'")
         if not isinstance(num_envs, int) or num_envs < 1:
             raise InvalidConfig(f"num_envs = {num_envs!r}; at least 1 expected")
         link = FakeSlots([FakeBuilding(zones, **building) for _ in range(num_envs)])

@@ -1,4 +1,4 @@
-"""Rooms as one heat capacity behind one thermal resistance each, solved exactly."""
+"""Thermal model of zones: one heat capacity and one thermal resistance each, solved exactly."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Zone:
-    """One room.
+    """Parameters of one zone.
 
     Attributes:
-        name: letters, digits, `_`, `.`, `-`.
-        capacity_j_per_k: what it takes to warm air, furniture and walls by 1 K; above 0.
-        resistance_k_per_w: between the room and outdoors; above 0.
-        heating_w, cooling_w: the most that the thermostat can add or take away; at least 0.
-        people: while the building is open.
-        equipment_w: electricity for light and appliances while the building is open.
-        aperture_m2: sunlight that comes in is this times the global radiation.
+        name: name of letters, digits, `_`, `.`, `-`.
+        capacity_j_per_k: heat capacity of air, furniture and walls; above 0.
+        resistance_k_per_w: thermal resistance between zone and outdoors; above 0.
+        heating_w, cooling_w: heating and cooling capacity; at least 0.
+        people: number of people while the building is open.
+        equipment_w: electric power of lighting and appliances while the building is open.
+        aperture_m2: solar gain divided by the global radiation.
     """
 
     name: str
@@ -47,12 +47,12 @@ class Zone:
 
 
 class ZoneStep(NamedTuple):
-    """What happened in a timestep, each of shape (zones,).
+    """Temperatures and heat of a timestep, each of shape (zones,).
 
     Attributes:
-        end_degc: temperature at its end.
-        mean_degc: mean temperature over it.
-        heat_w: heat that the thermostat added (below 0: took away), the same all through the timestep.
+        end_degc: temperature at the end of the timestep.
+        mean_degc: mean temperature over the timestep.
+        heat_w: heating (above 0) or cooling (below 0) power, constant over the timestep.
     """
 
     end_degc: Floats
@@ -61,9 +61,9 @@ class ZoneStep(NamedTuple):
 
 
 class RCZones:
-    """The thermal side of some zones: `C dT/dt = (T_out - T) / R + gains + heat` for each of them.
+    """Thermal model of independent zones: `C dT/dt = (T_out - T) / R + gains + heat` for each.
 
-    Outdoor temperature, gains and heat are the same all through a timestep, so the exponential solution is exact.
+    Outdoor temperature, gains and heat are constant over a timestep, so the exponential solution is exact.
     """
 
     def __init__(self, zones: Sequence[Zone]) -> None:
@@ -76,18 +76,17 @@ class RCZones:
     def step(
         self, start_degc: Floats, outdoor_degc: float, gains_w: Floats, heating: Floats, cooling: Floats, step_s: float
     ) -> ZoneStep:
-        """One timestep of `step_s` seconds under an ideal thermostat.
+        """Simulate one timestep of `step_s` seconds with an ideal thermostat.
 
-        The thermostat adds the constant heat that brings the room to its heating setpoint (takes it to its cooling
-        setpoint) at the end of the timestep, as far as its capacity goes, and none if the room ends between them
-        by itself.
+        The thermostat applies the constant heat with which the zone reaches its heating (cooling) setpoint at the end
+        of the timestep, within its capacity, and none if the zone ends between the setpoints without heat.
         """
         decay = np.exp(-step_s / self._tau_s)
         k_per_w = self.resistance_k_per_w * (1.0 - decay)
-        calm = outdoor_degc + self.resistance_k_per_w * gains_w
-        free = calm + (start_degc - calm) * decay
+        equilibrium = outdoor_degc + self.resistance_k_per_w * gains_w
+        free = equilibrium + (start_degc - equilibrium) * decay
         heat = np.clip((heating - free) / k_per_w, 0.0, self._heating_w)
         heat -= np.clip((free - cooling) / k_per_w, 0.0, self._cooling_w)
-        goal = calm + self.resistance_k_per_w * heat
-        distance = start_degc - goal
-        return ZoneStep(goal + distance * decay, goal + distance * (1.0 - decay) * self._tau_s / step_s, heat)
+        target = equilibrium + self.resistance_k_per_w * heat
+        distance = start_degc - target
+        return ZoneStep(target + distance * decay, target + distance * (1.0 - decay) * self._tau_s / step_s, heat)

@@ -1,4 +1,4 @@
-"""What a list of checks found."""
+"""Run conformance checks, and report their results."""
 
 from __future__ import annotations
 
@@ -13,36 +13,36 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Result:
-    """One check.
+    """Result of one check.
 
     Attributes:
-        name: what holds if it passes.
-        faults: a sentence for each thing that does not hold.
-        skipped: why it was not run; empty if it was.
+        name: name of the check: the condition that it tests.
+        errors: one sentence for each violation.
+        skipped: reason why it was skipped; empty if it ran.
     """
 
     name: str
-    faults: tuple[str, ...] = ()
+    errors: tuple[str, ...] = ()
     skipped: str = ""
 
     @property
     def passed(self) -> bool:
-        """Whether it was run and found nothing."""
-        return not self.faults and not self.skipped
+        """Whether it ran without errors."""
+        return not self.errors and not self.skipped
 
     def __str__(self) -> str:
         sign = "skipped" if self.skipped else "passed" if self.passed else "FAILED"
-        notes = [self.skipped] if self.skipped else self.faults
+        notes = [self.skipped] if self.skipped else self.errors
         return "\n".join([f"{sign:7}  {self.name}", *(f"{'':9}{note}" for note in notes)])
 
 
 @dataclass(frozen=True)
 class Report:
-    """All checks of one thing, in the order in which they ran. As text: a line for each, with its faults below.
+    """Results of all checks, in order. As text: one line for each check, with its errors below.
 
     Attributes:
-        subject: what was checked.
-        results: of each check.
+        subject: name of the checked object.
+        results: result of each check.
     """
 
     subject: str
@@ -55,12 +55,12 @@ class Report:
 
     @property
     def failed(self) -> tuple[str, ...]:
-        """Names of those that did not."""
-        return tuple(r.name for r in self.results if r.faults)
+        """Names of the checks that failed."""
+        return tuple(r.name for r in self.results if r.errors)
 
     @property
     def skipped(self) -> tuple[str, ...]:
-        """Names of those that were not run."""
+        """Names of the skipped checks."""
         return tuple(r.name for r in self.results if r.skipped)
 
     def __str__(self) -> str:
@@ -69,7 +69,7 @@ class Report:
         )
 
     def require(self) -> Report:
-        """Itself.
+        """Return the report if no check failed.
 
         Raises:
             ConformanceError: a check failed.
@@ -80,10 +80,10 @@ class Report:
 
 
 class ConformanceError(AssertionError):
-    """Something does not keep its contract. The text names each check that failed, with its faults.
+    """An object violates its contract. The text names each failed check with its errors.
 
     Attributes:
-        report: all checks, also those that passed.
+        report: results of all checks.
     """
 
     def __init__(self, report: Report) -> None:
@@ -91,48 +91,48 @@ class ConformanceError(AssertionError):
         self.report = report
 
     def __str__(self) -> str:
-        failed = [r for r in self.report.results if r.faults]
-        head = f"{self.report.subject} fails {len(failed)} of {len(self.report.results)} checks"
-        return "\n".join([head, *map(str, failed)])
+        failed = [r for r in self.report.results if r.errors]
+        heading = f"{self.report.subject} fails {len(failed)} of {len(self.report.results)} checks"
+        return "\n".join([heading, *map(str, failed)])
 
 
 Check = Callable[[T], Iterable[str]]
-"""A check gives a sentence for each fault; an exception that it raises is one more."""
+"""Function that yields one sentence for each violation; an exception counts as one more."""
 
 
-def run(subject: str, checks: Mapping[str, Check[T]], about: T, skip: Iterable[str]) -> Report:
-    """Runs checks in order; if the first one fails, nothing else can be said and the others are skipped.
+def run(subject: str, checks: Mapping[str, Check[T]], context: T, skip: Iterable[str]) -> Report:
+    """Run checks in order; if the first one fails, skip the others, since they depend on it.
 
     Raises:
-        InvalidConfig: `skip` names a check that is not there.
+        InvalidConfig: `skip` names an unknown check.
     """
-    left_out = [skip] if isinstance(skip, str) else list(skip)
-    for name in left_out:
+    skipped = [skip] if isinstance(skip, str) else list(skip)
+    for name in skipped:
         if name not in checks:
             raise InvalidConfig(f"skip: there is no check {name!r}; {did_you_mean(name, checks)}")
     results: list[Result] = []
     for name, check in checks.items():
-        if name in left_out:
-            results.append(Result(name, skipped="as asked"))
-        elif results and results[0].faults:
+        if name in skipped:
+            results.append(Result(name, skipped="on request"))
+        elif results and results[0].errors:
             results.append(Result(name, skipped=f"the first check failed: {results[0].name}"))
         else:
-            results.append(Result(name, tuple(dict.fromkeys(_faults(check, about)))))
+            results.append(Result(name, tuple(dict.fromkeys(_errors(check, context)))))
     return Report(subject, tuple(results))
 
 
-def _faults(check: Check[T], about: T) -> Iterator[str]:
+def _errors(check: Check[T], context: T) -> Iterator[str]:
     try:
-        yield from check(about)
+        yield from check(context)
     except Exception as error:
         yield raised(error)
 
 
-def raised(error: BaseException, what: str = "it") -> str:
-    """An exception as a sentence: `act raised ValueError: ...`."""
-    return f"{what} raised {type(error).__name__}: {error}".rstrip(": ")
+def raised(error: BaseException, subject: str = "it") -> str:
+    """Describe an exception in a sentence: `act raised ValueError: ...`."""
+    return f"{subject} raised {type(error).__name__}: {error}".rstrip(": ")
 
 
-def name_of(thing: object) -> str:
-    """What a class, a function or an object is called."""
-    return str(getattr(thing, "__name__", None) or type(thing).__name__)
+def name_of(subject: object) -> str:
+    """Return the name of a class or function, or the class name of an object."""
+    return str(getattr(subject, "__name__", None) or type(subject).__name__)

@@ -1,4 +1,4 @@
-"""Samples of a node that is not there: values that its points could have, drawn from a seed."""
+"""Synthetic samples: plausible random values for the points of a manifest."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from agent_sdk.bus.sample import SampleView
 from topics.messages import Flag, Manifest, Meter, Sample, Sensor
 
 _RANGES = {"degC": (10.0, 35.0), "percent": (0.0, 100.0), "W": (0.0, 2e4), "J": (0.0, 1e7), "W/m2": (0.0, 900.0)}
-_MOST_PEOPLE = 6
+_MAX_PEOPLE = 6
 
 
 def values(manifest: Manifest, count: int, seed: int) -> NDArray[np.float64]:
-    """Shape (count, points), within the points' bounds; rooms are empty at half of the times."""
+    """Return values of shape (count, points) within the points' bounds; zones are unoccupied half of the time."""
     random = np.random.default_rng([seed, 1])
     points: list[Sensor | Meter] = [*manifest.sensors, *manifest.meters]
-    made: NDArray[np.float64] = np.empty((count, len(points)))
+    columns: NDArray[np.float64] = np.empty((count, len(points)))
     for index, point in enumerate(points):
-        made[:, index] = _column(point, count, random)
-    return made
+        columns[:, index] = _column(point, count, random)
+    return columns
 
 
 def _column(point: Sensor | Meter, count: int, random: np.random.Generator) -> NDArray[np.float64]:
     if isinstance(point, Sensor) and point.variable.endswith("Occupant Count"):
-        people: NDArray[np.float64] = random.integers(1, _MOST_PEOPLE, count) * random.integers(0, 2, count).astype(
+        people: NDArray[np.float64] = random.integers(1, _MAX_PEOPLE, count) * random.integers(0, 2, count).astype(
             float
         )
         return people
@@ -38,17 +38,17 @@ def _column(point: Sensor | Meter, count: int, random: np.random.Generator) -> N
 
 
 def episode_starts(manifest: Manifest, count: int, shift_h: float = 0.0) -> list[datetime]:
-    """When `count` timesteps of an episode begin that is moved by `shift_h` hours."""
+    """Return the start times of `count` timesteps of an episode, moved by `shift_h` hours."""
     first = datetime.fromisoformat(manifest.begin) + timedelta(hours=shift_h)
     return [first + timedelta(hours=k / manifest.steps_per_hour) for k in range(count)]
 
 
 def samples(manifest: Manifest, count: int, seed: int) -> list[SampleView]:
-    """The samples 0 to `count` - 1 of an episode that ends with the last of them. Each call makes new ones."""
+    """Return new samples 0 to `count` - 1 of an episode that ends with the last of them."""
     rows = np.repeat(values(manifest, count, seed)[:, None, :], manifest.slots, axis=1)
     effective = np.full((manifest.slots, len(manifest.actuators)), np.nan)
     index = {name: i for i, name in enumerate(manifest.names)}
-    made = []
+    views = []
     for step, (row, time) in enumerate(zip(rows, episode_starts(manifest, count), strict=True)):
         flag = Flag.FIRST if step == 0 else Flag.TRUNCATED if step == count - 1 else Flag.NONE
         wire = Sample(
@@ -62,5 +62,5 @@ def samples(manifest: Manifest, count: int, seed: int) -> list[SampleView]:
             source_index=bytes(2 * effective.size),
             sources=[""],
         )
-        made.append(SampleView(wire, manifest, index))
-    return made
+        views.append(SampleView(wire, manifest, index))
+    return views

@@ -96,7 +96,7 @@ def test_it_is_equal_to_a_dummy_vec_env(form: dict[str, Any]) -> None:
 
 
 def test_attributes_and_methods_of_slots() -> None:
-    ours, theirs = fakes(dimming=True), apart(dimming=True)
+    ours, theirs = fakes(equipment_control=True), apart(equipment_control=True)
     for env in (ours, theirs):
         env.reset()
     assert ours.get_attr("observation_names") == theirs.get_attr("observation_names")

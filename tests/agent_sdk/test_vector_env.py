@@ -56,7 +56,7 @@ FORMS: dict[str, dict[str, Any]] = {
     "by the hour": {"reward": {"kind": "hourly"}, "terminate": [HOT]},
     "by zone": {"reward": {"kind": "multi_zone", "zones": {"zone_1_air_temperature": "outdoor_temperature"}}},
     "no reward": {"reward": None, "terminate": [WIDE]},
-    "beside": {"dimming": True, "actions": {"cooling": ["zone_1_cooling_setpoint"]}, "terminate": [HOT]},
+    "beside": {"equipment_control": True, "actions": {"cooling": ["zone_1_cooling_setpoint"]}, "terminate": [HOT]},
 }
 
 

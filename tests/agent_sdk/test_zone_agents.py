@@ -73,7 +73,7 @@ def test_what_is_no_single_zones_is_the_buildings() -> None:
             "one": ["zone_1_cooling_setpoint"],
             "heat": ["zone_1_heating_setpoint", "zone_2_heating_setpoint"],
         },
-        dimming=True,
+        equipment_control=True,
     )
     assert env.possible_agents == ["zone_1", "building"]
     assert env.action_names("zone_1") == ("one",)
@@ -90,7 +90,7 @@ def test_what_is_no_single_zones_is_the_buildings() -> None:
 def test_a_zone_that_is_called_as_another_agent_gets_a_number() -> None:
     from agent_sdk.testing import Zone
 
-    env = fake([Zone("building"), Zone("a-b"), Zone("plain")], dimming=True)
+    env = fake([Zone("building"), Zone("a-b"), Zone("plain")], equipment_control=True)
     assert env.possible_agents == ["building_2", "a-b", "plain", "building"]
 
 
@@ -198,8 +198,8 @@ def test_faulty_actions_simulate_nothing() -> None:
     ],
 )
 def test_own_rewards_add_up_to_the_shared_one(building_reward: Any) -> None:
-    own = fake(3, reward="own", building_reward=building_reward, dimming=True)
-    shared = fake(3, building_reward=building_reward, dimming=True)
+    own = fake(3, reward="own", building_reward=building_reward, equipment_control=True)
+    shared = fake(3, building_reward=building_reward, equipment_control=True)
     own.reset(seed=1)
     shared.reset(seed=1)
     for agent in own.agents:
@@ -220,7 +220,7 @@ def test_own_rewards_add_up_to_the_shared_one(building_reward: Any) -> None:
 
 def test_an_own_reward_by_hand() -> None:
     """Summer band 23 to 26 degC, w = 0.5: -0.5e-4 P / 3 for each, and -0.5 for each degree outside in its own zone."""
-    env = fake(2, reward="own", dimming=True)
+    env = fake(2, reward="own", equipment_control=True)
     env.reset(seed=0)
     observations, rewards, *_ = env.step({"zone_1": [15, 22.5], "zone_2": [22.5, 30], "building": [1]})
     power_w = env.observation_dict("building", observations["building"])["hvac_electricity_power"]
@@ -282,7 +282,7 @@ def test_strangers_are_named() -> None:
 # PettingZoo's own checks, and a real building
 
 
-@pytest.mark.parametrize("make", [fake, lambda: fake(2, discrete=5, dimming=True, reward="own")])
+@pytest.mark.parametrize("make", [fake, lambda: fake(2, discrete=5, equipment_control=True, reward="own")])
 def test_pettingzoos_own_checks_pass(make: Callable[[], ZonesEnv]) -> None:
     parallel_api_test(make(), num_cycles=200)
     parallel_seed_test(make, num_cycles=50)

@@ -175,7 +175,7 @@ def test_zenostat_run_with_parameters_seeds_and_classes_of_anybodys(scratch: Pat
     [
         (["--controller", "pid", "--set", "setpoint=21"], "pid takes one sensor: name it by sensor=...;"),
         (["--controller", "pid"], "PIDController needs setpoint: --set setpoint=..."),
-        (["--controller", "rbc", "--set", "margin"], "--set margin: a name and a value expected"),
+        (["--controller", "rbc", "--set", "margin"], "--set margin: expected a name and a value"),
         (["--controller", "rbc", "--set", "margin=1", "--set", "margin=2"], "--set margin occurs twice: 1 and 2"),
         (
             ["--controller", "rbc", "--seed", "1"],

@@ -20,7 +20,7 @@ from topics.errors import InvalidConfig
 DAY: dict[str, Any] = {"zones": 1, "steps_per_hour": 1, "begin": "07-03", "end": "07-03"}
 WARM = [{"points": ["zone_1_air_temperature"], "low": 0.0, "high": 60.0}]
 HOT = [{"points": ["zone_1_air_temperature"], "low": 17.0, "high": 24.0}]
-BESIDE: dict[str, Any] = {"dimming": True, "actions": {"cooling": ["zone_1_cooling_setpoint"]}}
+BESIDE: dict[str, Any] = {"equipment_control": True, "actions": {"cooling": ["zone_1_cooling_setpoint"]}}
 
 
 def form(info: Any) -> Any:
