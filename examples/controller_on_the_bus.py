@@ -1,4 +1,4 @@
-"""A controller without Gymnasium: lets the core zone drift while nobody is in it.
+"""A controller without Gymnasium: raises the cooling setpoint of the core zone while it is unoccupied.
 
 Start a node first, in another terminal:
 
@@ -14,17 +14,17 @@ import agent_sdk
 parser = argparse.ArgumentParser()
 parser.add_argument("--connect", default="tcp/127.0.0.1:7447")
 parser.add_argument("--node", default="office")
-asked = parser.parse_args()
+arguments = parser.parse_args()
 
-with agent_sdk.connect(asked.connect) as bus:
+with agent_sdk.connect(arguments.connect) as bus:
     print(f"nodes: {', '.join(bus.nodes())}")
-    with bus.controller(asked.node, name="saver") as link:
+    with bus.controller(arguments.node, name="saver") as link:
         print(f"{link.name} controls {len(link.manifest.actuators)} actuators of {link.manifest.building}")
         energy_kwh = 0.0
         for sample in link:  # to the end of the run period
             energy_kwh += sample["electricity_facility"] / 3.6e6
-            empty = sample["core_zn_occupants"] == 0.0
-            # Actuators that are not named keep what they have: here the building's own control.
-            sample.send({"core_zn_cooling_setpoint": 29.0 if empty else 25.0})
+            is_unoccupied = sample["core_zn_occupants"] == 0.0
+            # All other actuators keep their value source: here baseline control.
+            sample.send({"core_zn_cooling_setpoint": 29.0 if is_unoccupied else 25.0})
         print(f"{sample.step} timesteps to {sample.time}: {energy_kwh:.0f} kWh")
-        print(f"core cooling setpoint is ruled by {sample.value_source['core_zn_cooling_setpoint']}")
+        print(f"value source of the core cooling setpoint: {sample.value_source['core_zn_cooling_setpoint']}")

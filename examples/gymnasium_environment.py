@@ -1,4 +1,4 @@
-"""A building as a Gymnasium environment: one summer week of a small office under a fixed setpoint.
+"""A building as a Gymnasium environment: one summer week of a small office with fixed setpoints.
 
 Run it: `python examples/gymnasium_environment.py [--days 7]`
 """
@@ -15,7 +15,7 @@ parser = argparse.ArgumentParser()
 parser.add_argument("--days", type=int, default=7)
 days = parser.parse_args().days
 
-# What EnergyPlus calls the points: `zenostat points office-small --match core_zn`.
+# To list the points of a building: `zenostat points office-small --match core_zn`.
 env = gym.make(
     "zenostat/Building-v1",
     building="office-small",
@@ -48,6 +48,6 @@ while not truncated:
     total_reward += float(reward)
 
 print(f"{info['step']} timesteps to {info['time']}: {energy_kwh:.0f} kWh, reward {total_reward:.1f}")
-print(f"effective in the last one: {dict(zip(('heating', 'cooling'), info['effective'].tolist(), strict=True))}")
+print(f"effective values at the end: {dict(zip(('heating', 'cooling'), info['effective'].tolist(), strict=True))}")
 env.close()
 assert agent_sdk

@@ -1,4 +1,4 @@
-"""A controller of one's own: cooling by the clock, in any building with thermostats.
+"""Your own controller: a cooling schedule for any building with thermostats.
 
 Start a node first, in another terminal:
 
@@ -13,7 +13,7 @@ from topics.messages import Manifest
 
 
 class Mine(Controller):
-    """One cooling setpoint from 6 to 20 o'clock and another at night, both in degC."""
+    """Use one cooling setpoint from 6 to 20 o'clock and another at night, both in degC."""
 
     def __init__(self, manifest: Manifest, *, day: float = 24.5, night: float = 29.0) -> None:
         super().__init__(manifest)
@@ -21,5 +21,5 @@ class Mine(Controller):
         self.setpoints = [a.name for a in manifest.actuators if a.control_type == "Cooling Setpoint"]
 
     def act(self, sample: SampleView) -> Values:
-        """The setpoints of the timestep that begins at `sample.time`."""
+        """Return the setpoints for the timestep that begins at `sample.time`."""
         return dict.fromkeys(self.setpoints, self.day if 6 <= sample.time.hour < 20 else self.night)

@@ -1,4 +1,4 @@
-"""A reward of one's own: a function, and a class that remembers something. Two days of a small office under each.
+"""Your own rewards: a function, and a class with state. Each is used for two days of a small office.
 
 Run it: `python examples/own_reward.py`
 """
@@ -13,24 +13,24 @@ import agent_sdk  # registers the environments
 
 
 def cool_and_cheap(values: Mapping[str, float], begin: datetime) -> dict[str, float]:
-    """Terms by name; the reward is their sum. `values` has the sensors and meters of the node by name."""
+    """Return reward terms by name; the reward is their sum. `values` has the node's sensors and meters by name."""
     too_warm = max(values["core_temperature"] - 24.0, 0.0) if 8 <= begin.hour < 18 else 0.0
     return {"energy": -values["electricity"] / 3.6e6, "comfort": -too_warm}
 
 
 class Steady:
-    """Asks for temperatures that stay as they are. Each environment makes its own."""
+    """Penalize changes of temperature. Each environment creates its own instance."""
 
-    before: float | None = None
+    previous: float | None = None
 
     def reset(self, slots: Sequence[int] | None) -> None:  # noqa: ARG002
-        """An episode begins (in all slots: an environment has one)."""
-        self.before = None
+        """Reset the state at the start of an episode."""
+        self.previous = None
 
     def __call__(self, values: Mapping[str, float], begin: datetime) -> float:  # noqa: ARG002
-        """The reward alone."""
+        """Return the reward, without terms."""
         now = values["core_temperature"]
-        change, self.before = 0.0 if self.before is None else abs(now - self.before), now
+        change, self.previous = 0.0 if self.previous is None else abs(now - self.previous), now
         return -change
 
 

@@ -1,4 +1,4 @@
-"""Three controllers on one building: each half answers for its own zones, a supervisor overrides for an hour.
+"""Three controllers of one building: one for each half, and a supervisor that overrides one of them for an hour.
 
 Start a node first, in another terminal:
 
@@ -19,41 +19,42 @@ HALVES = {
     "north": ["core_zn_cooling_setpoint", "perimeter_zn_3_cooling_setpoint", "perimeter_zn_4_cooling_setpoint"],
     "south": ["perimeter_zn_1_cooling_setpoint", "perimeter_zn_2_cooling_setpoint"],
 }
-COOL = {"north": 25.0, "south": 24.0}
+OCCUPIED_DEGC = {"north": 25.0, "south": 24.0}
 
 parser = argparse.ArgumentParser()
 parser.add_argument("--connect", default="tcp/127.0.0.1:7447")
 parser.add_argument("--node", default="office")
-asked = parser.parse_args()
+arguments = parser.parse_args()
 
 
 def control(link: agent_sdk.ControllerLink, half: str) -> None:
-    """One half's controller: the node waits for both."""
+    """Control one half of the building; the node waits for both controllers."""
     for sample in link:
         if half == "north":
-            supervise(link.bus, sample)  # before the answer: no timestep passes meanwhile
-        open_ = 6 <= sample.time.hour < 19
-        sample.send(dict.fromkeys(HALVES[half], COOL[half] if open_ else 29.0))
+            supervise(link.bus, sample)  # before the answer, so that the node still waits
+        is_open = 6 <= sample.time.hour < 19
+        sample.send(dict.fromkeys(HALVES[half], OCCUPIED_DEGC[half] if is_open else 29.0))
 
 
 def supervise(bus: agent_sdk.Bus, sample: SampleView) -> None:
-    """A price peak: the supervisor has the core drift for an hour."""
+    """At a price peak, raise the cooling setpoint of the core zone for an hour."""
     if sample.time.hour == 15 and sample.time.minute == 0:
-        bus.write(asked.node, "core_zn_cooling_setpoint", 28.0, priority=8, duration_s=3600, source="supervisor")
+        bus.write(arguments.node, "core_zn_cooling_setpoint", 28.0, priority=8, duration_s=3600, source="supervisor")
 
 
-with agent_sdk.connect(asked.connect) as bus, bus.listen(asked.node) as samples:
-    halves = [(bus.controller(asked.node, name=half, actuators=points), half) for half, points in HALVES.items()]
+with agent_sdk.connect(arguments.connect) as bus, bus.listen(arguments.node) as samples:
+    halves = [(bus.controller(arguments.node, name=half, actuators=points), half) for half, points in HALVES.items()]
     threads = [threading.Thread(target=control, args=pair) for pair in halves]
     for thread in threads:
         thread.start()
-    ruled = collections.Counter()
+    timesteps = collections.Counter()
     for sample in samples:
-        ruled.update(f"{name} by {who.partition('-')[0]}" for name, who in sample.value_source.items() if who)
+        sources = {name: source.partition("-")[0] for name, source in sample.value_source.items() if source}
+        timesteps.update(f"{name} by {source}" for name, source in sources.items())
         if sample.truncated:
             break
     for thread in threads:
         thread.join()
 
-for who, steps in sorted(ruled.items()):
-    print(f"{who}: {steps} timesteps")
+for name_and_source, count in sorted(timesteps.items()):
+    print(f"{name_and_source}: {count} timesteps")

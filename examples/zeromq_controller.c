@@ -1,4 +1,4 @@
-/* A controller in plain C against libzmq: holds the core zone's cooling setpoint, an episode in lockstep.
+/* A controller in plain C with libzmq: keeps the core zone's cooling setpoint constant for an episode in lockstep.
  *
  * Start a node and the gateway first, in two other terminals:
  *
@@ -32,7 +32,7 @@ static void fail(const char *what) {
     exit(1);
 }
 
-/* Reading. */
+/* Decoding. */
 
 static uint32_t big_endian(const byte *at, int bytes) {
     uint32_t value = 0;
@@ -40,7 +40,7 @@ static uint32_t big_endian(const byte *at, int bytes) {
     return value;
 }
 
-/* The length of the map, array, text or bytes at *at (or the number there); moves behind the head. */
+/* Read the length of the map, array, string or bytes at *at (or a number), and advance past the header. */
 static uint32_t head(const byte **at) {
     byte kind = *(*at)++;
     int bytes = 0;
@@ -57,7 +57,7 @@ static uint32_t head(const byte **at) {
     return big_endian(*at - bytes, bytes);
 }
 
-/* Behind the value at `at`, whatever it is. */
+/* Return the position after the value at `at`, of any type. */
 static const byte *behind(const byte *at) {
     byte kind = *at;
     uint32_t count;
@@ -79,7 +79,7 @@ static int is_text(const byte *at, const char *text) {
     return length == strlen(text) && !memcmp(at, text, length);
 }
 
-/* The value of a field of the map at `at`. */
+/* Return the value of a field of the map at `at`. */
 static const byte *field(const byte *at, const char *name) {
     uint32_t count = head(&at);
     for (; count--; at = behind(behind(at)))
@@ -88,14 +88,14 @@ static const byte *field(const byte *at, const char *name) {
     return NULL;
 }
 
-/* The number of the only slot in a field that is a list. */
+/* Return the number of the only slot in a field that is a list. */
 static uint32_t number(const byte *map, const char *name) {
     const byte *at = field(map, name);
     head(&at);
     return head(&at);
 }
 
-/* Writing: all lengths here are below 65536. */
+/* Encoding: all lengths are below 65536. */
 
 static byte *put(byte *to, const void *from, size_t length) {
     memcpy(to, from, length);
@@ -109,7 +109,7 @@ static byte *put_text(byte *to, const char *text) {
 }
 
 static byte *put_number(byte *to, byte kind, uint32_t value) {
-    *to++ = kind; /* 0xce: a number, 0xc6: so many bytes follow */
+    *to++ = kind; /* 0xce: uint32, 0xc6: length of bytes */
     for (int shift = 24; shift >= 0; shift -= 8) *to++ = (byte)(value >> shift);
     return to;
 }
@@ -124,7 +124,7 @@ static byte *put_list(byte *to, const char *name, uint32_t value) {
     return put_number(to, 0xce, value);
 }
 
-/* A request and its answer, or the end with the reason why not. */
+/* Send a request and receive the reply; exit with the reason if it is an error. */
 static void ask(const char *what, const void *payload, size_t length) {
     char topic[300], encoding[200];
     int size;
@@ -163,8 +163,8 @@ int main(int argc, char **argv) {
     snprintf(root, sizeof root, "zenostat/v2/%s", argc > 3 ? argv[3] : "office");
     requests = zmq_socket(context, ZMQ_REQ);
     samples = zmq_socket(context, ZMQ_SUB);
-    if (zmq_connect(samples, argc > 2 ? argv[1] : "tcp://127.0.0.1:5556")) fail("PUBLISH is no endpoint");
-    if (zmq_connect(requests, argc > 2 ? argv[2] : "tcp://127.0.0.1:5557")) fail("COMMAND is no endpoint");
+    if (zmq_connect(samples, argc > 2 ? argv[1] : "tcp://127.0.0.1:5556")) fail("PUBLISH is not an endpoint");
+    if (zmq_connect(requests, argc > 2 ? argv[2] : "tcp://127.0.0.1:5557")) fail("COMMAND is not an endpoint");
     snprintf((char *)request, sizeof request, "%s/sample", root);
     zmq_setsockopt(samples, ZMQ_SUBSCRIBE, request, strlen((char *)request));
 
@@ -176,7 +176,7 @@ int main(int argc, char **argv) {
         if (is_text(field(at, "name"), SETPOINT)) break;
     if (setpoint == actuators) fail("the node has no actuator " SETPOINT);
 
-    next_sample(); /* whoever subscribes gets the latest */
+    next_sample(); /* a new subscriber receives the latest sample */
     end = request;
     *end++ = 0x82;
     end = put_text(put_text(end, "controller"), ME);

@@ -1,11 +1,11 @@
-"""A controller that speaks ZeroMQ and msgpack alone: warm afternoons in the core zone, an episode in lockstep.
+"""A controller that uses only ZeroMQ and msgpack: a higher cooling setpoint of the core zone in the afternoon.
 
 Start a node and the gateway first, in two other terminals:
 
     zenostat node --building office-small --weather USA_CO_Denver --begin 07-01 --end 07-07 --name office
     zenostat gateway zeromq --node office
 
-Then: `python examples/zeromq_controller.py` (it needs pyzmq and msgpack, nothing of Zenostat)
+Then: `python examples/zeromq_controller.py` (needs pyzmq and msgpack, but not Zenostat)
 """
 
 import argparse
@@ -18,36 +18,42 @@ parser = argparse.ArgumentParser()
 parser.add_argument("--publish", default="tcp://127.0.0.1:5556")
 parser.add_argument("--command", default="tcp://127.0.0.1:5557")
 parser.add_argument("--node", default="office")
-asked = parser.parse_args()
-root, me, context = f"zenostat/v2/{asked.node}", "drift", zmq.Context()
+arguments = parser.parse_args()
+root, controller, context = f"zenostat/v2/{arguments.node}", "drift", zmq.Context()
 
 samples, requests = context.socket(zmq.SUB), context.socket(zmq.REQ)
-samples.connect(asked.publish)
+samples.connect(arguments.publish)
 samples.subscribe(f"{root}/sample")
-requests.connect(asked.command)
+requests.connect(arguments.command)
 
 
-def ask(what: str, **fields: object) -> dict:
-    """A request and its answer, or the end with the reason why not."""
-    requests.send_multipart([f"{root}/{what}".encode(), msgpack.packb(fields)])
+def request(key: str, **fields: object) -> dict:
+    """Send a request and return the reply; exit with the reason if it is an error."""
+    requests.send_multipart([f"{root}/{key}".encode(), msgpack.packb(fields)])
     _, encoding, payload = requests.recv_multipart()
-    answer = msgpack.unpackb(payload)
+    reply = msgpack.unpackb(payload)
     if encoding.endswith(b".ErrorReply"):
-        raise SystemExit(f"{answer['error']}: {answer['message']}")
-    return answer
+        raise SystemExit(f"{reply['error']}: {reply['message']}")
+    return reply
 
 
-actuators = [actuator["name"] for actuator in ask("manifest")["actuators"]]
+actuators = [actuator["name"] for actuator in request("manifest")["actuators"]]
 setpoint = actuators.index("core_zn_cooling_setpoint")
-sample = msgpack.unpackb(samples.recv_multipart()[2])  # whoever subscribes gets the latest
-ask("rpc/claim", controller=me, actuators=[actuators[setpoint]])
+sample = msgpack.unpackb(samples.recv_multipart()[2])  # a new subscriber receives the latest sample
+request("rpc/claim", controller=controller, actuators=[actuators[setpoint]])
 while not sample["flags"][0] & 2:  # 2: the run period is over
     values = array.array("d", [0.0] * len(actuators))
     operations = bytearray(len(actuators))  # 0: keep, 1: set, 2: relinquish
     values[setpoint], operations[setpoint] = (26.0 if sample["time"][0][11:13] >= "12" else 24.0), 1
     answered = sample["episode"], sample["step"]
-    ask(f"command/{me}", episode=answered[0], step=answered[1], operations=bytes(operations), values=values.tobytes())
-    while (sample["episode"], sample["step"]) == answered:  # one that is known already may come again
+    request(
+        f"command/{controller}",
+        episode=answered[0],
+        step=answered[1],
+        operations=bytes(operations),
+        values=values.tobytes(),
+    )
+    while (sample["episode"], sample["step"]) == answered:  # skip repetitions of the answered sample
         sample = msgpack.unpackb(samples.recv_multipart()[2])
 print(f"{sample['step'][0]} timesteps to {sample['time'][0]}")
 context.destroy()
