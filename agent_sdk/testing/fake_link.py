@@ -83,7 +83,7 @@ class FakeLink:
         )
         return self._sample(*self.building.advance(self._commanded))
 
-    def send(self, values: Mapping[str, float | None] | Floats | None = None, mask: bytes | None = None) -> None:
+    def send(self, values: Mapping[str, float | None] | Floats | None = None, operations: bytes | None = None) -> None:
         """Answer the present sample; see `ControllerLink.send`.
 
         Raises:
@@ -115,15 +115,17 @@ class FakeLink:
                 self.send()
             sample = self.receive()
 
-    def _read_array(self, values: Floats, mask: bytes | None) -> tuple[Floats, Floats]:
+    def _read_array(self, values: Floats, operations: bytes | None) -> tuple[Floats, Floats]:
         if values.shape != self._commanded.shape:
             raise InvalidAction(
                 f"values of shape {values.shape}; {self._commanded.shape} expected: one for each actuator"
             )
-        operations = (
-            np.full(values.shape, float(CommandOp.SET)) if mask is None else np.frombuffer(mask, np.uint8).astype(float)
+        codes = (
+            np.full(values.shape, float(CommandOp.SET))
+            if operations is None
+            else np.frombuffer(operations, np.uint8).astype(float)
         )
-        return values.astype(np.float64), operations
+        return values.astype(np.float64), codes
 
     def _read(self, values: Mapping[str, float | None]) -> tuple[Floats, Floats]:
         row, operations = np.zeros_like(self._commanded), np.full_like(self._commanded, float(CommandOp.KEEP))

@@ -62,7 +62,7 @@ class FakeSlots:
         self.accepted, self._sent = Ack(episode=self._episodes, episode_starts=starts), []
         return self._sample()
 
-    def send(self, values: Floats, mask: bytes | None = None, *, still: Sequence[int] = ()) -> None:
+    def send(self, values: Floats, operations: bytes | None = None, *, still: Sequence[int] = ()) -> None:
         """Answer the present sample of all slots except `still`.
 
         Raises:
@@ -75,8 +75,8 @@ class FakeSlots:
         self._sent = [slot for slot in range(len(self._links)) if slot not in still]
         rows = values.reshape(len(self._links), count)
         for slot in self._sent:
-            operations = None if mask is None else mask[slot * count : (slot + 1) * count]
-            self._links[slot].send(rows[slot], operations)
+            part = None if operations is None else operations[slot * count : (slot + 1) * count]
+            self._links[slot].send(rows[slot], part)
 
     def receive(self) -> SampleView:
         """Simulate a timestep, and return its sample.
