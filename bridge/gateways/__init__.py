@@ -1,1 +1,1 @@
-"""Gateways: clients of other protocols on the same node."""
+"""Gateways: access to nodes for clients of other protocols."""

@@ -1,4 +1,4 @@
-"""The ZeroMQ gateway: programs that speak only ZeroMQ and msgpack join a bus. It needs pyzmq (the extra `zeromq`)."""
+"""The ZeroMQ gateway: access to a bus with ZeroMQ and msgpack only. It requires pyzmq (the extra `zeromq`)."""
 
 from bridge.gateways.zeromq.gateway import Gateway
 

@@ -1,8 +1,8 @@
-"""Connections of a ZeroMQ socket, and the end of those that send a message without an end.
+"""Connections of a ZeroMQ socket, and disconnection of peers that send endless messages.
 
-libzmq hands a message over once its last frame has come, and limits each frame, not their sum. How much it holds of a
-message that is not whole it does not say. For TCP the kernel does: all that a connection has received (`TCP_INFO`),
-less what it had received when a whole message of it was read. Linux does not count for `ipc:`.
+libzmq delivers a message once its last frame has arrived. It limits the size of each frame, not of the message, and
+does not report how much of an incomplete message it has buffered. For TCP the kernel does: the bytes that a connection
+has received (`TCP_INFO`), minus those when a complete message was last read. Linux has no such count for `ipc:`.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from time import monotonic
 from topics import codec
 
 MAX_UNREAD = 4 * codec.MAX_BYTES
-"""Bytes of a message that is not whole yet: the largest two frames that are read at all."""
+"""Largest number of bytes of an incomplete message: two frames of the largest size."""
 
 MAX_UNREAD_IN_ALL = 8 * MAX_UNREAD
-"""The same of all connections together; of more, the one that holds most ends."""
+"""The limit for all connections together; beyond it, the connection with most unread bytes is ended."""
 
 CHECK_S = 0.1
 
@@ -31,7 +31,7 @@ _RESET_ON_CLOSE = struct.pack("ii", 1, 0)  # struct linger: on, for 0 s
 
 @dataclass(slots=True)
 class _Read:
-    """What a connection had received when nothing of it was unread, and when that was."""
+    """Bytes that a connection had received when none were unread, and the time of that."""
 
     received: int
     at_s: float
@@ -56,20 +56,20 @@ class Connections:
         return bool(self._read)
 
     def opened(self, fd: int) -> None:
-        """A connection was accepted."""
+        """Add a connection that was accepted."""
         self._read[fd] = _Read(0, monotonic())
 
     def closed(self, fd: int) -> None:
-        """It has ended."""
+        """Remove a connection that has ended."""
         self._read.pop(fd, None)
         self._fresh.discard(fd)
 
     def read(self, fd: int) -> None:
-        """A whole message of it was read."""
+        """Record that a complete message of a connection was read."""
         self._fresh.add(fd)
 
     def end_endless(self) -> None:
-        """Ends connections with too much unread; call it when all whole messages have been read."""
+        """End connections with too many unread bytes; call it when all complete messages have been read."""
         now_s, unread = monotonic(), dict[int, int]()
         for fd, read in self._read.items():
             received = _received(fd)
@@ -86,12 +86,12 @@ class Connections:
 
 
 def _of(fd: int) -> socket.socket:
-    """A socket of its own on libzmq's connection, which may be closed, and its number used again, at any time."""
+    """Return a duplicate socket of libzmq's connection, whose descriptor may be closed and reused at any time."""
     return socket.socket(socket.AF_INET, socket.SOCK_STREAM, 0, fileno=os.dup(fd))
 
 
 def _received(fd: int) -> int:
-    """Bytes that it has received; 0 where the kernel does not count them, and of one that is closed."""
+    """Return the bytes that a connection has received; 0 if the kernel does not count them, or it is closed."""
     with suppress(OSError), _of(fd) as connection:
         return _counted(connection)
     return 0

@@ -1,22 +1,23 @@
-"""Claims, commands and writes: each with its answer, although the bus gives commands and writes none.
+"""Delivery of claims, commands and writes, each with a reply, although the bus has none for commands and writes.
 
-What a node does with a command it says nowhere, but it shows:
+A node does not report what it does with a command, but the gateway can infer it:
 
 - Rejected: an event with the controller as its source. A node's events and samples arrive in the order it sent them.
-- Taken, and nobody else was waited for: the next sample. A required controller that has not answered holds the node, so
-  the sample after the one it answered cannot come before its command was taken, nor after its refusal was told.
-- Taken, and others are waited for (or nobody is): the count of its commands in the node's status.
+- Accepted, and the node waited for no other controller: the next sample. The node waits for a required controller that
+  has not answered, so the sample after the answered one arrives after its command was accepted, and a rejection would
+  have arrived before.
+- Accepted, and the node waits for others (or for none): the count of its commands in the node's status.
 
-The status is answered by the thread of the node that hears the question, which may be before the node's own thread
-takes the command. So it is asked for after a question that the node's own thread answers (a question without a body: it
-is refused unread). That one can still overtake the command if the node was about to clear its shelf when both came;
-then the status shows no change, and both are asked again, or, while a timestep is simulated, after the next message of
-the node. Nothing is guessed from time, nothing is asked while nothing can have changed.
+The node thread that receives a status query replies to it, which may be before the node's main thread processes the
+command. So the status is queried after a query that the main thread replies to (one without a payload, which it rejects
+unread). That one can still overtake the command if the node was about to run its task queue when both arrived. Then the
+status shows no change, and both queries are repeated, or, while a timestep is simulated, sent after the node's next
+message. Nothing is inferred from time, and nothing is queried while nothing can have changed.
 
-A node tells only so many refusals a step. If more were counted than told, and the command was not taken, it was
-refused, and the reason stays unknown.
+A node publishes a limited number of rejections per step. If it counted more than it published, and the command was not
+accepted, it was rejected for an unknown reason.
 
-Counting takes one message at a time: a controller's claims, commands and writes wait for each other in a lane.
+Counting requires one message at a time: the claims, commands and writes of a controller wait in a queue.
 """
 
 from __future__ import annotations
@@ -38,28 +39,28 @@ _BUSY = (State.RUNNING, State.STARTING)
 
 @dataclass(slots=True, eq=False)
 class Pending:
-    """A command or write whose fate is open.
+    """A command or write whose outcome is unknown.
 
     Attributes:
-        owner: of a command.
-        sent, asked: whether it, and a question about it, is on its way.
-        silent, counted: refusals untold before it, and all that the latest status counted.
+        owner: the controller, of a command.
+        sent, asked: whether it was sent, and whether a query about it was sent.
+        unpublished, counted: unpublished rejections before it, and all rejections in the latest status.
     """
 
     request: Request
     node: NodeView
-    lane: DeliveryQueue
+    queue: DeliveryQueue
     owner: Owner | None = None
     answered: frozenset[tuple[int, int, int]] = frozenset()
     sent: bool = False
     asked: bool = False
-    silent: int = 0
+    unpublished: int = 0
     counted: int | None = None
 
 
 @dataclass(slots=True, eq=False)
 class DeliveryQueue:
-    """What waits under one name at one node; `busy` while one of it is on its way."""
+    """Requests of one name to one node; `busy` while one of them is in progress."""
 
     node: str
     source: str
@@ -69,170 +70,172 @@ class DeliveryQueue:
 
 
 class DeliveryQueues:
-    """All lanes.
+    """All queues.
 
     Args:
-        bus: where it goes.
-        nodes: the nodes that are there, by name.
-        answer: answers a request; called once for each that was taken.
+        bus: the bus.
+        nodes: the connected nodes, by name.
+        answer: replies to a request; called once for each request.
     """
 
     def __init__(self, bus: BusSide, nodes: dict[str, NodeView], answer: Answer) -> None:
         self._bus = bus
         self._nodes = nodes
         self._answer = answer
-        self._lanes: dict[tuple[str, str], DeliveryQueue] = {}
+        self._queues: dict[tuple[str, str], DeliveryQueue] = {}
         self._claiming: list[Owner] = []
 
     def take(self, request: Request) -> None:
-        """A claim, command or write."""
+        """Queue a claim, command or write."""
         source = _source(request)
-        lane = self._lanes.setdefault((request.node, source), DeliveryQueue(request.node, source))
-        lane.waiting.append(request)
-        self._next(lane)
+        queue = self._queues.setdefault((request.node, source), DeliveryQueue(request.node, source))
+        queue.waiting.append(request)
+        self._next(queue)
 
-    def _next(self, lane: DeliveryQueue) -> None:
-        while lane.waiting and not lane.busy:
-            request, lane.busy = lane.waiting.popleft(), True
-            node = self._nodes.get(lane.node)
+    def _next(self, queue: DeliveryQueue) -> None:
+        while queue.waiting and not queue.busy:
+            request, queue.busy = queue.waiting.popleft(), True
+            node = self._nodes.get(queue.node)
             if node is None:
-                self._finish(lane, request, denied(NodeNotFound(f"no node {lane.node!r} on the bus")))
+                self._finish(queue, request, denied(NodeNotFound(f"no node {queue.node!r} on the bus")))
             elif isinstance(request.message, Claim):
-                self._claim(lane, node, request)
+                self._claim(queue, node, request)
             elif isinstance(request.message, Write):
-                self._write(Pending(request, node, lane))
+                self._write(Pending(request, node, queue))
             else:
-                self._command(lane, node, request)
-        if not lane.waiting and not lane.busy:
-            self._lanes.pop((lane.node, lane.source), None)
+                self._command(queue, node, request)
+        if not queue.waiting and not queue.busy:
+            self._queues.pop((queue.node, queue.source), None)
 
-    def _finish(self, lane: DeliveryQueue, request: Request, answer: Message | BusMessage) -> None:
-        """Answers; the next one of the lane is begun by the caller."""
-        lane.busy, lane.pending = False, None
+    def _finish(self, queue: DeliveryQueue, request: Request, answer: Message | BusMessage) -> None:
+        """Reply to a request; the caller starts the next one of the queue."""
+        queue.busy, queue.pending = False, None
         self._answer(request, answer)
 
     def _settle(self, pending: Pending, answer: Message) -> None:
-        if pending.lane.pending is pending:
-            self._finish(pending.lane, pending.request, answer)
-            self._next(pending.lane)
+        if pending.queue.pending is pending:
+            self._finish(pending.queue, pending.request, answer)
+            self._next(pending.queue)
 
     # Claims
 
-    def _claim(self, lane: DeliveryQueue, node: NodeView, request: Request) -> None:
-        """Presence first: a node that has taken a claim must learn of the controller's end, however soon it comes."""
-        claim, peer, name = request.message, request.peer, lane.source
+    def _claim(self, queue: DeliveryQueue, node: NodeView, request: Request) -> None:
+        """Declare the token first: a node with the claim must notice the controller's disconnection, however early."""
+        claim, peer, name = request.message, request.peer, queue.source
         assert isinstance(claim, Claim)
         owner = Owner(name, peer.route, peer.fd, claim.required, self._bus.token(node.name, name))
         self._claiming.append(owner)
 
-        def then(said: BusMessage | None) -> None:
+        def then(reply: BusMessage | None) -> None:
             if owner in self._claiming:  # else its connection has ended
                 self._claiming.remove(owner)
                 former: Owner | None = owner
-                if said is not None and not said.denied and self._nodes.get(node.name) is node:
+                if reply is not None and not reply.denied and self._nodes.get(node.name) is node:
                     former = node.owners.get(name)
                     node.owners[name], node.required = owner, None
                 if former is not None:
                     former.leave()
-            self._finish(lane, request, said or denied(_nobody(node)))
-            self._next(lane)
+            self._finish(queue, request, reply or denied(_nobody(node)))
+            self._next(queue)
 
         self._bus.ask(keys.CLAIM, node.name, request.payload, then)
 
     def gone(self, fd: int) -> None:
-        """A connection has ended: so have its controllers."""
+        """Disconnect the controllers of a connection that has ended."""
         self._leave(lambda owner: owner.fd == fd)
 
     def heard_from(self, route: bytes, fd: int) -> None:
-        """A connection spoke: whoever had its descriptor or its identity before is gone."""
+        """Disconnect earlier controllers with the descriptor or the identity of a connection that sent a message."""
         self._leave(lambda owner: (owner.fd == fd) != (owner.route == route))
 
-    def _leave(self, who: Callable[[Owner], bool]) -> None:
-        for owner in [owner for owner in self._claiming if who(owner)]:
+    def _leave(self, matches: Callable[[Owner], bool]) -> None:
+        for owner in [owner for owner in self._claiming if matches(owner)]:
             self._claiming.remove(owner)
             owner.leave()
         for node in self._nodes.values():
-            for owner in [owner for owner in node.owners.values() if who(owner)]:
+            for owner in [owner for owner in node.owners.values() if matches(owner)]:
                 del node.owners[owner.name]
                 owner.leave()
 
     # Commands
 
-    def _command(self, lane: DeliveryQueue, node: NodeView, request: Request) -> None:
-        owner = node.owners.get(lane.source)
+    def _command(self, queue: DeliveryQueue, node: NodeView, request: Request) -> None:
+        owner = node.owners.get(queue.source)
         if owner is None or owner.route != request.peer.route:
             how = "has claimed nothing" if owner is None else "was claimed again through another connection"
             error = RequestRejected(
-                f"{lane.source!r} {how}; claim first, through this connection: {keys.CLAIM.at(node.name)}"
+                f"{queue.source!r} {how}; claim first, through this connection: {keys.CLAIM.at(node.name)}"
             )
-            self._finish(lane, request, denied(error))
+            self._finish(queue, request, denied(error))
             return
         assert isinstance(request.message, Command)
-        pending = Pending(request, node, lane, owner, answers(request.message))
-        lane.pending = pending
-        if owner.accepted is None or node.silent is None or node.refusing:
-            self._bus.ask(keys.STATUS, node.name, b"", lambda said: self._counted(pending, said))
+        pending = Pending(request, node, queue, owner, answers(request.message))
+        queue.pending = pending
+        if owner.accepted is None or node.unpublished is None or node.refusing:
+            self._bus.ask(keys.STATUS, node.name, b"", lambda reply: self._counted(pending, reply))
         else:
             self._send(pending)
 
-    def _counted(self, pending: Pending, said: BusMessage | None) -> None:
-        """The counts before the command."""
-        status = self._status(pending, said)
+    def _counted(self, pending: Pending, reply: BusMessage | None) -> None:
+        """Record the counts before the command."""
+        status = self._status(pending, reply)
         if status is not None and pending.owner is not None:
             node, owner = pending.node, pending.owner
-            found = node.note_status(status, owner)
-            owner.accepted = found.accepted if found else 0
-            node.silent = refusals(status) - node.told
+            controller = node.note_status(status, owner)
+            owner.accepted = controller.accepted if controller else 0
+            node.unpublished = refusals(status) - node.published
             self._send(pending)
 
     def _send(self, pending: Pending) -> None:
         node, owner, request = pending.node, pending.owner, pending.request
-        pending.sent, pending.silent = True, node.silent or 0
+        pending.sent, pending.unpublished = True, node.unpublished or 0
         self._bus.put(request.key, request.row, request.payload)
-        # In a step with refusals the next one may be untold, and no sample follows it.
+        # In a step with rejections, the next one may not be published, and no sample follows it.
         if owner is None or node.refusing or not node.waits_only_for(owner):
             self._ask(pending)
 
     def _ask(self, pending: Pending) -> None:
         pending.asked = True
-        self._bus.ask(keys.WEATHER, pending.node.name, b"", lambda said: self._passed(pending, said))
+        self._bus.ask(keys.WEATHER, pending.node.name, b"", lambda reply: self._passed(pending, reply))
 
-    def _passed(self, pending: Pending, said: BusMessage | None) -> None:
-        """The node's own thread has been there."""
-        if pending.lane.pending is not pending:
+    def _passed(self, pending: Pending, reply: BusMessage | None) -> None:
+        """Continue once the node's main thread has processed the command."""
+        if pending.queue.pending is not pending:
             return
         node = pending.node
-        if said is None:
+        if reply is None:
             self._settle(pending, denied(_nobody(node)))
-        elif pending.owner is None or (pending.counted is not None and pending.counted - node.told > pending.silent):
-            node.silent = None
-            self._settle(pending, denied(RequestRejected(f"node {node.name!r} did not take it, and did not say why")))
+        elif pending.owner is None or (
+            pending.counted is not None and pending.counted - node.published > pending.unpublished
+        ):
+            node.unpublished = None
+            self._settle(pending, denied(RequestRejected(f"node {node.name!r} rejected it without a reason")))
         else:
-            heard = node.heard
-            self._bus.ask(keys.STATUS, node.name, b"", lambda said: self._stands(pending, heard, said))
+            received = node.received
+            self._bus.ask(keys.STATUS, node.name, b"", lambda reply: self._stands(pending, received, reply))
 
-    def _stands(self, pending: Pending, heard: int, said: BusMessage | None) -> None:
-        """The counts after the command."""
-        status = self._status(pending, said)
+    def _stands(self, pending: Pending, received: int, reply: BusMessage | None) -> None:
+        """Compare the counts after the command."""
+        status = self._status(pending, reply)
         if status is None or pending.owner is None:
             return
         node, owner = pending.node, pending.owner
-        found = node.note_status(status, owner)
-        if found is not None and found.accepted > (owner.accepted or 0):
+        controller = node.note_status(status, owner)
+        if controller is not None and controller.accepted > (owner.accepted or 0):
             self._accept(pending, failed=status.state is State.FAILED)
-        elif status.state in _BUSY and node.heard == heard:
+        elif status.state in _BUSY and node.received == received:
             pending.asked = False
         else:
             pending.counted = refusals(status) if status.state not in _BUSY else None
             self._ask(pending)
 
-    def _status(self, pending: Pending, said: BusMessage | None) -> Status | None:
-        if pending.lane.pending is not pending:
+    def _status(self, pending: Pending, reply: BusMessage | None) -> Status | None:
+        if pending.queue.pending is not pending:
             return None
-        if said is None:
+        if reply is None:
             self._settle(pending, denied(_nobody(pending.node)))
             return None
-        return codec.decode(Status, said.payload, said.encoding)
+        return codec.decode(Status, reply.payload, reply.encoding)
 
     def _accept(self, pending: Pending, *, failed: bool = False) -> None:
         owner, command, failure = pending.owner, pending.request.message, pending.node.failure
@@ -248,15 +251,15 @@ class DeliveryQueues:
     # Writes
 
     def _write(self, pending: Pending) -> None:
-        """A write and the question behind it are done in turn by the node's own thread; the event comes between."""
-        pending.lane.pending, pending.sent = pending, True
+        """Send a write and a query; the node's main thread processes them in order, and the event comes in between."""
+        pending.queue.pending, pending.sent = pending, True
         self._bus.put(pending.request.key, pending.request.row, pending.request.payload)
         self._ask(pending)
 
-    # What the node says
+    # Messages of the node
 
     def sample(self, node: NodeView, payload: bytes) -> None:
-        """A sample came."""
+        """Process a sample."""
         sent = self._sent(node)
         if not sent:
             return
@@ -269,31 +272,31 @@ class DeliveryQueues:
 
     @staticmethod
     def _shown(pending: Pending) -> bool:
-        """Whether a sample can show that it was taken: the node waits for it, and did not have it already."""
+        """Whether a sample can show that it was accepted: the node waits for it and has no answer yet."""
         owner = pending.owner
         if owner is None or not pending.node.waits:
             return False
         return owner.required and not pending.answered & owner.answered
 
     def event(self, node: NodeView, event: Event) -> None:
-        """An event came."""
+        """Process an event."""
         for pending in self._sent(node):
-            told = event.source == pending.lane.source
-            if told and event.kind in REFUSALS:
+            is_source = event.source == pending.queue.source
+            if is_source and event.kind in REFUSALS:
                 self._settle(pending, denied(RequestRejected(event.text)))
-            elif told and event.kind is EventKind.WRITTEN and pending.owner is None:
+            elif is_source and event.kind is EventKind.WRITTEN and pending.owner is None:
                 self._settle(pending, Ack(episode=[event.episode]))
             elif not pending.asked:
                 self._ask(pending)
 
     def _open(self, node: NodeView) -> list[Pending]:
-        return [lane.pending for lane in self._lanes.values() if lane.pending and lane.pending.node is node]
+        return [queue.pending for queue in self._queues.values() if queue.pending and queue.pending.node is node]
 
     def _sent(self, node: NodeView) -> list[Pending]:
         return [pending for pending in self._open(node) if pending.sent]
 
     def lost(self, node: NodeView) -> None:
-        """A node is gone, and all that was claimed of it; call it when it is no longer among the nodes."""
+        """Process a node's disconnection; call it after the node was removed from the nodes."""
         for owner in node.owners.values():
             owner.leave()
         node.owners.clear()
@@ -302,7 +305,7 @@ class DeliveryQueues:
 
 
 def _source(request: Request) -> str:
-    """Under which name a node counts a request and tells of it."""
+    """Return the source under which a node counts and reports a request."""
     if isinstance(request.message, Claim):
         return request.message.controller
     return request.message.source if isinstance(request.message, Write) else request.name

@@ -1,8 +1,8 @@
-"""Frames of the gateway: what a request says, and the answer to it. No I/O.
+"""Frames of the gateway: parsing of requests, construction of replies. No I/O.
 
-A request is `[topic]` or `[topic, payload]`; an answer, like what is published, `[topic, encoding, payload]`. Frames
-up to the first empty one that stand before (a REQ socket sends just the empty one, proxies add their own) come back as
-they were.
+A request is `[topic]` or `[topic, payload]`; replies and published messages are `[topic, encoding, payload]`. A leading
+envelope, up to the first empty frame, is returned unchanged (a REQ socket sends only the empty frame, proxies add their
+own frames).
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ _ENVELOPE = 8
 _SHOWN = 300
 
 QUERIES = {row.key: row for row in keys.TOPICS if row.reply is not None}
-"""What is asked of a node, by its key below the node's root."""
+"""Topics that can be queried, by their key below the node's root."""
 
 NAMED = {
     row.key.removesuffix("{name}"): row
     for row in keys.TOPICS
     if row.sender is not Role.NODE and row.delivery is Delivery.BLOCK
 }
-"""What is sent to a node under a name: commands and writes."""
+"""Topics with a name that are sent to a node: commands and writes."""
 
 
 @dataclass(frozen=True, slots=True)
 class Peer:
-    """Where an answer goes: the connection's routing id, the frames that come back, its file descriptor."""
+    """Address of a reply: the connection's routing id, the envelope and the connection's file descriptor."""
 
     route: bytes
     envelope: tuple[bytes, ...]
@@ -40,7 +40,7 @@ class Peer:
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """A request that makes sense: its row in the table of topics, node, name (of a command or write), message."""
+    """A valid request: its topic's row, node, name (of a command or write) and message."""
 
     peer: Peer
     topic: bytes
@@ -57,7 +57,7 @@ class Request:
 
 
 def split(frames: Sequence[bytes], fd: int) -> tuple[Peer, Sequence[bytes]]:
-    """The peer, and the frames that are the request; `frames` begin with the routing id."""
+    """Split frames, which begin with the routing id, into the peer's address and the request."""
     route, rest = frames[0], frames[1:]
     for place, frame in enumerate(rest[:_ENVELOPE]):
         if not frame and place + 1 < len(rest):
@@ -66,10 +66,10 @@ def split(frames: Sequence[bytes], fd: int) -> tuple[Peer, Sequence[bytes]]:
 
 
 def read(peer: Peer, frames: Sequence[bytes]) -> Request:
-    """The request in `frames`.
+    """Parse a request.
 
     Raises:
-        BadMessage: what was wrong, and what would be right.
+        BadMessage: the request is not valid.
     """
     if not 1 <= len(frames) <= 2:
         raise BadMessage(f"{len(frames)} frames; a request has a topic and, where it needs one, a payload")
@@ -107,7 +107,7 @@ def _checked(name: str, what: str) -> str:
 
 
 def _message(row: Topic, payload: bytes) -> Message:
-    # What only is fetched (manifest, sample) has no question of its own, and a question without fields may be left out.
+    # Queries of published topics (manifest, sample) have no message, and an empty query message may be omitted.
     kind = row.message if row.message is not None and row.sender is not Role.NODE else Query
     if kind is Query and not payload:
         return Query()
@@ -123,10 +123,10 @@ def _shortened(text: str) -> str:
 
 
 def answer(peer: Peer, topic: bytes, encoding: str, payload: bytes) -> list[bytes]:
-    """The frames of an answer, with its route in front."""
+    """Return the frames of a reply, with the routing id first."""
     return [peer.route, *peer.envelope, topic, encoding.encode(), payload]
 
 
 def denied(error: ZenostatError) -> ErrorReply:
-    """The refusal that an error is to a peer."""
+    """Return the reply for an error."""
     return ErrorReply(**errors.to_wire(error))

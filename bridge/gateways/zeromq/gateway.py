@@ -1,7 +1,7 @@
-"""The gateway's loop: requests from ZeroMQ to the bus, what nodes say from the bus to ZeroMQ.
+"""The gateway's main loop: requests from ZeroMQ to the bus, messages of nodes from the bus to ZeroMQ.
 
-One thread owns the sockets and all that is known; it waits on the publisher (subscriptions), the router (requests),
-its monitor (connections that end) and a shelf, on which Zenoh's threads put what comes from the bus.
+One thread owns the sockets and all state. It waits on the publisher (subscriptions), the router (requests), the
+router's monitor (ended connections) and a task queue, to which Zenoh's threads post the messages of the bus.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ from topics.messages import ErrorReply, Event, EventKind, Manifest, Message
 
 LEASE_S = 10.0
 
-_ECHO = 256  # bytes of a topic that makes no sense
-_MOST_WAITING = 1000  # requests for a node whose manifest has not come yet
+_ECHO = 256  # bytes of an invalid topic that are returned in the reply
+_MAX_WAITING = 1000  # requests for a node whose manifest has not arrived yet
 
 
 @dataclass(slots=True)
 class _Announced:
-    """A node whose presence is known, and whose manifest has not come yet; what is asked of it waits."""
+    """A connected node whose manifest has not arrived yet; its requests wait."""
 
     instances: set[str] = field(default_factory=set)
     waiting: list[Request] = field(default_factory=list)
@@ -45,7 +45,7 @@ class _Announced:
 
 @dataclass(slots=True)
 class Counts:
-    """What went through."""
+    """Counts of forwarded messages."""
 
     samples: int = 0
     requests: int = 0
@@ -53,26 +53,26 @@ class Counts:
 
 
 class Gateway:
-    """Joins ZeroMQ peers to a bus: `with Gateway(session) as gateway: gateway.run()`.
+    """Connects ZeroMQ peers to a bus: `with Gateway(session) as gateway: gateway.run()`.
 
-    Once it is made it is ready: it listens, and knows the nodes that are there. Requests and subscriptions that come
-    while it is being made are kept until `run`.
+    The constructor binds the sockets and queries the nodes. Requests and subscriptions that arrive meanwhile are kept
+    until `run`.
 
     Args:
-        session: an open Zenoh session; it stays the caller's.
-        node: a node's name, or `*` for all of the bus.
+        session: an open Zenoh session, which the caller closes.
+        node: a node's name, or `*` for all nodes on the bus.
         publish: endpoint for samples, events and manifests.
         command: endpoint for requests.
-        lease_s: a peer that answers no heartbeat for so long is gone; 0.1 to 3600.
-        expose: allow endpoints beyond this machine.
+        lease_s: a peer that answers no heartbeat for this time is disconnected; 0.1 to 3600.
+        expose: allow endpoints that other machines can reach.
 
     Raises:
-        InvalidConfig: an endpoint or a lease that cannot be.
+        InvalidConfig: an invalid endpoint or lease.
         AddressInUse: another program listens there.
-        NodeNotFound: the node that was named is not on the bus.
+        NodeNotFound: the named node is not on the bus.
 
     Attributes:
-        counts: what went through.
+        counts: counts of forwarded messages.
         publish, command: the endpoints as bound.
     """
 
@@ -102,11 +102,11 @@ class Gateway:
             self.publish, self.command = self._sockets.publish, self._sockets.command
             self._bus = BusSide(session, self._sockets.post)
             self._close.callback(self._bus.close)
-            self._lanes = DeliveryQueues(self._bus, self._nodes, self._answer)
-            there = self._bus.nodes(self.node)  # first: Zenoh answers emptily while a history of tokens is on its way
-            self._bus.listen(self.node, self._heard, self._presence)
-            for name in there:
-                self._meet(self._bus.fetch(keys.MANIFEST, name))
+            self._queues = DeliveryQueues(self._bus, self._nodes, self._answer)
+            names = self._bus.nodes(self.node)  # first: Zenoh replies without tokens while it transfers their history
+            self._bus.listen(self.node, self._on_message, self._presence)
+            for name in names:
+                self._register_node(self._bus.fetch(keys.MANIFEST, name))
                 self._first_sample(self._bus.fetch(keys.SAMPLE, name))
             undo.pop_all()
 
@@ -117,125 +117,125 @@ class Gateway:
         self.close()
 
     def close(self) -> None:
-        """Leaves the bus and closes the sockets; twice is fine."""
+        """Disconnect from the bus and close the sockets; idempotent."""
         self._close.close()
 
     def stop(self) -> None:
-        """Ends `run`; any thread or signal handler may call it."""
+        """Stop `run`; any thread or signal handler may call it."""
         self._stopped = True
         self._sockets.post(lambda: None)
 
     def run(self) -> None:
-        """Passes messages on until it is stopped."""
+        """Forward messages until it is stopped."""
         while not self._stopped:
             self._sockets.wait()
             self._sockets.run_pending()
             for prefix in self._sockets.subscriptions():
                 self._catch_up(prefix)
-            for frames, fd in self._sockets.requests(self._lanes.gone):
-                self._lanes.heard_from(frames[0], fd)
+            for frames, fd in self._sockets.requests(self._queues.gone):
+                self._queues.heard_from(frames[0], fd)
                 self._request(frames, fd)
 
     # From the bus
 
-    def _heard(self, said: BusMessage) -> None:
-        """A node's manifest, sample or event; what is none is passed over."""
+    def _on_message(self, message: BusMessage) -> None:
+        """Process a manifest, sample or event of a node; ignore invalid messages."""
         with suppress(BadMessage):
-            self._take(said)
+            self._forward(message)
 
-    def _take(self, said: BusMessage) -> None:
-        if said.key == keys.MANIFEST.at(keys.node_of(said.key)):
-            self._meet(said)
+    def _forward(self, message: BusMessage) -> None:
+        if message.key == keys.MANIFEST.at(keys.node_of(message.key)):
+            self._register_node(message)
             return
-        self._publish(said)
-        node = self._nodes.get(keys.node_of(said.key))
+        self._publish(message)
+        node = self._nodes.get(keys.node_of(message.key))
         if node is None:
             return
-        if said.key == keys.SAMPLE.at(node.name):
+        if message.key == keys.SAMPLE.at(node.name):
             self.counts.samples += 1
-            node.latest[said.key.encode()] = _frames(said)
+            node.latest[message.key.encode()] = _frames(message)
             node.note_sample()
-            self._lanes.sample(node, said.payload)
-        elif said.key == keys.EVENT.at(node.name):
-            event = codec.decode(Event, said.payload, said.encoding)
+            self._queues.sample(node, message.payload)
+        elif message.key == keys.EVENT.at(node.name):
+            event = codec.decode(Event, message.payload, message.encoding)
             node.note_event(event)
-            self._lanes.event(node, event)
+            self._queues.event(node, event)
 
-    def _meet(self, said: BusMessage | None) -> None:
-        """A manifest: of a node that has come, or that has changed."""
-        if said is None or said.denied:
+    def _register_node(self, message: BusMessage | None) -> None:
+        """Process the manifest of a new or changed node."""
+        if message is None or message.denied:
             return
         try:
-            manifest = codec.decode(Manifest, said.payload, said.encoding)
+            manifest = codec.decode(Manifest, message.payload, message.encoding)
         except BadMessage:
             return
         node = self._nodes.setdefault(manifest.node, NodeView(manifest.node))
         node.note_manifest(manifest)
-        node.latest[said.key.encode()] = _frames(said)
-        self._publish(said)
+        node.latest[message.key.encode()] = _frames(message)
+        self._publish(message)
 
-    def _first_sample(self, said: BusMessage | None) -> None:
-        """The sample that a node stands at which came after the gateway, or was there before it."""
-        node = self._nodes.get(keys.node_of(said.key)) if said is not None else None
-        if said is not None and node is not None and said.key.encode() not in node.latest:
-            node.latest[said.key.encode()] = _frames(said)
-            self._publish(said)
+    def _first_sample(self, message: BusMessage | None) -> None:
+        """Process the current sample of a node, unless a later one has already arrived."""
+        node = self._nodes.get(keys.node_of(message.key)) if message is not None else None
+        if message is not None and node is not None and message.key.encode() not in node.latest:
+            node.latest[message.key.encode()] = _frames(message)
+            self._publish(message)
 
-    def _presence(self, name: str, instance: str, there: bool) -> None:  # noqa: FBT001
+    def _presence(self, name: str, instance: str, is_connected: bool) -> None:  # noqa: FBT001
         node = self._nodes.get(name)
         if node is None:
-            self._announce(name, instance, there=there)
-        elif there:
+            self._announce(name, instance, is_connected=is_connected)
+        elif is_connected:
             node.instances.add(instance)
         else:
             node.instances.discard(instance)
             if not node.instances:
                 self._lost(node)
 
-    def _announce(self, name: str, instance: str, *, there: bool) -> None:
+    def _announce(self, name: str, instance: str, *, is_connected: bool) -> None:
         announced = self._announced.setdefault(name, _Announced())
-        if there:
+        if is_connected:
             announced.instances.add(instance)
-            self._bus.ask(keys.MANIFEST, name, None, lambda said: self._came(name, said))
+            self._bus.ask(keys.MANIFEST, name, None, lambda message: self._on_manifest(name, message))
         else:
             announced.instances.discard(instance)
         if not announced.instances:
             self._settle(name)
 
-    def _came(self, name: str, said: BusMessage | None) -> None:
-        """An announced node has said what it is; its sample is asked for only now, so that it finds its node."""
-        self._meet(said)
+    def _on_manifest(self, name: str, message: BusMessage | None) -> None:
+        """Process an announced node's manifest, and query its sample, for which the node must be registered."""
+        self._register_node(message)
         if name in self._nodes:
             self._bus.ask(keys.SAMPLE, name, None, self._first_sample)
         self._settle(name)
 
     def _settle(self, name: str) -> None:
-        """What waited for an announced node is done, or refused if it has gone."""
+        """Process the waiting requests of an announced node; they are rejected if it has disconnected."""
         announced = self._announced.pop(name, None)
         if announced is None:
             return
         if node := self._nodes.get(name):
             node.instances |= announced.instances
         for request in announced.waiting:
-            self._do(request)
+            self._process(request)
 
     def _lost(self, node: NodeView) -> None:
-        """A node that could not say so itself is said to have failed."""
+        """Process a node's disconnection; publish a failure event if the node published no stop event."""
         del self._nodes[node.name]
-        self._lanes.lost(node)
+        self._queues.lost(node)
         if not node.stopped:
             error = NodeLost(f"node {node.name!r} is gone")
             event = Event(kind=EventKind.FAILED, text=str(error), error=errors.to_wire(error)["error"])
             self._publish(BusMessage(keys.EVENT.at(node.name), codec.encoding(Event), codec.encode(event)))
 
-    def _publish(self, said: BusMessage) -> None:
-        self._sockets.put(_frames(said))
+    def _publish(self, message: BusMessage) -> None:
+        self._sockets.put(_frames(message))
 
     def _catch_up(self, prefix: bytes) -> None:
-        """Somebody has subscribed: the latest of what was asked for, so that nobody waits for what has been said.
+        """Publish the latest messages to a new subscriber.
 
-        A subscription takes its time. A controller that claims meanwhile could miss the sample that it must answer;
-        this way whoever has seen any sample has seen the latest.
+        A subscription takes some time. A controller that claims meanwhile could miss the sample that it must answer;
+        with this, a peer that has received any sample has received the latest one.
         """
         for node in self._nodes.values():
             for topic, frames in node.latest.items():
@@ -256,20 +256,21 @@ class Gateway:
             return
         announced = self._announced.get(request.node)
         if announced is None:
-            self._do(request)
-        elif len(announced.waiting) < _MOST_WAITING:
+            self._process(request)
+        elif len(announced.waiting) < _MAX_WAITING:
             announced.waiting.append(request)
         else:
             self._answer(
-                request, denied(RequestRejected(f"node {request.node!r} has not said yet what it is; ask again later"))
+                request,
+                denied(RequestRejected(f"the manifest of node {request.node!r} has not arrived; try again later")),
             )
 
-    def _do(self, request: Request) -> None:
+    def _process(self, request: Request) -> None:
         if request.node not in self._nodes:
             why = f"no node {request.node!r} on the bus; {did_you_mean(request.node, self._nodes)}"
             self._answer(request, denied(NodeNotFound(why)))
         elif request.row in (keys.COMMAND, keys.CLAIM, keys.ACTUATOR):
-            self._lanes.take(request)
+            self._queues.take(request)
         else:
             self._query(request)
 
@@ -277,19 +278,21 @@ class Gateway:
         lost = NodeLost(f"node {request.node!r} is gone")
         fetched = request.row.sender is Role.NODE or request.row.delivery is not Delivery.QUERY
         question = None if fetched else request.payload
-        self._bus.ask(request.row, request.node, question, lambda said: self._answer(request, said or denied(lost)))
+        self._bus.ask(
+            request.row, request.node, question, lambda message: self._answer(request, message or denied(lost))
+        )
 
     def _answer(self, request: Request, answered: Message | BusMessage) -> None:
         self._send(request.peer, request.topic, answered)
 
     def _send(self, peer: Peer, topic: bytes, answered: Message | BusMessage) -> None:
         if isinstance(answered, Message):
-            said = BusMessage("", codec.encoding(type(answered)), codec.encode(answered))
+            message = BusMessage("", codec.encoding(type(answered)), codec.encode(answered))
         else:
-            said = answered
-        self.counts.denied += said.encoding == codec.encoding(ErrorReply)
-        self._sockets.send(answer(peer, topic, said.encoding, said.payload))
+            message = answered
+        self.counts.denied += message.encoding == codec.encoding(ErrorReply)
+        self._sockets.send(answer(peer, topic, message.encoding, message.payload))
 
 
-def _frames(said: BusMessage) -> list[bytes]:
-    return [said.key.encode(), said.encoding.encode(), said.payload]
+def _frames(message: BusMessage) -> list[bytes]:
+    return [message.key.encode(), message.encoding.encode(), message.payload]

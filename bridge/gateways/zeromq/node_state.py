@@ -1,4 +1,4 @@
-"""What the gateway knows of a node and of those who control it through it."""
+"""The gateway's state of a node and of the controllers that use the gateway."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ class Owner:
     """A controller that claimed through the gateway.
 
     Attributes:
-        route, fd: its connection.
-        required: as it claimed.
-        leave: drops its token of presence.
-        accepted: how many of its commands the node took, as its status said and counted on from there.
+        route, fd: routing id and file descriptor of its connection.
+        required: as in its claim.
+        leave: undeclares its liveliness token.
+        accepted: number of its accepted commands: from the node's status, and counted from there.
         answered: (slot, episode, step) that its latest command answered.
     """
 
@@ -37,18 +37,17 @@ class NodeView:
     """A node.
 
     Attributes:
-        waits: whether it goes on only once all required controllers have answered: lockstep without a deadline.
-        instances: its tokens of presence that are there.
-        latest: topic to frames, of its manifest and its latest sample.
-        owners: the controllers of this gateway.
-        required: names of the controllers that it waits for; None when that may have changed, or it is paused.
-        heard: samples and events that came from it.
-        told: refusals among the events.
-        silent: refusals that it counted and told nobody of (it tells only so many a step); None when unsure.
-        refusing: whether it told of a refusal since its latest sample.
+        waits: whether it steps only once all required controllers have answered: lockstep without a deadline.
+        instances: its declared liveliness tokens.
+        latest: frames of its manifest and its latest sample, by topic.
+        owners: the controllers that use this gateway.
+        required: names of the controllers that it waits for; None if they may have changed, or it is paused.
+        received: number of its samples and events.
+        published: number of rejections among the events.
+        unpublished: rejections counted but not published (their number per step is limited); None if unknown.
+        refusing: whether it published a rejection since its latest sample.
         failure: the event of its failure.
-        stopped: whether it said that it ends.
-        episode, step: of its latest event or sample.
+        stopped: whether it published that it stops.
     """
 
     name: str
@@ -57,28 +56,28 @@ class NodeView:
     latest: dict[bytes, list[bytes]] = field(default_factory=dict)
     owners: dict[str, Owner] = field(default_factory=dict)
     required: set[str] | None = None
-    heard: int = 0
-    told: int = 0
-    silent: int | None = None
+    received: int = 0
+    published: int = 0
+    unpublished: int | None = None
     refusing: bool = False
     failure: Event | None = None
     stopped: bool = False
 
     def note_manifest(self, manifest: Manifest) -> None:
-        """A manifest came."""
+        """Record a manifest."""
         self.waits = manifest.mode is Mode.LOCKSTEP and manifest.deadline_s is None
 
     def note_sample(self) -> None:
-        """A sample came."""
-        self.heard += 1
+        """Record a sample."""
+        self.received += 1
         if self.refusing:
-            self.refusing, self.silent = False, None
+            self.refusing, self.unpublished = False, None
 
     def note_event(self, event: Event) -> None:
-        """An event came."""
-        self.heard += 1
+        """Record an event."""
+        self.received += 1
         if event.kind in REFUSALS:
-            self.told += 1
+            self.published += 1
             self.refusing = True
         elif event.kind in _CHANGES:
             self.required = None
@@ -90,27 +89,27 @@ class NodeView:
             self.stopped = True
 
     def note_status(self, status: Status, owner: Owner) -> ControllerStatus | None:
-        """Who is waited for; returns what the status says of one controller."""
+        """Record the required controllers of a status; return the status of one controller."""
         self.required = None if status.paused else {c.controller for c in status.controllers if c.required}
         return next((c for c in status.controllers if c.controller == owner.name), None)
 
     def waits_only_for(self, owner: Owner) -> bool:
-        """Whether the next sample comes as soon as this controller's command is taken."""
+        """Return whether the node steps as soon as this controller's command is accepted."""
         return self.waits and self.required == {owner.name}
 
 
 def refusals(status: Status) -> int:
-    """How many messages a node has refused."""
+    """Return the number of messages that a node has rejected."""
     return status.rejected + status.late + status.duplicate
 
 
 def answers(command: Command) -> frozenset[tuple[int, int, int]]:
-    """(slot, episode, step) of all slots that a command answers."""
+    """Return (slot, episode, step) of all slots that a command answers."""
     pairs = zip(command.episode, command.step, strict=False)
     return frozenset((slot, e, s) for slot, (e, s) in enumerate(pairs) if s is not None)
 
 
 def leads_to(answered: frozenset[tuple[int, int, int]], episode: list[int], step: list[int]) -> bool:
-    """Whether a sample at `episode` and `step` is the one that follows what was answered."""
+    """Return whether a sample at `episode` and `step` follows the answered one."""
     following = {(slot, e, s - 1) for slot, (e, s) in enumerate(zip(episode, step, strict=True))}
     return bool(answered) and answered <= following

@@ -1,6 +1,6 @@
-"""The gateway's ZeroMQ sockets: where they may be bound, waiting on all of them, and who has gone.
+"""The gateway's ZeroMQ sockets: permitted endpoints, waiting on all of them, ended connections.
 
-They belong to one thread. Others put work on the shelf, which wakes it.
+They belong to one thread. Other threads post tasks to its queue, which wakes it.
 """
 
 from __future__ import annotations
@@ -31,16 +31,20 @@ _MOST_SUBSCRIBED = 1024  # bytes of a subscription; the longest topic has some 3
 
 
 def check_endpoint(endpoint: str, *, expose: bool) -> str:
-    """`endpoint`, or `InvalidConfig` that says what would be right."""
+    """Return a valid endpoint.
+
+    Raises:
+        InvalidConfig: it is not an endpoint, or other machines can reach it and `expose` is false.
+    """
     if not _FORM.fullmatch(endpoint):
         raise InvalidConfig(
-            f"{endpoint!r} is no ZeroMQ endpoint to listen on; "
+            f"{endpoint!r} is not a ZeroMQ endpoint to listen on; "
             f"write tcp://ADDRESS:PORT (for example {DEFAULT_PUBLISH}) or ipc:///PATH"
         )
     if not _LOOPBACK.fullmatch(endpoint) and not expose:
         raise InvalidConfig(
             f"{endpoint} can be reached from other machines, without encryption or a password; "
-            "ask for it with --expose if that is meant"
+            "if that is intended, allow it with --expose"
         )
     return endpoint
 
@@ -49,9 +53,9 @@ class Sockets:
     """A publisher and a router; `with Sockets(publish, command, lease_s=10.0) as sockets`.
 
     Args:
-        publish: endpoint of the publisher (XPUB, so that who subscribes is known).
+        publish: endpoint of the publisher (XPUB, which reports subscriptions).
         command: endpoint of the router.
-        lease_s: a peer that is silent for so long, heartbeats included, is gone.
+        lease_s: a peer that sends nothing for this time, not even heartbeats, is disconnected.
 
     Raises:
         AddressInUse: another program listens there.
@@ -59,12 +63,12 @@ class Sockets:
 
     Attributes:
         publish, command: the endpoints as bound, `*` replaced by the port.
-        dropped: answers that a peer did not fetch.
+        dropped: number of replies that could not be delivered.
     """
 
     def __init__(self, publish: str, command: str, *, lease_s: float) -> None:
         self.dropped = 0
-        self._shelf: deque[Callable[[], None]] = deque()
+        self._tasks: deque[Callable[[], None]] = deque()
         self._lease_ms = int(lease_s * 1000)
         self._connected = Connections(lease_s / _PING)
         self._subscribed = Connections(lease_s / _PING)
@@ -96,11 +100,11 @@ class Sockets:
             undo.pop_all()
 
     def _socket(self, kind: int) -> zmq.Socket[bytes]:
-        made = self._context.socket(kind)
-        made.linger = 0
-        made.heartbeat_ivl = max(1, self._lease_ms // _PING)
-        made.heartbeat_timeout = self._lease_ms
-        return made
+        new = self._context.socket(kind)
+        new.linger = 0
+        new.heartbeat_ivl = max(1, self._lease_ms // _PING)
+        new.heartbeat_timeout = self._lease_ms
+        return new
 
     def _monitor_of(self, watched: zmq.Socket[bytes]) -> zmq.Socket[bytes]:
         monitor: zmq.Socket[bytes] = watched.get_monitor_socket(zmq.EVENT_ACCEPTED | zmq.EVENT_DISCONNECTED)
@@ -114,37 +118,36 @@ class Sockets:
         self.close()
 
     def close(self) -> None:
-        """Closes all; twice is fine."""
+        """Close all sockets; idempotent."""
         self._close.close()
 
     # Any thread
 
     def post(self, work: Callable[[], None]) -> None:
-        """Has the sockets' own thread do something."""
-        self._shelf.append(work)
-        with suppress(OSError):  # full: it is awake; closed: nobody does anything any more
+        """Post a task to the sockets' thread."""
+        self._tasks.append(work)
+        with suppress(OSError):  # full: the thread is awake; closed: no task runs any more
             self._wakes.send(b"\0")
 
     # The sockets' own thread
 
     def wait(self) -> None:
-        """Until anything has come, or connections are to be looked at."""
+        """Wait for a message, a task, or the next check of connections."""
         self._poller.poll(int(CHECK_S * 1000) if self._connected or self._subscribed else None)
 
     def run_pending(self) -> None:
-        """Does what other threads have put on the shelf."""
+        """Run the tasks that other threads have posted."""
         with suppress(BlockingIOError):
             self._woken.recv(4096)
-        while self._shelf:
-            self._shelf.popleft()()
+        while self._tasks:
+            self._tasks.popleft()()
 
     def requests(self, gone: Callable[[int], None]) -> Iterator[tuple[list[bytes], int]]:
-        """Messages that have come, with the descriptor of their connection; `gone` hears of those that are closed.
+        """Yield received messages with the descriptor of their connection; `gone` is called for closed connections.
 
-        What a peer sent before it went may be read after that was told, and a descriptor is used again by the next
-        peer. So the monitor is read after each message: libzmq tells it of a connection before it hands that one's
-        messages over, and of the end of the one before on the same descriptor. What a peer said that has gone is
-        left out: nobody waits for the answer.
+        Messages of a peer may be read after its disconnection was reported, and the next peer may get its descriptor.
+        So the monitor is read after each message: libzmq reports a connection before it delivers its messages, and
+        after the end of the previous one with the same descriptor. Messages of disconnected peers are skipped.
         """
         for _ in range(_BURST):
             try:
@@ -164,7 +167,7 @@ class Sockets:
             gone(fd)
 
     def _end_endless(self) -> None:
-        """Ends connections that send a message without an end, from time to time."""
+        """Periodically end connections that send endless messages."""
         now_s = monotonic()
         if now_s - self._checked_s < CHECK_S:
             return
@@ -175,17 +178,17 @@ class Sockets:
         self._subscribed.end_endless()
 
     def subscriptions(self) -> Iterator[bytes]:
-        """Prefixes that were subscribed to."""
+        """Yield the prefixes of new subscriptions."""
         for _ in range(_BURST):
             try:
-                said = self._publisher.recv(zmq.NOBLOCK)
+                frame = self._publisher.recv(zmq.NOBLOCK)
             except zmq.Again:
                 return
-            if said[:1] == b"\1":
-                yield said[1:]
+            if frame[:1] == b"\1":
+                yield frame[1:]
 
     def send(self, frames: Sequence[bytes]) -> None:
-        """An answer; a peer that is gone or fetches none does not hold the others up."""
+        """Send a reply; it is dropped if the peer is disconnected or does not receive."""
         try:
             self._router.send_multipart(frames, zmq.NOBLOCK)
         except zmq.ZMQError as error:
@@ -194,31 +197,31 @@ class Sockets:
             self.dropped += 1
 
     def put(self, frames: Sequence[bytes]) -> None:
-        """To all subscribers; it never waits: one that is slow misses messages."""
+        """Publish to all subscribers without waiting: slow ones miss messages."""
         self._publisher.send_multipart(frames, zmq.NOBLOCK)
 
 
 def _ended(monitor: zmq.Socket[bytes], connections: Connections) -> Iterator[int]:
-    """Takes in what a monitor tells; yields the connections that have ended."""
+    """Process a monitor's events; yield the connections that have ended."""
     while monitor.poll(0):
-        told = recv_monitor_message(monitor, zmq.NOBLOCK)
-        fd = int(told["value"])
-        if told["event"] == zmq.EVENT_DISCONNECTED:
+        event = recv_monitor_message(monitor, zmq.NOBLOCK)
+        fd = int(event["value"])
+        if event["event"] == zmq.EVENT_DISCONNECTED:
             connections.closed(fd)
             yield fd
         else:
             connections.opened(fd)
 
 
-def _bind(made: zmq.Socket[bytes], endpoint: str) -> str:
+def _bind(target: zmq.Socket[bytes], endpoint: str) -> str:
     kind, _, path = endpoint.partition("://")
-    # libzmq takes over the path of a socket that is in use; its owner would not notice.
+    # libzmq takes over the path of a socket that is in use, without an error for its owner.
     if kind == "ipc" and Path(path).exists():
-        raise AddressInUse(f"{path} exists already; name another path, or remove it if nobody listens there")
+        raise AddressInUse(f"{path} already exists; name another path, or remove it if no program listens there")
     try:
-        made.bind(endpoint)
+        target.bind(endpoint)
     except zmq.ZMQError as error:
         if error.errno == zmq.EADDRINUSE:
             raise AddressInUse(f"another program listens on {endpoint}; name another port") from None
         raise InvalidConfig(f"{endpoint}: {error.strerror}; name an address of this machine and a port") from None
-    return bytes(made.getsockopt(zmq.LAST_ENDPOINT)).rstrip(b"\0").decode()
+    return bytes(target.getsockopt(zmq.LAST_ENDPOINT)).rstrip(b"\0").decode()
