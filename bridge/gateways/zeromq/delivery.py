@@ -135,7 +135,7 @@ class DeliveryQueues:
                     node.owners[name], node.required = owner, None
                 if former is not None:
                     former.leave()
-            self._finish(queue, request, reply or denied(_nobody(node)))
+            self._finish(queue, request, reply or denied(_node_lost(node)))
             self._next(queue)
 
         self._bus.ask(keys.CLAIM, node.name, request.payload, then)
@@ -144,7 +144,7 @@ class DeliveryQueues:
         """Disconnect the controllers of a connection that has ended."""
         self._leave(lambda owner: owner.fd == fd)
 
-    def heard_from(self, route: bytes, fd: int) -> None:
+    def drop_superseded(self, route: bytes, fd: int) -> None:
         """Disconnect earlier controllers with the descriptor or the identity of a connection that sent a message."""
         self._leave(lambda owner: (owner.fd == fd) != (owner.route == route))
 
@@ -172,11 +172,11 @@ class DeliveryQueues:
         pending = Pending(request, node, queue, owner, answers(request.message))
         queue.pending = pending
         if owner.accepted is None or node.unpublished is None or node.refusing:
-            self._bus.ask(keys.STATUS, node.name, b"", lambda reply: self._counted(pending, reply))
+            self._bus.ask(keys.STATUS, node.name, b"", lambda reply: self._on_counts(pending, reply))
         else:
             self._send(pending)
 
-    def _counted(self, pending: Pending, reply: BusMessage | None) -> None:
+    def _on_counts(self, pending: Pending, reply: BusMessage | None) -> None:
         """Record the counts before the command."""
         status = self._status(pending, reply)
         if status is not None and pending.owner is not None:
@@ -196,15 +196,15 @@ class DeliveryQueues:
 
     def _ask(self, pending: Pending) -> None:
         pending.asked = True
-        self._bus.ask(keys.WEATHER, pending.node.name, b"", lambda reply: self._passed(pending, reply))
+        self._bus.ask(keys.WEATHER, pending.node.name, b"", lambda reply: self._on_processed(pending, reply))
 
-    def _passed(self, pending: Pending, reply: BusMessage | None) -> None:
+    def _on_processed(self, pending: Pending, reply: BusMessage | None) -> None:
         """Continue once the node's main thread has processed the command."""
         if pending.queue.pending is not pending:
             return
         node = pending.node
         if reply is None:
-            self._settle(pending, denied(_nobody(node)))
+            self._settle(pending, denied(_node_lost(node)))
         elif pending.owner is None or (
             pending.counted is not None and pending.counted - node.published > pending.unpublished
         ):
@@ -212,9 +212,9 @@ class DeliveryQueues:
             self._settle(pending, denied(RequestRejected(f"node {node.name!r} rejected it without a reason")))
         else:
             received = node.received
-            self._bus.ask(keys.STATUS, node.name, b"", lambda reply: self._stands(pending, received, reply))
+            self._bus.ask(keys.STATUS, node.name, b"", lambda reply: self._compare_counts(pending, received, reply))
 
-    def _stands(self, pending: Pending, received: int, reply: BusMessage | None) -> None:
+    def _compare_counts(self, pending: Pending, received: int, reply: BusMessage | None) -> None:
         """Compare the counts after the command."""
         status = self._status(pending, reply)
         if status is None or pending.owner is None:
@@ -233,7 +233,7 @@ class DeliveryQueues:
         if pending.queue.pending is not pending:
             return None
         if reply is None:
-            self._settle(pending, denied(_nobody(pending.node)))
+            self._settle(pending, denied(_node_lost(pending.node)))
             return None
         return codec.decode(Status, reply.payload, reply.encoding)
 
@@ -301,7 +301,7 @@ class DeliveryQueues:
             owner.leave()
         node.owners.clear()
         for pending in self._open(node):
-            self._settle(pending, denied(_nobody(node)))
+            self._settle(pending, denied(_node_lost(node)))
 
 
 def _source(request: Request) -> str:
@@ -311,5 +311,5 @@ def _source(request: Request) -> str:
     return request.message.source if isinstance(request.message, Write) else request.name
 
 
-def _nobody(node: NodeView) -> ZenostatError:
+def _node_lost(node: NodeView) -> ZenostatError:
     return NodeLost(f"node {node.name!r} is gone")

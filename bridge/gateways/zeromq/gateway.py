@@ -133,7 +133,7 @@ class Gateway:
             for prefix in self._sockets.subscriptions():
                 self._catch_up(prefix)
             for frames, fd in self._sockets.requests(self._queues.gone):
-                self._queues.heard_from(frames[0], fd)
+                self._queues.drop_superseded(frames[0], fd)
                 self._request(frames, fd)
 
     # From the bus
