@@ -9,13 +9,11 @@ from typing import Any
 import numpy as np
 
 from topics.errors import InvalidConfig
-from topics.extras import install_command
+from topics.extras import requires_extra
 
-try:
+with requires_extra("train", "training", "stable-baselines3"):
     from stable_baselines3.common.base_class import BaseAlgorithm
     from stable_baselines3.common.vec_env import VecNormalize
-except ImportError as error:
-    raise InvalidConfig(f"training needs stable-baselines3 ({error}): {install_command('train')}") from None
 
 _MARK = "observations_normalized"
 _SCALED = 10.0

@@ -150,9 +150,11 @@ def check_file(path: Path) -> None:
 
 
 def _parquet() -> tuple[Any, Any]:
-    from agent_sdk.wrappers.extras import load
+    from topics.extras import import_extra
 
-    return load("pyarrow", "parquet", "a Parquet file"), load("pyarrow.parquet", "parquet", "a Parquet file")
+    return import_extra("pyarrow", "parquet", "a Parquet file"), import_extra(
+        "pyarrow.parquet", "parquet", "a Parquet file"
+    )
 
 
 def write(rows: Sequence[Mapping[str, Any]], path: Path) -> None:

@@ -106,7 +106,7 @@ def _run(settings: dict[str, Any], *, is_endpoint_explicit: bool) -> None:
         for warning in filter(None, (*running.manifest.warnings, exposure(running.config.listen, config.keys))):
             bars.console.print(f"warning: {warning}", style="yellow", markup=False, soft_wrap=True)
         running.serve()
-        statistics = statistics_table(running.runner.statistics(), running.exchange.controllers())
+        statistics = statistics_table(running.server.statistics(), running.exchange.controllers())
     out.print(statistics)
     out.print(f"{config.name}: ended")
 

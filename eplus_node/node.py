@@ -94,11 +94,6 @@ class Node:
         """The state of its episodes and controllers."""
         return self.server.exchange
 
-    @property
-    def runner(self) -> NodeServer:
-        """The former name of `server`."""
-        return self.server
-
     # Start
 
     def _set_affinity(self) -> None:

@@ -19,16 +19,14 @@ from agent_sdk.envs.actions import Actions
 from agent_sdk.envs.time_features import time_features
 from agent_sdk.vec_normalization import load_normalization, normalization_of
 from topics.errors import InvalidConfig, UnknownName, did_you_mean
-from topics.extras import install_command
+from topics.extras import requires_extra
 from topics.messages import CommandOp, Manifest
 
-try:
+with requires_extra("train", "training", "stable-baselines3"):
     import stable_baselines3 as sb3
     import torch
     from stable_baselines3.common.base_class import BaseAlgorithm
     from stable_baselines3.common.vec_env import VecNormalize
-except ImportError as error:
-    raise InvalidConfig(f"training needs stable-baselines3 ({error}): {install_command('train')}") from None
 
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {
     "a2c": sb3.A2C,

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topics.errors import InvalidConfig
-from topics.extras import install_command
+from topics.extras import import_extra
 from topics.messages import Manifest
 
 _DAY = timedelta(days=1)
@@ -22,10 +21,7 @@ class RollingHistory:
     """The samples of the last day, and a picture of them."""
 
     def __init__(self, manifest: Manifest) -> None:
-        try:
-            import matplotlib.figure  # noqa: F401
-        except ImportError:
-            raise InvalidConfig(f"render_mode='rgb_array' needs matplotlib: {install_command('plots')}") from None
+        import_extra("matplotlib.figure", "plots", "render_mode='rgb_array'")
         self._manifest = manifest
         units = [sensor.unit for sensor in manifest.sensors]
         self._panels = {

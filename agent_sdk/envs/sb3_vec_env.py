@@ -12,14 +12,11 @@ from agent_sdk.envs.connection import BUSY
 from agent_sdk.envs.vector_infos import unbatch
 from agent_sdk.wrappers.names import inside, layers
 from topics.errors import EpisodeChanged, InvalidConfig, UsageError
-from topics.extras import install_command
+from topics.extras import requires_extra
 
-try:
+with requires_extra("train", "as_sb3", "stable-baselines3"):
     from stable_baselines3.common.vec_env import VecEnv
     from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
-except ImportError as error:
-    raise InvalidConfig(f"as_sb3 needs stable-baselines3 ({error}): {install_command('train')}") from None
-
 
 _STATISTICS = "episode"
 

@@ -19,12 +19,10 @@ from agent_sdk.envs.zone_partition import BUILDING, ZoneAgent, partition
 from agent_sdk.envs.zone_rewards import SharedReward
 from agent_sdk.rewards import AnyReward, read_reward
 from topics.errors import EpisodeChanged, InvalidAction, InvalidConfig, UsageError, did_you_mean
-from topics.extras import install_command
+from topics.extras import requires_extra
 
-try:
+with requires_extra("multi-agent", "an environment of zone agents", "PettingZoo"):
     from pettingzoo import ParallelEnv
-except ImportError:
-    raise InvalidConfig(f"agents for zones need PettingZoo: {install_command('multi-agent')}") from None
 
 __all__ = ["BUILDING", "ZoneRewards", "ZonesEnv"]
 

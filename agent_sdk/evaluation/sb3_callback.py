@@ -19,13 +19,11 @@ from agent_sdk.wrappers import restore_wrappers, save_wrappers
 from topics import yaml12
 from topics.atomic_file import atomic_file
 from topics.errors import InvalidConfig
-from topics.extras import install_command
+from topics.extras import requires_extra
 
-try:
+with requires_extra("train", "training", "stable-baselines3"):
     from stable_baselines3.common.base_class import BaseAlgorithm
     from stable_baselines3.common.callbacks import BaseCallback
-except ImportError as error:
-    raise InvalidConfig(f"training needs stable-baselines3 ({error}): {install_command('train')}") from None
 
 MakeEnv = Callable[[], gym.Env[Any, Any]]
 """Makes an environment for evaluation, within the same wrappers as those of the training."""

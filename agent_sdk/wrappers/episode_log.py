@@ -12,10 +12,10 @@ from gymnasium.spaces import Box
 
 from agent_sdk.wrappers.adapters import BuildingWrapper
 from agent_sdk.wrappers.base import EnvView, ResetBatch, StepBatch, Values, WrapperLogic
-from agent_sdk.wrappers.extras import load
 from agent_sdk.wrappers.names import reject_wrappers
 from agent_sdk.wrappers.table_writers import Cell, CsvWriter, ParquetWriter, Writer
 from topics.errors import InvalidConfig
+from topics.extras import import_extra
 
 FORMATS = ("csv", "parquet")
 
@@ -26,7 +26,7 @@ class _Logic(WrapperLogic):
         if format not in FORMATS:
             raise InvalidConfig(f"{view.wrapper_name}: there is no format {format!r}; use csv or parquet")
         if format == "parquet":
-            load("pyarrow", "parquet", view.wrapper_name)
+            import_extra("pyarrow", "parquet", view.wrapper_name)
         reject_wrappers(view.env, ["RewardVector"], f"{view.wrapper_name} logs a scalar reward; apply it before {{}}")
         self._folder, self._format = Path(folder), format
         self._folder.mkdir(parents=True, exist_ok=True)

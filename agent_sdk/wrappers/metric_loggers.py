@@ -10,9 +10,9 @@ import numpy as np
 
 from agent_sdk.wrappers.adapters import BuildingWrapper
 from agent_sdk.wrappers.base import EnvView, ResetBatch, StepBatch, Values, WrapperLogic
-from agent_sdk.wrappers.extras import load
 from agent_sdk.wrappers.names import reject_wrappers
 from topics.errors import InvalidConfig
+from topics.extras import import_extra
 from topics.typing_compat import override
 
 
@@ -106,7 +106,7 @@ class MeansLog(WrapperLogic):
 class _TensorBoardMeans(MeansLog):
     def __init__(self, view: EnvView, folder: str | Path, every: int = 1000) -> None:
         super().__init__(view, every)
-        self._writer: Any = load("tensorboardX", "tensorboard", view.wrapper_name).SummaryWriter(str(folder))
+        self._writer: Any = import_extra("tensorboardX", "tensorboard", view.wrapper_name).SummaryWriter(str(folder))
 
     def write(self, values: Mapping[str, float], step: int) -> None:
         for name, value in values.items():
@@ -153,7 +153,7 @@ class _WeightsAndBiasesMeans(MeansLog):
         artifacts: Sequence[str | Path] = (),
     ) -> None:
         super().__init__(view, every)
-        wandb = self._wandb = load("wandb", "wandb", view.wrapper_name)
+        wandb = self._wandb = import_extra("wandb", "wandb", view.wrapper_name)
         self._artifacts = [Path(path) for path in artifacts]
         settings: dict[str, Any] = {"project": project, "name": name, "mode": mode, "config": dict(config or {})}
         settings |= {"entity": entity, "group": group, "tags": None if tags is None else list(tags)}

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
-from agent_sdk.wrappers.extras import load
+from topics.extras import import_extra
 from topics.typing_compat import override
 
 Cell = str | int | float | None
@@ -48,8 +48,8 @@ class ParquetWriter(Writer):
     _ROWS = 8192
 
     def __init__(self, columns: Sequence[str], hidden: Path, texts: Sequence[str], feature: str) -> None:
-        self._arrow = load("pyarrow", "parquet", feature)
-        parquet = load("pyarrow.parquet", "parquet", feature)
+        self._arrow = import_extra("pyarrow", "parquet", feature)
+        parquet = import_extra("pyarrow.parquet", "parquet", feature)
         kinds = [self._arrow.string() if name in texts else self._arrow.float64() for name in columns]
         self._schema = self._arrow.schema(list(zip(columns, kinds, strict=True)))
         self._hidden, self._rows = hidden, list[Sequence[Any]]()
