@@ -19,7 +19,7 @@ from topics.scenario_ids import WEATHERS, pack_ids
 
 BUNDLED = ("office-small", "office-medium", "ref-warehouse", "warehouse", "ref-large-hotel", "hotel-small")
 SEASONS = {"January": ("01-09", "01-15"), "July": ("07-10", "07-16")}
-CONTROLLERS = ("building", "rbc", "incremental", "setback", "fixed")
+CONTROLLERS = ("baseline", "rbc", "incremental", "setback", "fixed")
 BEGIN, END = "<!-- controllers -->", "<!-- /controllers -->"
 
 _WEATHER = ("mixed", "chicago")

@@ -51,7 +51,7 @@ def demo(
         monitor = _start("monitor", "--connect", local_node.endpoint, *outputs, "--once", wait=True)
         stack.callback(monitor.terminate)
         bus = stack.enter_context(connect(local_node.endpoint, core=local_node.core))
-        for controller, title in (("building", "baseline control"), ("rbc", "rule-based control")):
+        for controller, title in (("baseline", "baseline control"), ("rbc", "rule-based control")):
             results[title] = _episode(bus, local_node.endpoint, controller, title, bars)
         bus.stop(NODE)
         local_node.close()

@@ -32,7 +32,7 @@ def evaluate(
         list[str],
         typer.Option(
             "--controller",
-            help="A controller as for `zenostat run` (building, rbc, path/to/file.py:MyController, ...), or a "
+            help="A controller as for `zenostat run` (baseline, rbc, path/to/file.py:MyController, ...), or a "
             "Stable-Baselines3 model: ppo:model.zip; repeatable.",
         ),
     ],
@@ -51,7 +51,7 @@ def evaluate(
 ) -> None:
     """Run each controller through the same episodes, and compare energy, comfort and reward.
 
-    Example: `zenostat evaluate 5zone-hot-continuous-v1 --controller building --controller rbc --begin 07-01 --end
+    Example: `zenostat evaluate 5zone-hot-continuous-v1 --controller baseline --controller rbc --begin 07-01 --end
     07-07 --episodes 3 --out results.parquet`
 
     A controller that does not fit the scenario is skipped with a message; the others still run.

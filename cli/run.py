@@ -31,7 +31,7 @@ def run(
     controller: Annotated[
         str,
         typer.Option(
-            help="building (baseline control), rbc (rules on comfort bands), random, fixed, setback (by the clock), "
+            help="baseline (no commands), rbc (rules on comfort bands), random, fixed, setback (by the clock), "
             "incremental, pid; or your own class: path/to/file.py:MyController or package.module:MyController."
         ),
     ] = "rbc",

@@ -24,7 +24,7 @@ from agent_sdk.controllers.setback import ScheduledSetback
 from topics.errors import InvalidConfig, UnknownName, did_you_mean
 
 CONTROLLERS: dict[str, type[Controller]] = {
-    "building": BaselineController,
+    "baseline": BaselineController,
     "rbc": RuleBasedController,
     "random": RandomController,
     "fixed": FixedSetpoints,

@@ -160,7 +160,7 @@ def evaluate(
     Args:
         scenario: an id, a scenario file (.yaml), or arguments of `BuildingEnv` by name.
         controllers: controllers as for `load_controller`, or `ppo:model.zip` (see `load_policy`); or a mapping from
-            names for the tables to such texts or to classes. `building` is evaluated without actuators.
+            names for the tables to such texts or to classes. `baseline` is evaluated without actuators.
         episodes: episodes per controller.
         seed: seed of the first episode, at least 0.
         parameters: parameters of the controllers; each controller gets those that it has.
@@ -243,7 +243,7 @@ def _without_actuators(settings: Mapping[str, Any]) -> dict[str, Any]:
 
 def _factories(controllers: Sequence[str] | Mapping[str, str | ControllerFactory]) -> dict[str, ControllerFactory]:
     if isinstance(controllers, str) or not controllers:
-        raise InvalidConfig(f"controllers: expected a list of names, such as ['building', 'rbc'], got {controllers!r}")
+        raise InvalidConfig(f"controllers: expected a list of names, such as ['baseline', 'rbc'], got {controllers!r}")
     named = controllers if isinstance(controllers, Mapping) else dict(zip(controllers, controllers, strict=True))
     if len(named) < len(controllers):
         duplicate = next(name for name in controllers if list(controllers).count(name) > 1)

@@ -223,7 +223,7 @@ SITE = node(
 )
 
 
-@pytest.mark.parametrize("name", sorted(set(CONTROLLERS) - {"building", "pid"}))
+@pytest.mark.parametrize("name", sorted(set(CONTROLLERS) - {"baseline", "pid"}))
 @given(
     samples=st.lists(
         st.tuples(
@@ -700,7 +700,7 @@ class Bare:
 
 
 def test_short_names() -> None:
-    assert set(CONTROLLERS) == {"building", "rbc", "random", "fixed", "setback", "incremental", "pid"}
+    assert set(CONTROLLERS) == {"baseline", "rbc", "random", "fixed", "setback", "incremental", "pid"}
     assert load_controller("rbc") is RuleBasedController
     assert all(issubclass(found, Controller) for found in CONTROLLERS.values())
 

@@ -41,11 +41,11 @@ def _plain(text: str) -> str:
 def test_two_runs_give_the_same_table_and_the_same_parquet(scratch: Path) -> None:
     parquet = pytest.importorskip("pyarrow.parquet")
     (scratch / "office.yaml").write_text(SCENARIO)
-    call = ["office.yaml", "--controller", "building", "--controller", "rbc", "--set", "margin=0.5", "--episodes", "2"]
+    call = ["office.yaml", "--controller", "baseline", "--controller", "rbc", "--set", "margin=0.5", "--episodes", "2"]
     runs = [_evaluate(*call, *DAY, "--seed", "3", "--out", f"{run}.parquet", cwd=scratch) for run in "ab"]
     for done in runs:
         assert done.returncode == 0, done.stderr
-    one, other = (done.stdout[done.stdout.index("building  ") :].splitlines() for done in runs)
+    one, other = (done.stdout[done.stdout.index("baseline  ") :].splitlines() for done in runs)
     shown = [line for line in one if not line.startswith("episodes:") and "steps/s" not in line]
     assert shown == [line for line in other if not line.startswith("episodes:") and "steps/s" not in line]
     assert re.search(r"electricity \(kWh\)\s+[\d,.]+ ± [\d.]+\s+[\d,.]+ ± [\d.]+", "\n".join(shown))
@@ -53,7 +53,7 @@ def test_two_runs_give_the_same_table_and_the_same_parquet(scratch: Path) -> Non
     assert (scratch / "a.parquet").read_bytes() == (scratch / "b.parquet").read_bytes()
     rows = parquet.read_table(scratch / "a.parquet").to_pylist()
     assert [(row["controller"], row["episode"], row["seed"], row["weather"]) for row in rows] == [
-        (name, k, 3 + k, SMALL["weather"]) for name in ("building", "rbc") for k in range(2)
+        (name, k, 3 + k, SMALL["weather"]) for name in ("baseline", "rbc") for k in range(2)
     ]
     assert rows[0]["electricity_kwh"] != rows[1]["electricity_kwh"]  # other noise on the weather
     assert rows[0]["electricity_kwh"] != rows[2]["electricity_kwh"]
