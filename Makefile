@@ -53,6 +53,7 @@ check: $(READY)-dev  ## Format, lint, types
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
+	$(BIN)/python .ci/check_source.py
 
 bench: $(READY)-dev  ## What a step costs, as ratios within one run; results in bench/results/
 	$(BIN)/python -m bench

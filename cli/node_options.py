@@ -56,12 +56,12 @@ Unresponsive = Annotated[
     float,
     typer.Option(metavar="SECONDS", help="Kill an engine that neither answers nor computes for this long."),
 ]
-ShrinkCaches = Annotated[
+NoShrinkCaches = Annotated[
     bool,
     typer.Option(
-        "--shrink-caches/--no-shrink-caches",
-        help="Experimental: shrink a cache in EnergyPlus's memory. On by default because a step takes about 9 % less "
-        "time and a branch 16 MB less memory, with equal results.",
+        "--no-shrink-caches",
+        help="Leave EnergyPlus's memory as it is. Experimental: by default one of its caches is shrunk, because a step "
+        "then takes about 9 % less time and a branch 16 MB less memory, with equal results.",
     ),
 ]
 OutputDir = Annotated[Path | None, typer.Option(help="Keep EnergyPlus's output files in this folder.")]

@@ -43,19 +43,19 @@ class _Logic(WrapperLogic):
     def step(self, step: StepBatch) -> tuple[Values, Values]:
         for row, slot in enumerate(step.slots):
             terms = step.infos.get(row, "reward_terms") or {}
-            measures = step.infos.get(row, "reward_metrics") or {}
+            metrics = step.infos.get(row, "reward_metrics") or {}
             if slot not in self._open:
-                self._begin(slot, terms, measures)
-            self._open[slot][0].row(self._cells(row, slot, step, terms, measures))
+                self._begin(slot, terms, metrics)
+            self._open[slot][0].row(self._cells(row, slot, step, terms, metrics))
             if step.ends[row]:
                 self._finish(slot, "")
         return step.observations, step.rewards
 
     def _cells(
-        self, row: int, slot: int, step: StepBatch, terms: Mapping[str, float], measures: Mapping[str, float]
+        self, row: int, slot: int, step: StepBatch, terms: Mapping[str, float], metrics: Mapping[str, float]
     ) -> list[Cell]:
         effective = np.asarray(step.infos.get(row, "effective"), np.float64).tolist()
-        named_terms, named_measures = self._rewards[slot]
+        named_terms, named_metrics = self._rewards[slot]
         return [
             step.infos.get(row, "time"),
             *np.ravel(step.observations[row]).tolist(),
@@ -63,12 +63,12 @@ class _Logic(WrapperLogic):
             *effective,
             float(step.rewards[row]),
             *(_number(terms.get(name)) for name in named_terms),
-            *(_number(measures.get(name)) for name in named_measures),
+            *(_number(metrics.get(name)) for name in named_metrics),
         ]
 
-    def _begin(self, slot: int, terms: Mapping[str, float], measures: Mapping[str, float]) -> None:
-        self._rewards[slot] = (list(terms), [name for name, value in measures.items() if np.ndim(value) == 0])
-        rewards = [f"reward.{n}" for n in terms] + [f"measure.{n}" for n in self._rewards[slot][1]]
+    def _begin(self, slot: int, terms: Mapping[str, float], metrics: Mapping[str, float]) -> None:
+        self._rewards[slot] = (list(terms), [name for name, value in metrics.items() if np.ndim(value) == 0])
+        rewards = [f"reward.{n}" for n in terms] + [f"metric.{n}" for n in self._rewards[slot][1]]
         columns = ["time", *self._columns, *self._effective, "reward", *rewards]
         name = self._next_name(slot)
         hidden = self._folder / f".{name}.{self._format}"
@@ -112,7 +112,7 @@ class EpisodeLog(BuildingWrapper):
 
     Each row is one timestep: `time` (its end), each observation by name as this wrapper returns it (`observation.`),
     the action that it received (`action.`), the effective value of each actuator (`effective.`), `reward`, and its
-    terms and metrics (`reward.`, `measure.`). An episode of N steps has N rows; sample 0 has none. An episode that is
+    terms and metrics (`reward.`, `metric.`). An episode of N steps has N rows; sample 0 has none. An episode that is
     abandoned before its end is written to `episode-000001-left.csv`, with complete rows. A file has a hidden name,
     which begins with a dot, until it is closed. Numbering continues after the files that are already in the folder.
 

@@ -82,7 +82,7 @@ class MeansLog(WrapperLogic):
     def values(self, row: int, step: StepBatch) -> dict[str, float]:
         """Return the numbers to average, by name, for one timestep of the slot `step.slots[row]`."""
         values = {"reward": float(step.rewards[row])}
-        for group, key in (("reward", "reward_terms"), ("measure", "reward_measures")):
+        for group, key in (("reward", "reward_terms"), ("metric", "reward_metrics")):
             group_values = step.infos.get(row, key) or {}
             values |= {f"{group}.{name}": float(value) for name, value in group_values.items() if np.ndim(value) == 0}
         return values | dict(zip(self._names, np.ravel(step.observations[row]).tolist(), strict=True))
@@ -123,7 +123,7 @@ class TensorBoardLog(BuildingWrapper):
 
     At each episode's end it writes `episode/…`: the means over the episode's steps, `episode/return` and
     `episode/steps`; every `every` steps `steps/…`: the means since the last write. The means are of the reward, its
-    terms (`reward.`) and metrics (`measure.`), and the observations (`observation.`) as this wrapper returns them. The
+    terms (`reward.`) and metrics (`metric.`), and the observations (`observation.`) as this wrapper returns them. The
     step is the number of steps of all slots.
 
     Args:

@@ -405,7 +405,7 @@ def test_steps_that_cannot_be() -> None:
     [
         ({"seed": -1}, "an integer from 0 to 2**64 - 2 expected"),
         ({"seed": [1]}, "each of 2 slots"),
-        ({"seed": [1, -2]}, "seed = -2; a whole number from 0 to 2**64 - 1 expected"),
+        ({"seed": [1, -2]}, "seed = -2; an integer from 0 to 2**64 - 1 expected"),
         ({"options": {"mask": 1}}, "unknown reset options ['mask']; available: 'snapshot', 'reset_mask'"),
         ({"options": {"reset_mask": [1, 0]}}, "a bool array of shape (2,)"),
         ({"options": {"reset_mask": np.array([False, False])}}, "at least one True"),

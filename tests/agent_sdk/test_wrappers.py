@@ -715,7 +715,7 @@ def test_a_log_has_n_rows_with_n_steps(tmp_path: Path) -> None:
     rows = rows_of(tmp_path / "log" / "episode-000001.csv")
     assert list(rows[0]) == [
         "time", "observation.core", "observation.hour", "action.heat", "action.cool", "effective.heat",
-        "effective.cool", "effective.occupants", "reward", "reward.energy", "reward.comfort", "measure.joules",
+        "effective.cool", "effective.occupants", "reward", "reward.energy", "reward.comfort", "metric.joules",
     ]  # fmt: skip
     assert [row["time"] for row in rows] == [info["time"] for *_, info in steps[1:]]
     assert [float(row["observation.core"]) for row in rows] == [float(o[0]) for o, *_ in steps[1:]]
@@ -817,7 +817,7 @@ def test_means_of_episodes_and_of_n_steps(monkeypatch: pytest.MonkeyPatch, vecto
     assert said["episode/return", 24] == pytest.approx(np.sum(rewards))
     assert said["episode/steps", 24] == 24
     assert said["episode/reward.energy", 24] == pytest.approx(-4.0)
-    assert said["episode/measure.joules", 24] == pytest.approx(4000.0)
+    assert said["episode/metric.joules", 24] == pytest.approx(4000.0)
     assert said["episode/observation.core", 24] == pytest.approx(np.mean(cores))
     env.reset()
     for _ in range(24):

@@ -15,7 +15,7 @@ from bridge.transport.session import open_session
 UNREAD = 1000  # four times what Zenoh's default FIFO holds
 
 
-@pytest.mark.parametrize("way", ["latest_only", "all_of_them"])
+@pytest.mark.parametrize("way", ["newest", "everything"])
 def test_unread_messages_hold_no_query_up(scratch: Path, way: str) -> None:
     section = PAGE.read_text(encoding="utf-8").partition("## How to subscribe")[2]
     code = re.search(r"```python\n(.*?)```", section, re.S)
@@ -26,11 +26,11 @@ def test_unread_messages_hold_no_query_up(scratch: Path, way: str) -> None:
     endpoint = f"unixsock-stream/{scratch}/bus"
     with open_session(listen=[endpoint]) as node, open_session(connect=[endpoint]) as client:
         node.declare_queryable("root/rpc/status", lambda query: query.reply("root/rpc/status", b"yes"))
-        subscriber = names[way](client, "root", *([inbox] if way == "all_of_them" else []))  # type: ignore[operator]
+        subscriber = names[way](client, "root", *([inbox] if way == "everything" else []))  # type: ignore[operator]
         assert [reply.ok is not None for reply in client.get("root/rpc/status", timeout=60)] == [True]
         for _ in range(UNREAD):
             node.put("root/sample", b"x", congestion_control=zenoh.CongestionControl.BLOCK)
         assert [reply.ok is not None for reply in client.get("root/rpc/status", timeout=60)] == [True]
-        if way == "all_of_them":
+        if way == "everything":
             assert [inbox.get(timeout=60).payload.to_bytes() for _ in range(UNREAD)] == [b"x"] * UNREAD
         subscriber.undeclare()

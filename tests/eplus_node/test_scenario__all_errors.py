@@ -63,11 +63,11 @@ def test_plan__reports_no_consequences_of_another_error(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("day", ["13-01", "00-10", "02-30", "2018-04-31", "07-00"])
 def test_parse_day__of_no_calendar_does_not_name_the_year(day: str) -> None:
-    with pytest.raises(InvalidConfig, match="is in no calendar; write it as MM-DD") as caught:
+    with pytest.raises(InvalidConfig, match="is not a calendar date; write it as MM-DD") as caught:
         parse_day(day, "begin", 2017)
     assert "2017" not in str(caught.value)
 
 
 def test_parse_day__leap_day_names_the_common_year() -> None:
-    with pytest.raises(InvalidConfig, match="'02-29' is not in the calendar of 2017, the model's year; name another"):
+    with pytest.raises(InvalidConfig, match="'02-29' does not exist in 2017, the model's year; give another year"):
         parse_day("02-29", "begin", 2017)

@@ -180,7 +180,7 @@ def test_a_branch_whose_name_would_be_too_long_is_refused(scratch: Path) -> None
         bus.controller(name) as link,
     ):
         link.reset()
-        with pytest.raises(InvalidConfig, match="at most 128"):
+        with pytest.raises(InvalidConfig, match="up to 128"):
             bus.branch(name, CreateBranch(controller=link.name))
         bus.snapshot(name, link.name)
         assert cooling_of(link, 2) == 2

@@ -149,7 +149,9 @@ def test_while_a_model_is_surveyed(folder: Path, monkeypatch: pytest.MonkeyPatch
     with Program(text) as program:
 
         def surveys() -> list[psutil.Process]:
-            return [c for c in psutil.Process(program.pid).children() if "models.energyplus" in " ".join(c.cmdline())]
+            """Those that compute: the node has the handle of a process only a moment after that has started."""
+            children = psutil.Process(program.pid).children()
+            return [c for c in children if "models.energyplus" in " ".join(c.cmdline()) and c.cpu_times().user > 0.05]
 
         found = until(surveys, "a model is converted or surveyed")
         found[0].suspend()
