@@ -89,6 +89,7 @@ def _plain(env: BuildingEnv, actions: list[Any]) -> tuple[Rows, str]:
     return rows, "no baseline"
 
 
+@pytest.mark.slow
 def test_it_has_the_weather_of_its_episode(scratch: Path) -> None:
     name = SMALL.replace("continuous", "continuous-stochastic")
     plain, env = make(name, **FOUR), make(name, baseline=True, **FOUR)
@@ -134,6 +135,7 @@ def test_its_engines_end_with_their_episodes(scratch: Path) -> None:
     env.close()
 
 
+@pytest.mark.slow
 def test_a_snapshot_of_which_the_baseline_was_killed_changes_nothing(scratch: Path) -> None:
     """The running episode goes on, with its own weather, its own baseline, and nothing of the failed try."""
     name = SMALL.replace("continuous", "continuous-stochastic")

@@ -528,6 +528,7 @@ def test_a_thousand_resets_and_a_thousand_branches_leave_a_node_as_it_was(scratc
 # What a branch tells of itself
 
 
+@pytest.mark.slow
 def test_a_branch_tells_the_weather_that_it_reads(scratch: Path) -> None:
     """Also once its parent has another, and where it was made of a snapshot of an earlier episode."""
     env = make(SMALL.replace("continuous", "continuous-stochastic"), **FOUR)
@@ -593,6 +594,7 @@ def test_a_branch_has_counted_no_timestep_when_it_begins(scratch: Path) -> None:
     env.close()
 
 
+@pytest.mark.slow
 def test_seeds_go_to_the_slots_that_are_named_with_them(scratch: Path) -> None:
     """In whatever order a request names them."""
     name = SMALL.replace("continuous", "continuous-stochastic")

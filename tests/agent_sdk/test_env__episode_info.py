@@ -165,7 +165,7 @@ def test_the_live_view_opens_with_the_environment_and_ends_with_it(
     assert not monitors()
 
 
-@pytest.mark.variants
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["sync", "async"])
 def test_gymnasiums_vector_environments_hold_buildings_of_their_own(mode: str, scratch: Path) -> None:
     """Each slot is the single environment of its seed; asked of a program, since async ones start by fork or spawn."""

@@ -63,6 +63,7 @@ def _first(env: BuildingEnv) -> Any:
     yield row(env)
 
 
+@pytest.mark.slow
 def test_a_disturbed_weather_comes_back_with_its_episode(scratch: Path) -> None:
     """Whatever other weathers ran meanwhile, were started ahead, or were drawn anew by a seed."""
     env = make(STOCHASTIC, **FOUR)
@@ -101,6 +102,7 @@ def test_a_disturbed_weather_comes_back_with_its_episode(scratch: Path) -> None:
     env.close()
 
 
+@pytest.mark.slow
 def test_a_reset_after_going_back_draws_as_if_nothing_had_been(scratch: Path) -> None:
     """The sequence of weathers that a seed began goes on."""
     plain, env = make(STOCHASTIC, **FOUR), make(STOCHASTIC, **FOUR)

@@ -270,6 +270,7 @@ SCENARIO = "ref-small-office-USA_CO_Denver-continuous-v1"
 DAY = ["--begin", "07-03", "--end", "07-03", "--days", "1", "--at", "15", "--hours", "0.5"]
 
 
+@pytest.mark.slow
 def test_the_command_tells_json_and_a_table(scratch: Path) -> None:
     zones = ["--set", "control=zone", *DAY]
     done = _probe(SCENARIO, *zones, "--json", cwd=scratch)
@@ -300,6 +301,7 @@ def test_mistakes_in_the_call_are_sentences(scratch: Path, arguments: list[str],
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.slow
 def test_ctrl_c_leaves_nothing_behind(scratch: Path) -> None:
     """In the midst of the branches: a year's probe with more engines than the trunk's."""
     command = [*ZENOSTAT, SCENARIO, "--set", "control=zone", "--begin", "07-03", "--hours", "24", "--json"]

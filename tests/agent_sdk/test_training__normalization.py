@@ -94,7 +94,7 @@ def test_evaluate_refuses_before_it_simulates(tmp_path: Path) -> None:
     trained("ppo", tmp_path / "model.zip")
     with pytest.raises(InvalidConfig, match="its normalization is missing"):
         evaluate(
-            {"building": "office-small", "weather": "USA_CO_Denver"}, ["building", f"ppo:{tmp_path / 'model.zip'}"]
+            {"building": "office-small", "weather": "USA_CO_Denver"}, ["baseline", f"ppo:{tmp_path / 'model.zip'}"]
         )
 
 

@@ -546,6 +546,7 @@ def test_a_plain_node_has_one_slot(scratch: Path) -> None:
         env.close()
 
 
+@pytest.mark.slow
 def test_a_scenarios_wrappers_are_around_the_vector(scratch: Path) -> None:
     file = scratch / "mine.yaml"
     wrapped = [{"wrapper": "CyclicTime", "fields": ["hour"]}, {"wrapper": "RescaleAction"}]
@@ -607,6 +608,7 @@ def test_each_slot_tells_the_weather_that_it_reads(scratch: Path) -> None:
 # Snapshots
 
 
+@pytest.mark.slow
 def test_all_slots_go_back_exactly_any_number_of_times(scratch: Path) -> None:
     """With the weather of each, and what reward and limits remembered; slots had begun at different times."""
     packs.sinergym()

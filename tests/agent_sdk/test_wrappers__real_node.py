@@ -55,6 +55,7 @@ def episode(env: gym.Env[Any, Any], seed: int, action: Any) -> list[tuple[dict[s
     return said
 
 
+@pytest.mark.slow
 def test_the_forecast_is_what_comes(building: gym.Env[Any, Any]) -> None:
     """At whole hours, of the noised weather that this very episode reads, in two episodes of different weather."""
     env = w.WeatherForecast(building, [DRY], n=3)

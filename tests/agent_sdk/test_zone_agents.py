@@ -288,6 +288,7 @@ def test_pettingzoos_own_checks_pass(make: Callable[[], ZonesEnv]) -> None:
     parallel_seed_test(make, num_cycles=50)
 
 
+@pytest.mark.slow
 def test_pettingzoos_own_checks_pass_on_a_real_building(office: ZonesEnv) -> None:
     parallel_api_test(office, num_cycles=200)
     parallel_seed_test(real, num_cycles=5)

@@ -112,6 +112,7 @@ def test_killed_fork__raises_and_the_next_episode_runs(scratch: Path) -> None:
     env.close()
 
 
+@pytest.mark.slow
 def test_prefetch__equals_a_fresh_start_with_noise(scratch: Path) -> None:
     """A prefetched engine has the weather of a fresh start; an unexpected seed starts another engine."""
     name = SMALL.replace("continuous", "continuous-stochastic")

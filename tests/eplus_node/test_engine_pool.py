@@ -42,7 +42,7 @@ def no_room(env: Any) -> Iterator[None]:
         aside.rename(folder)
 
 
-@pytest.mark.variants
+@pytest.mark.slow
 @pytest.mark.parametrize("times", [2, 3])
 @pytest.mark.parametrize("arguments", [IN_TURN | {"name": SMALL}, {"name": STOCHASTIC}], ids=["in turn", "noise"])
 def test_seed__repeated_at_once_begins_the_same_sequence(scratch: Path, arguments: dict[str, Any], times: int) -> None:

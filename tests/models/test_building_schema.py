@@ -82,6 +82,7 @@ def test_a_fault_is_what_energyplus_refuses(case: str, office: dict[str, Any], f
     assert ("Errors occurred on processing input file" in said) == refused
 
 
+@pytest.mark.slow
 def test_types_fields_and_required_fields_are_those_of_the_wheels_own_classes() -> None:
     program = """
 import json

@@ -329,7 +329,7 @@ def trajectory(link: agent_sdk.ControllerLink) -> Iterator[tuple[bytes, bytes]]:
         sample = link.receive()
 
 
-@pytest.mark.variants
+@pytest.mark.slow
 @pytest.mark.parametrize("fate", ["frozen", "killed"])
 def test_a_listener_changes_nothing(folder: Path, fate: str) -> None:
     """A week with a listener to everything that reads one message and is then stopped, or killed in mid-episode."""

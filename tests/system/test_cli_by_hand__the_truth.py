@@ -9,6 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 from support.nodes import SMALL, NodeProgram, free_port
 
 import agent_sdk
@@ -43,6 +44,7 @@ def test_release_says_whether_anything_was_held(node: NodeProgram) -> None:
     assert zenostat("relinquish", "office", POINT, *at).stdout == nothing
 
 
+@pytest.mark.slow
 def test_step_says_where_the_node_stands_after_its_steps(node: NodeProgram) -> None:
     at = ("--connect", node.endpoint)
     for arguments in (("pause", "office"), ("pace", "office", "free")):

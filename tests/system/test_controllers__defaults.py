@@ -35,7 +35,7 @@ def outside_kh(scenario: str, *controllers: str) -> dict[str, float]:
     return {row["controller"]: row["outside_kh"] for row in found.table()}
 
 
-@pytest.mark.variants
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "scenario",
     [

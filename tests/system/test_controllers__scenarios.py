@@ -137,6 +137,7 @@ def run(node: NodeProgram, *arguments: str, cwd: Path | None = None) -> subproce
     return subprocess.run([*command, *arguments], capture_output=True, text=True, cwd=cwd, timeout=120)
 
 
+@pytest.mark.slow
 def test_zenostat_run_with_parameters_seeds_and_classes_of_anybodys(scratch: Path) -> None:
     with NodeProgram(scratch / "node", **SMALL) as node, agent_sdk.connect(node.endpoint, affinity="off") as bus:
 

@@ -60,6 +60,7 @@ def test_a_timestep_of_an_engine_that_stands_still_fails_by_name() -> None:
         assert env.step(env.action_space.low)[-1]["step"] == 1
 
 
+@pytest.mark.slow
 def test_one_of_several_that_stands_still_fails_the_step() -> None:
     env = gym.make_vec("zenostat/Building-v1", num_envs=2, vectorization_mode="vector_entry_point", **SMALL, **SOON)
     env.reset(seed=1)
@@ -88,7 +89,7 @@ def test_an_event_says_so(folder: Path) -> None:
         assert bus.status("office").failure_error == "EngineUnresponsive"
 
 
-@pytest.mark.variants
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "given", "place", "engine_start"),
     [("zenostat/Building-v1", SMALL, 0, EngineStart.FORKED), (NOISE, DAY, 1, EngineStart.PREFETCHED)],

@@ -429,6 +429,7 @@ def test_a_node_that_would_wait_for_what_is_lost_says_so(scratch: Path, given: d
     assert [("loses messages" in text) for text in said] == [True] * warned
 
 
+@pytest.mark.slow
 def test_lockstep_with_lost_commands_goes_on_by_its_deadline(scratch: Path) -> None:
     cut = {"kind": "loss", "commands": "*", "probability": 1.0, "when": {"from_step": 20, "to_step": 30}}
     (scratch / "faults.yaml").write_text(yaml.safe_dump({"faults": [cut]}))

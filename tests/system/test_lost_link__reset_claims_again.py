@@ -89,7 +89,7 @@ def test_a_link_that_is_down(scratch: Path) -> None:
         env.close()
 
 
-@pytest.mark.variants
+@pytest.mark.slow
 @SLOTS
 def test_an_own_node_that_was_frozen(slots: int) -> None:
     env = make(slots, **SMALL)
@@ -176,6 +176,7 @@ def refusal(env: Any) -> str:
     raise AssertionError("the reset was taken")
 
 
+@pytest.mark.slow
 def test_a_node_elsewhere_that_was_restarted(scratch: Path) -> None:
     with node_behind_link(scratch) as (node, link, port):
         env = make(1, connect=link.endpoint, node="office")

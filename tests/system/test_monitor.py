@@ -200,6 +200,7 @@ def test_a_monitor_that_waits_for_its_bus_says_so_and_can_be_ended(scratch, numb
     assert (monitor.returncode, rest) == (0, "")
 
 
+@pytest.mark.slow
 def test_a_monitor_may_come_before_its_node(scratch):
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     command = [sys.executable, "-P", "-m", "cli.main", "monitor", "--save", "run.rrd", "--once", "--connect", endpoint]

@@ -214,6 +214,7 @@ def test_what_may_change_nothing_changes_nothing(scratch: Path) -> None:
         assert day(link) == quiet
 
 
+@pytest.mark.slow
 def test_what_may_change_something_leaves_the_node_in_order(scratch: Path) -> None:
     with nothing_left(scratch), node_and_bus(scratch) as (node, bus):
         with Program(FUZZER, node.endpoint, str(SEED + 1), "wild", "fuzz") as fuzzer:

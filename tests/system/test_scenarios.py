@@ -71,6 +71,7 @@ def play(env: BuildingEnv, seed: int | None) -> tuple[np.ndarray, dict[str, Any]
     return np.array(rows), info
 
 
+@pytest.mark.slow
 def test_a_shown_scenario_simulates_the_same(scratch: Path) -> None:
     name = "ref-small-office-USA_CO_Denver-discrete-v1"
     show = [sys.executable, "-m", "cli.main", "scenarios", "show", name]
@@ -126,6 +127,7 @@ def test_actuators_beside_the_actions_are_context(scratch: Path) -> None:
     env.close()
 
 
+@pytest.mark.slow
 def test_a_variant_changes_the_model_and_nothing_is_left_of_it(scratch: Path) -> None:
     """With half the lights there is less electricity; the plain scenario beside it stays as it is."""
     lights = {"Lights": {"*": {"watts_per_floor_area": 2.0}}}
@@ -191,6 +193,7 @@ def test_weathers_are_taken_in_order(scratch: Path) -> None:
     env.close()
 
 
+@pytest.mark.slow
 def test_weathers_are_drawn_by_the_seed(scratch: Path) -> None:
     names = ["USA_CO_Denver", "USA_FL_Miami", "USA_AZ_Phoenix"]
     env = make(f"{SMALL}-continuous-v1", weather=names)
