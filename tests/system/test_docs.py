@@ -29,7 +29,9 @@ from models.scenario.schema import Scenario, read_scenario
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 PAGES = {page.relative_to(ROOT).as_posix(): page for page in (ROOT / "README.md", *sorted(DOCS.rglob("*.md")))}
-SLOW = ("README.md", "docs/environments.md", "docs/scenarios.md", "docs/training.md")
+SLOW = tuple(
+    f"docs/{page}.md" for page in ("controllers", "environments", "scenarios", "training", "vector", "wrappers")
+)
 
 ENDPOINT = "tcp/127.0.0.1:7447"
 PRESUPPOSED = {
@@ -103,7 +105,6 @@ def pages_with(*languages: str) -> list[Any]:
 # Programs
 
 
-@pytest.mark.variants
 @pytest.mark.parametrize("page", pages_with("python"))
 def test_programs_run(page: str, scratch: Path) -> None:
     program = [block for block in of_language(page, "python") if not block.excerpt]
