@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from eplus_node.config import read_config
 from eplus_node.plan import Plan, plan
 from models.points.discovery import discover
-from models.scenario.episode import EpisodeFactory, EpisodeFiles, WeatherDraw
+from models.scenario.episode_weather import EpisodeFactory, EpisodeFiles, WeatherDraw
 from topics.messages import Actuator
 
 # Without a 29 February, which weather files lack; 2100 is not a leap year.

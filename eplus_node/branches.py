@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from bridge.exchange.actuator_commands import CommandSnapshot
-from bridge.exchange.episode import StepExchange
+from bridge.exchange.step_exchange import StepExchange
 from eplus_node.engine.client import EngineClient, start_all
 from eplus_node.engine.episode_folders import create_fork_folder
 from eplus_node.engine.group import EngineGroup
@@ -24,7 +24,7 @@ from eplus_node.engine.pool import EnginePool, EpisodeWeather
 from eplus_node.fault_injection import NO_FAULTS, FaultState
 from eplus_node.manifests import weather_fields
 from eplus_node.server import NodeServer
-from models.scenario.episode import WeatherSource
+from models.scenario.episode_weather import WeatherSource
 from topics import keys
 from topics.errors import ForkFailed, RequestRejected, did_you_mean
 from topics.messages import (

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 
-from bridge.exchange.episode import StepExchange
+from bridge.exchange.step_exchange import StepExchange
 from eplus_node.branches import BranchManager
 from eplus_node.engine.client import EngineClient, start_all
 from eplus_node.engine.pool import EnginePool

@@ -7,7 +7,7 @@ from typing import Any
 from bridge.runtime import affinity
 from eplus_node.plan import Plan
 from models import energyplus
-from models.scenario.episode import WeatherSource
+from models.scenario.episode_weather import WeatherSource
 from topics import VERSION
 from topics.messages import Manifest, Versions
 

@@ -9,7 +9,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from types import FrameType
 
-from bridge.exchange.episode import StepExchange
+from bridge.exchange.step_exchange import StepExchange
 from bridge.runtime import affinity
 from bridge.runtime.scratch import Scratch, sweep
 from bridge.runtime.signals import TERMINATION_SIGNALS, override_signals

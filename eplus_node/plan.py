@@ -15,7 +15,7 @@ from models.building.model import Building
 from models.points import discovery, selection
 from models.points.discovery import PointCatalog
 from models.points.selection import Points
-from models.scenario.episode import WeatherSource
+from models.scenario.episode_weather import WeatherSource
 from models.scenario.run_period import Period, check_steps_per_hour, parse_day
 from models.scenario.schema import ActuatorSpec, Scenario
 from models.scenario.task import task_of

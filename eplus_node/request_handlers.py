@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import psutil
 
-from bridge.exchange.episode import MAX_SOURCE_NAME
-from models.scenario.episode import series
+from bridge.exchange.step_exchange import MAX_SOURCE_NAME
+from models.scenario.episode_weather import series
 from models.scenario.schema import dump
 from models.weather.epw import find_column
 from topics import codec, keys

@@ -16,8 +16,8 @@ from time import monotonic
 
 import zenoh
 
-from bridge.exchange.episode import StepExchange, Trigger
 from bridge.exchange.latency import LatencyWindow
+from bridge.exchange.step_exchange import StepExchange, Trigger
 from bridge.runtime.timer import Timer
 from eplus_node.engine.group import EngineGroup
 from eplus_node.fault_injection import FaultInjection

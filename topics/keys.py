@@ -47,7 +47,7 @@ NODE_CHUNK = 2
 
 
 class Role(StrEnum):
-    """Role of a message's sender."""
+    """Role of a program on the bus: sender of a topic, and common name of its certificate."""
 
     NODE = "node"
     CONTROLLER = "controller"

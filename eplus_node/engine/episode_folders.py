@@ -12,7 +12,7 @@ from pathlib import Path
 from eplus_node.config import kept_episodes
 from eplus_node.engine.client import LOG
 from eplus_node.plan import Plan
-from models.scenario.episode import EpisodeFactory, EpisodeFiles, WeatherDraw
+from models.scenario.episode_weather import EpisodeFactory, EpisodeFiles, WeatherDraw
 from topics.errors import EngineDied, ForkFailed
 
 

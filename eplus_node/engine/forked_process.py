@@ -29,7 +29,7 @@ class Process(Protocol):
 
 
 class ForkedProcess:
-    """A fork of an engine. Its parent is this process; see `eplus_node.engine.fork.clone`."""
+    """A fork of an engine. Its parent is the node, not the engine that forked: see `system_calls.clone`."""
 
     def __init__(self, pid: int) -> None:
         self.pid = pid

@@ -15,7 +15,7 @@ from eplus_node.engine.registry import EngineRegistry
 from eplus_node.engine.spec import EngineSpec
 from eplus_node.engine.template import EngineTemplate
 from eplus_node.plan import Plan
-from models.scenario.episode import EpisodeFiles, WeatherDraw, WeatherSampler, WeatherSource
+from models.scenario.episode_weather import EpisodeFiles, WeatherDraw, WeatherSampler, WeatherSource
 from topics.errors import EngineDied, ForkFailed, SimulatorError
 from topics.messages import EngineStart
 

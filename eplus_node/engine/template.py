@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from eplus_node.engine.client import EngineClient
 from eplus_node.engine.spec import EngineSpec
-from models.scenario.episode import EpisodeFiles, WeatherDraw
+from models.scenario.episode_weather import EpisodeFiles, WeatherDraw
 
 
 class EngineTemplate:

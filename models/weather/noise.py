@@ -248,7 +248,7 @@ class _NoisyTable:
     def sun_known(self) -> Mask:
         """Rows with a known position of the sun, where neither extraterrestrial radiation is missing.
 
-        None if the file has 0 in all rows, as some files do.
+        No row, if the file has 0 in all of them, as some files do.
         """
         if not self.original(_EXTRATERRESTRIAL).any():
             return np.zeros(len(self.weather), dtype=np.bool_)

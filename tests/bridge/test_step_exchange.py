@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.builders import NAN, actuator, advance, answer, claim, command, exchange, ruling, wire
 
-from bridge.exchange.episode import TRANSITIONS, IllegalTransition, StepExchange, Trigger
+from bridge.exchange.step_exchange import TRANSITIONS, IllegalTransition, StepExchange, Trigger
 from topics import codec
 from topics.errors import RequestRejected
 from topics.messages import Command, CommandOp, Event, EventKind, Mode, State, Write

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.builders import NAN, advance, answer, claim, command, exchange, wire
 
-from bridge.exchange.episode import MAX_MESSAGES_PER_STEP, StepExchange, Trigger
+from bridge.exchange.step_exchange import MAX_MESSAGES_PER_STEP, StepExchange, Trigger
 from topics.errors import EpisodeAborted
 from topics.messages import CommandOp, ControllerStatus, Event, EventKind, Mode, Policy, State
 

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from models.building.model import Building, read_building
 from models.catalog import find_building, find_weather
-from models.scenario.episode import EpisodeFactory, EpisodeFiles, WeatherDraw, WeatherSampler, WeatherSource
+from models.scenario.episode_weather import EpisodeFactory, EpisodeFiles, WeatherDraw, WeatherSampler, WeatherSource
 from models.weather import design_days, epw
 from models.weather.header import read_header
 from models.weather.noise import ColumnNoise, Variability

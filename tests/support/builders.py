@@ -8,7 +8,7 @@ from datetime import datetime
 import numpy as np
 
 from agent_sdk.bus.sample import SampleView
-from bridge.exchange.episode import StepExchange
+from bridge.exchange.step_exchange import StepExchange
 from topics import codec
 from topics.messages import (
     Action,

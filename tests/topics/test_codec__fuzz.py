@@ -214,7 +214,7 @@ def test_all_messages_are_fuzzed() -> None:
 
 
 def test_the_limits_in_the_documentation_are_those_of_the_code() -> None:
-    from bridge.exchange import episode
+    from bridge.exchange import step_exchange
     from bridge.transport import session
     from eplus_node import publications, subscriptions
 
@@ -222,7 +222,7 @@ def test_the_limits_in_the_documentation_are_those_of_the_code() -> None:
     section = page.split("## Limits on incoming messages", 1)[1].split("\n## ", 1)[0]
     numbers = (
         codec.MAX_BYTES // 2**20, session.MAX_MESSAGE_BYTES // 2**20, codec.MAX_ENTRIES, codec.MAX_ITEMS[Claim],
-        episode.MAX_MESSAGES_PER_STEP, episode.MAX_SOURCE_NAME,
+        step_exchange.MAX_MESSAGES_PER_STEP, step_exchange.MAX_SOURCE_NAME,
         subscriptions.COMMAND_QUEUE, subscriptions.MAX_PENDING, publications.EVENTS_A_STEP, publications.WRITTEN_A_STEP,
     )  # fmt: skip
     rows = [line.split("|")[2].strip() for line in section.splitlines() if line.startswith("| ")][1:]
