@@ -104,7 +104,7 @@ def test_ctrl_c_in_a_controller_leaves_the_node_waiting(scratch):
     year = SMALL | {"begin": "01-01", "end": "12-31"}
     with NodeProgram(scratch / "node", **year) as node, agent_sdk.connect(node.endpoint, affinity="off") as bus:
         run = subprocess.Popen(
-            [*ZENOSTAT, "run", "--node", "office", "--controller", "building", "--connect", node.endpoint],
+            [*ZENOSTAT, "run", "--node", "office", "--controller", "baseline", "--connect", node.endpoint],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
