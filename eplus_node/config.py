@@ -8,9 +8,9 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from bridge.engine.registry import UNRESPONSIVE_S
 from bridge.runtime.affinity import Affinity
 from bridge.transport.session import DEFAULT_ENDPOINT
-from eplus_node.engine.registry import UNRESPONSIVE_S
 from models.scenario.registry import find_scenario
 from models.scenario.schema import Scenario, load_scenario, read_scenario
 from topics.codec import describe_validation_errors

@@ -9,6 +9,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from types import FrameType
 
+from bridge.engine.registry import EngineRegistry
 from bridge.exchange.step_exchange import StepExchange
 from bridge.runtime import affinity
 from bridge.runtime.scratch import Scratch, sweep
@@ -18,7 +19,6 @@ from eplus_node.branches import BranchManager
 from eplus_node.config import NodeConfig
 from eplus_node.engine.group import EngineGroup
 from eplus_node.engine.pool import EnginePool
-from eplus_node.engine.registry import EngineRegistry
 from eplus_node.engine.template import EngineTemplate
 from eplus_node.episodes import EpisodeManager, start_engines
 from eplus_node.manifests import node_manifest

@@ -13,8 +13,8 @@ import struct
 import sys
 from typing import NoReturn
 
+from bridge.engine.system_calls import die_with_parent, leave, set_up_process
 from eplus_node.engine.process import Engine
-from eplus_node.engine.system_calls import die_with_parent, leave, set_up_process
 
 
 def main(orders_descriptor: int, frames_descriptor: int, parent: int) -> NoReturn:

@@ -18,12 +18,12 @@ import numpy as np
 import psutil
 from numpy.typing import NDArray
 
+from bridge.engine.forked_process import ForkedProcess, Process
+from bridge.engine.protocol import FrameKind, OrderKind
+from bridge.engine.registry import EngineRegistry
+from bridge.engine.sockets import SocketPair, fill, read_process_id, send_all, socket_pairs
 from bridge.runtime.idle_watch import LOOK_S, IdleWatch
 from bridge.runtime.polling import Polling
-from eplus_node.engine.forked_process import ForkedProcess, Process
-from eplus_node.engine.protocol import FrameKind, OrderKind
-from eplus_node.engine.registry import EngineRegistry
-from eplus_node.engine.sockets import SocketPair, fill, read_process_id, send_all, socket_pairs
 from eplus_node.engine.spec import EngineSpec
 from models.energyplus import ISOLATED
 from models.err_file import explain

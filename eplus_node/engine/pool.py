@@ -9,9 +9,9 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from bridge.engine.registry import EngineRegistry
 from eplus_node.engine.client import EngineClient
 from eplus_node.engine.episode_folders import EpisodeFolders, is_used, link_weather
-from eplus_node.engine.registry import EngineRegistry
 from eplus_node.engine.spec import EngineSpec
 from eplus_node.engine.template import EngineTemplate
 from eplus_node.plan import Plan

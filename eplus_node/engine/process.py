@@ -15,11 +15,11 @@ from itertools import repeat
 from math import isfinite
 from typing import Any, NoReturn
 
+from bridge.engine.protocol import PROCESS_ID, FrameKind, OrderKind
+from bridge.engine.system_calls import clone, die_with_parent, leave, reopen_files, set_up_process
 from bridge.runtime.polling import Polling
 from eplus_node.engine.huge_pages import collapse_huge_pages
 from eplus_node.engine.memory import SaturationCache
-from eplus_node.engine.protocol import PROCESS_ID, FrameKind, OrderKind
-from eplus_node.engine.system_calls import clone, die_with_parent, leave, reopen_files, set_up_process
 
 RUN_PERIOD = 3
 """EnergyPlus's `kind_of_sim` for a run period that reads a weather file."""

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import threading
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 from topics.errors import EngineDied
-
-if TYPE_CHECKING:
-    from eplus_node.engine.client import EngineClient
 
 UNRESPONSIVE_S = 10.0
 """Default time after which an engine that neither answers nor uses processor time is killed."""
 _CLOSING_UNRESPONSIVE_S = 1.0
 """The same limit once the node is ending."""
+
+
+class Interruptible(Protocol):
+    """An engine."""
+
+    def interrupt(self) -> None:
+        """Kill the process; thread-safe."""
 
 
 class EngineRegistry:
@@ -28,7 +32,7 @@ class EngineRegistry:
 
     def __init__(self, unresponsive_s: float = UNRESPONSIVE_S) -> None:
         self._unresponsive_s = unresponsive_s
-        self._clients: set[EngineClient] = set()
+        self._clients: set[Interruptible] = set()
         self._lock = threading.Lock()
         self.closing = False
 
@@ -42,12 +46,12 @@ class EngineRegistry:
         if self.closing:
             raise EngineDied("the node is ending and starts no more engines")
 
-    def add(self, client: EngineClient) -> None:
+    def add(self, client: Interruptible) -> None:
         """Register an engine, so that `interrupt` kills it."""
         with self._lock:
             self._clients.add(client)
 
-    def remove(self, client: EngineClient) -> None:
+    def remove(self, client: Interruptible) -> None:
         """Unregister an engine that has ended; idempotent."""
         with self._lock:
             self._clients.discard(client)
