@@ -175,14 +175,14 @@ def environment(node_settings: dict[str, Any], pace: Pace, *, monitors: int = 0,
 
 def engines(node_settings: dict[str, Any], pace: Pace, *, count: int) -> None:
     """Step the engines of one node together through their sockets alone: no bus, no node, no controller."""
-    from eplus_node.engine.client import EngineClient
-    from eplus_node.engine.group import EngineGroup
-    from eplus_node.engine.spec import EngineSpec
+    from bridge.engine.client import EngineClient
+    from bridge.engine.group import EngineGroup
+    from eplus_node.engine.spec import engine_spec
 
     folder = Path(tempfile.mkdtemp())
     checked, files = scenes.prepared(node_settings, folder)
-    cores, points, period = sorted(os.sched_getaffinity(0)), checked.points, checked.period
-    spec = EngineSpec(files.model, files.weather, folder, period.steps, period.steps_per_hour, points)
+    cores, points = sorted(os.sched_getaffinity(0)), checked.points
+    spec = engine_spec(checked, files, folder)
     with ExitStack() as stack:
         first = EngineClient(spec)
         stack.callback(first.close)
@@ -195,9 +195,9 @@ def engines(node_settings: dict[str, Any], pace: Pace, *, count: int) -> None:
             stack.callback(clients[-1].close)
             clients[-1].receive()
         values = np.tile(scenes.setpoints(points.actuators), count).tobytes()
-        group, source_index = EngineGroup(clients), bytes(len(values) // 8)
+        group = EngineGroup(len(points.actuators), clients)
         group.begin(range(count))
-        _run(lambda: group.step(values, source_index, range(count)), pace)
+        _run(lambda: group.step(values, range(count)), pace)
 
 
 def slots(node_settings: dict[str, Any], pace: Pace, *, count: int, **arguments: Any) -> None:

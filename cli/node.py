@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
+from datetime import timedelta
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -20,9 +21,9 @@ from topics.messages import Mode, Policy, State
 if TYPE_CHECKING:
     from rich.progress import Progress
 
+    from bridge.node.node import Node
+    from bridge.node.server import NodeServer, Observer
     from eplus_node.config import NodeConfig
-    from eplus_node.node import Node
-    from eplus_node.server import NodeServer, Observer
 
 
 def node(
@@ -102,8 +103,8 @@ def _run(settings: dict[str, Any], *, is_endpoint_explicit: bool) -> None:
         observer = _ProgressBar(bars, config.name)
         print_line = partial(bars.console.print, markup=False, soft_wrap=True)
         running = _start(stack, config, observer, is_endpoint_explicit=is_endpoint_explicit, print_line=print_line)
-        bars.console.print(_greeting(running, ", ".join(running.config.listen or running.config.connect)))
-        for warning in filter(None, (*running.manifest.warnings, exposure(running.config.listen, config.keys))):
+        bars.console.print(_greeting(running, ", ".join(running.settings.listen or running.settings.connect)))
+        for warning in filter(None, (*running.manifest.warnings, exposure(running.settings.listen, config.keys))):
             bars.console.print(f"warning: {warning}", style="yellow", markup=False, soft_wrap=True)
         running.serve()
         statistics = statistics_table(running.server.statistics(), running.exchange.controllers())
@@ -131,17 +132,17 @@ def _start(
     Raises:
         AddressInUse: the user named an endpoint that is in use, or the program at the default endpoint is no node.
     """
-    from eplus_node.node import Node
+    from eplus_node.node import energyplus_node
 
     try:
-        return stack.enter_context(Node(config, observer=observer, program=True))
+        return stack.enter_context(energyplus_node(config, observer, program=True))
     except AddressInUse as error:
         if is_endpoint_explicit:
             raise
         endpoints = config.connect or config.listen
         joined = config.model_copy(update={"listen": [], "connect": endpoints})
         try:
-            running = stack.enter_context(Node(joined, observer=observer, program=True))
+            running = stack.enter_context(energyplus_node(joined, observer, program=True))
         except NodeNotFound:
             raise error from None
     print_line(
@@ -172,10 +173,12 @@ class _ProgressBar:
 
 
 def _greeting(node: Node, listen: str) -> str:
-    manifest, period = node.manifest, node.plan.period
+    manifest, run_period = node.manifest, node.plant.description.run_period
+    location = f" in {manifest.location}" if manifest.location else ""
     return (
-        f"[bold]{manifest.node}[/bold] on {listen}: {manifest.building} in {manifest.location}, "
-        f"{period.begin} to {period.end}, {manifest.steps} timesteps of {60 // manifest.steps_per_hour} min; "
+        f"[bold]{manifest.node}[/bold] on {listen}: {manifest.building}{location}, "
+        f"{run_period.begin:%Y-%m-%d} to {run_period.end - timedelta(seconds=run_period.step_s):%Y-%m-%d}, "
+        f"{manifest.steps} timesteps of {60 // manifest.steps_per_hour} min; "
         f"{len(manifest.sensors)} sensors, {len(manifest.meters)} meters, {len(manifest.actuators)} actuators. "
         "Press Ctrl-C to stop."
     )

@@ -15,7 +15,7 @@ from typing import Any
 
 from bridge.runtime.signals import TERMINATION_SIGNALS
 from eplus_node.config import read_config
-from eplus_node.node import Node
+from eplus_node.node import energyplus_node
 from eplus_node.plan import plan
 from topics.errors import ZenostatError, to_wire
 
@@ -50,7 +50,7 @@ def main() -> int:
             plan(config)
             _print_line(ready=config.name)
             return 0
-        with Node(config, program=True) as node:
+        with energyplus_node(config, program=True) as node:
             _print_line(ready=config.name, manifest=node.manifest.model_dump(mode="json"))
             node.serve()
     except ZenostatError as error:

@@ -6,30 +6,23 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError
 
-from bridge.engine.registry import UNRESPONSIVE_S
-from bridge.runtime.affinity import Affinity
-from bridge.transport.session import DEFAULT_ENDPOINT
+from bridge.node.settings import NodeSettings
 from models.scenario.registry import find_scenario
 from models.scenario.schema import Scenario, load_scenario, read_scenario
 from topics.codec import describe_validation_errors
 from topics.errors import ErrorCollector, InvalidConfig, did_you_mean
-from topics.messages import Mode, Policy
 
 
-class NodeConfig(BaseModel):
-    """The settings of a node.
+class NodeConfig(NodeSettings):
+    """The settings of a node that simulates a building with EnergyPlus.
 
     Attributes:
         scenario: an id or a file; or None.
         config: a Sinergym configuration instead, and its `variant` (`hot-continuous`; None: the first one).
         what: fields of a scenario; they override those of `scenario`.
         own_reward: the agent has a custom reward; the reward of a Sinergym configuration is not read.
-        check: only check the settings; start nothing.
-        listen: endpoints; empty for a node that only connects to a router or another node.
-        keys: a folder created by `zenostat keys init`; `certificate` names another certificate than `node`.
-        unresponsive_s: time after which an engine that neither answers nor uses processor time is killed.
         shrink_caches: shrink EnergyPlus's cache of saturation pressures in its memory (experimental). On by default
             because a step takes about 9 % less time and a branch 16 MB less memory, with equal results. See
             `eplus_node.engine.memory`.
@@ -37,43 +30,14 @@ class NodeConfig(BaseModel):
             of the last `keep_last` finished ones are kept (None: all, or as the Sinergym configuration defines).
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
     scenario: str | None = None
     config: Path | None = None
     variant: str | None = None
     what: dict[str, Any] = Field(default_factory=dict)
     own_reward: bool = False
-    check: bool = False
-    name: str = "building"
-    mode: Mode = Mode.LOCKSTEP
-    speed: Annotated[float, Field(gt=0, le=1e9)] = 1.0
-    policy: Policy = Policy.WAIT
-    grace_s: Annotated[float, Field(ge=0, le=1e9)] = 0.0
-    deadline_s: Annotated[float, Field(gt=0, le=1e9)] | None = None
-    faults: Path | None = None
-    listen: list[str] = Field(default_factory=lambda: [DEFAULT_ENDPOINT])
-    connect: list[str] = Field(default_factory=list)
-    expose: bool = False
-    keys: Path | None = None
-    certificate: str | None = None
-    slots: Annotated[int, Field(ge=1, le=256)] = 1
-    baseline: bool = False
-    branches: Annotated[int, Field(ge=0, le=4096)] = 64
-    unresponsive_s: Annotated[float, Field(gt=0, le=1e9)] = UNRESPONSIVE_S
     shrink_caches: bool = True
     output_dir: Path | None = None
     keep_last: Annotated[int, Field(ge=1)] | None = None
-    folder: Path | None = None
-    affinity: Affinity = Affinity.SEPARATE_CORES
-    cpu: int | None = None
-    engine_cpu: int | None = None
-
-    @model_validator(mode="after")
-    def _has_a_bus(self) -> NodeConfig:
-        if not self.listen and not self.connect:
-            raise ValueError("name an endpoint to listen on, or one to connect to")
-        return self
 
 
 def read_config(settings: Mapping[str, Any]) -> NodeConfig:

@@ -6,9 +6,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from bridge.faults import read_plan
+from bridge.node.fault_injection import FaultInjection
+from bridge.node.plant import PlantDescription, RunPeriod
 from eplus_node.config import NodeConfig, scenario_of
-from eplus_node.fault_injection import FaultInjection
-from models import catalog
+from models import catalog, energyplus
 from models.building import conflicts
 from models.building import model as building
 from models.building.model import Building
@@ -17,14 +18,15 @@ from models.points.discovery import PointCatalog
 from models.points.selection import Points
 from models.scenario.episode_weather import WeatherSource
 from models.scenario.run_period import Period, check_steps_per_hour, parse_day
-from models.scenario.schema import ActuatorSpec, Scenario
+from models.scenario.schema import ActuatorSpec, Scenario, dump
 from models.scenario.task import task_of
 from models.weather import design_days, epw, noise
 from models.weather.header import check_covers, read_header
+from topics import VERSION
 from topics.errors import ErrorCollector, InvalidConfig, UnknownName
 from topics.fault_plan import FaultPlan, Loss
 from topics.keys import check_name
-from topics.messages import Aggregation, Mode, Policy, Task
+from topics.messages import Aggregation, Mode, Policy, Task, Versions
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,8 +87,26 @@ def plan(config: NodeConfig) -> Plan:
     warnings = tuple(conflicts.conflicts(model.objects, chosen.actuators)) + _lockstep_loss_warnings(config, injected)
     planned = Plan(config, scenario, model, tuple(valid_sources), period, chosen, task, warnings, injected)
     if injected is not None:
-        FaultInjection(injected, planned, config.slots)  # so that its errors are reported before anything starts
+        FaultInjection(
+            injected, describe(planned), config.slots
+        )  # so that its errors are reported before anything starts
     return planned
+
+
+def describe(plan: Plan) -> PlantDescription:
+    """Describe the building, its points and its task for the node."""
+    period, points = plan.period, plan.points
+    return PlantDescription(
+        name=plan.building.name,
+        run_period=RunPeriod(period.time(0), period.step_s, period.steps),
+        sensors=points.sensors,
+        meters=points.meters,
+        actuators=points.actuators,
+        versions=Versions(zenostat=VERSION, energyplus=energyplus.version()),
+        task=plan.task,
+        scenario=dump(plan.scenario),
+        warnings=plan.warnings,
+    )
 
 
 def _read_model(scenario: Scenario, errors: ErrorCollector) -> Building | None:

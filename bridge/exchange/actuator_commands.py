@@ -39,10 +39,13 @@ class CommandSnapshot:
     array: PriorityArray
     expiries: tuple[Expiry, ...] = ()
     timesteps: int = 0
+    source_index: bytes = b""
 
     def of_slot(self, slot: int, slots: int) -> CommandSnapshot:
         """Return a snapshot for `slots` new slots, all with the commands of one slot."""
-        return CommandSnapshot(self.array.of_slot(slot, slots), self.expiries, self.timesteps)
+        width = 2 * self.array.shape[1]
+        sources = self.source_index[slot * width : (slot + 1) * width] * slots
+        return CommandSnapshot(self.array.of_slot(slot, slots), self.expiries, self.timesteps, sources)
 
 
 class ActuatorCommands:

@@ -79,6 +79,7 @@ class ExchangeState:
         modified: of each slot, whether it was commanded or has stepped since the start of its episode.
         done: of each slot, whether its episode is over.
         active_slots: the slots that step in the running timestep.
+        source_index: of each effective value, the index of its source in `source_names`; uint16, (slots, actuators).
         fallback_active: whether the running or the latest timestep lacks a required controller's command.
     """
 
@@ -97,6 +98,7 @@ class ExchangeState:
     modified: list[bool] = field(init=False)
     done: list[bool] = field(init=False)
     active_slots: Sequence[int] = field(init=False)
+    source_index: bytes = field(init=False)
     fallback_active: bool = False
     _needs_fallback: bool = False
     _opened_s: float = 0.0
@@ -119,6 +121,7 @@ class ExchangeState:
         self.done = [False] * self.slots
         self.active_slots = self._all_slots = range(self.slots)
         self._all_modified = [True] * self.slots
+        self.source_index = bytes(2 * self.slots * len(self.actuators))
         self.commands = ActuatorCommands(self.actuators, self.slots)
         self.claims = Claims(self.actuators, self.commands.array)
 
@@ -129,7 +132,7 @@ class ExchangeState:
 
     @property
     def source_names(self) -> list[str]:
-        """Names to which the source indices of `begin_step` refer."""
+        """Names to which `source_index` refers."""
         return self.commands.array.names
 
     def transition(self, trigger: Trigger) -> None:

@@ -24,7 +24,7 @@ arrives after the deadline still answers the current step; it is accepted and re
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from bridge.exchange.actuator_commands import CommandSnapshot
 from bridge.exchange.fallback import FallbackRules
@@ -100,17 +100,20 @@ class StepExchange(Intake, FallbackRules):
             self.episode = [episode + 1 for episode in self.episode]
             self.commands.clear()
             self.claims.begin_episode()
+            self.source_index = bytes(len(self.source_index))
             return
         self.episode = [episode + (slot in slots) for slot, episode in enumerate(self.episode)]
         self.commands.array.relinquish_slots(slots)
+        self.source_index = self._merge_sources(bytes(len(self.source_index)), slots)
 
     def capture(self) -> CommandSnapshot:
         """Return the commands in effect at the current sample."""
-        return self.commands.capture()
+        return replace(self.commands.capture(), source_index=self.source_index)
 
     def restore(self, snapshot: CommandSnapshot) -> None:
         """Restore captured commands; only in STARTING."""
         self.commands.restore(snapshot)
+        self.source_index = snapshot.source_index
         self.claims.begin_episode()
 
     def ready_to_step(self) -> bool:
@@ -126,8 +129,8 @@ class StepExchange(Intake, FallbackRules):
                 return True
         return False
 
-    def begin_step(self) -> tuple[bytes, bytes]:
-        """Begin a timestep; return its values (float64, NaN: baseline control) and source indices (uint16)."""
+    def begin_step(self) -> bytes:
+        """Begin a timestep; return its commands (float64, NaN: baseline control)."""
         self.transition(_GO)
         self.fallback_active = self._needs_fallback and self._count_missed()
         self._step_starts.append((self.episode, self.step, self.now_s))
@@ -141,7 +144,20 @@ class StepExchange(Intake, FallbackRules):
             self.modified = self._all_modified
         else:
             self.modified = [was or slot in self.active_slots for slot, was in enumerate(self.modified)]
-        return self.commands.array.resolve()
+        values, source_index = self.commands.array.resolve()
+        if self.active_slots is self._all_slots:
+            self.source_index = source_index
+        else:
+            self.source_index = self._merge_sources(source_index, self.active_slots)
+        return values
+
+    def _merge_sources(self, source_index: bytes, slots: Sequence[int]) -> bytes:
+        """Return the present source indices, with those of some slots replaced."""
+        width = len(source_index) // self.slots
+        rows = [self.source_index[slot * width : (slot + 1) * width] for slot in self._all_slots]
+        for slot in slots:
+            rows[slot] = source_index[slot * width : (slot + 1) * width]
+        return b"".join(rows)
 
     def _count_missed(self) -> bool:
         """Count the required controllers without a command for this timestep; return whether there are any."""

@@ -9,13 +9,14 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from bridge.engine.client import EngineClient
 from bridge.engine.registry import EngineRegistry
-from eplus_node.engine.client import EngineClient
-from eplus_node.engine.episode_folders import EpisodeFolders, is_used, link_weather
-from eplus_node.engine.spec import EngineSpec
+from bridge.engine.spec import EngineSpec
+from eplus_node.engine.episode_folders import EpisodeFolders, is_used
+from eplus_node.engine.spec import engine_spec
 from eplus_node.engine.template import EngineTemplate
 from eplus_node.plan import Plan
-from models.scenario.episode_weather import EpisodeFiles, WeatherDraw, WeatherSampler, WeatherSource
+from models.scenario.episode_weather import EpisodeFiles, WeatherDraw, WeatherSampler
 from topics.errors import EngineDied, ForkFailed, SimulatorError
 from topics.messages import EngineStart
 
@@ -97,11 +98,6 @@ class EnginePool:
     @property
     def _uses_template(self) -> bool:
         return self._draws.constant and not self._folders.keep
-
-    @property
-    def source(self) -> WeatherSource:
-        """The weather file of the present episode, without noise."""
-        return self.source_of(self.weather)
 
     @property
     def output_dir(self) -> str:
@@ -203,20 +199,6 @@ class EnginePool:
         """The weather of the present episode."""
         return EpisodeWeather(self.draw, self.files)
 
-    def source_of(self, weather: EpisodeWeather) -> WeatherSource:
-        """Return the weather file without noise."""
-        return self._plan.sources[weather.draw.source]
-
-    def link(self, weather: EpisodeWeather, path: Path) -> EpisodeWeather:
-        """Hard-link the episode's weather to `path`, unless its file is kept in any case.
-
-        Raises:
-            ForkFailed: the link cannot be created.
-        """
-        if weather.files.weather == self.source_of(weather).path or self._folders.keep:
-            return weather
-        return EpisodeWeather(weather.draw, link_weather(weather.files, path))
-
     def fork(self, parent: EngineTemplate | EngineClient, episode: int) -> EngineClient:
         """Fork the template, or the engine of a snapshot, at its sample.
 
@@ -233,12 +215,12 @@ class EnginePool:
             raise
         return _receive_first(engine)
 
-    def link_for_episode(self, weather: EpisodeWeather, episode: int) -> EpisodeWeather:
-        """Hard-link the weather of a snapshot for an episode that continues from it; raise as `link` does."""
-        return self.link(weather, self._folders.restored_weather(episode))
+    def restored_weather(self, episode: int) -> Path:
+        """Return the path for the weather file of an episode that continues from a snapshot."""
+        return self._folders.restored_weather(episode)
 
     def restore(self, weather: EpisodeWeather) -> None:
-        """Continue with the weather of a snapshot, as `link_for_episode` returned it."""
+        """Continue with the weather of a snapshot, linked to `restored_weather`."""
         self.draw = weather.draw
         self._replace_files(weather.files)
         self._output_kept = False
@@ -295,19 +277,14 @@ class EnginePool:
     def _spec(
         self, files: EpisodeFiles, folder: Path, cpus: Sequence[int], *, keep_output: bool, branch: bool = False
     ) -> EngineSpec:
-        plan = self._plan
-        return EngineSpec(
-            files.model,
-            files.weather,
+        return engine_spec(
+            self._plan,
+            files,
             folder,
-            plan.period.steps,
-            plan.period.steps_per_hour,
-            plan.points,
             keep_output=keep_output,
             cpus=tuple(cpus),
             poll=self._poll,
             branch=branch,
-            shrink_caches=plan.config.shrink_caches,
         )
 
 

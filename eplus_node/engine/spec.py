@@ -1,59 +1,67 @@
-"""The specification of an engine's run."""
+"""The specification of an EnergyPlus engine."""
 
 from __future__ import annotations
 
-import os
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from bridge.engine.spec import EngineProgram, EngineSpec
+from eplus_node.plan import Plan
+from models.energyplus import ISOLATED
+from models.err_file import explain
 from models.points.selection import Points
+from models.scenario.episode_weather import EpisodeFiles
+from topics.errors import ModelError
 
 
-@dataclass(frozen=True, slots=True)
-class EngineSpec:
-    """Specification of an engine's run: prepared files, number of timesteps, points in order.
+def _failure(text: str, folder: Path) -> ModelError:
+    return ModelError(f"{text}. {explain(folder, 'EnergyPlus gave no reason in eplusout.err')}")
 
-    Attributes:
-        keep_output: keep the folder and let EnergyPlus finish its files.
-        cpus: cores on which the engine may run; empty leaves it to the system.
-        poll: whether the engine polls for orders before it sleeps.
-        branch: end the process at its last sample, without EnergyPlus's own end of run.
-        shrink_caches: see `eplus_node.engine.memory`.
+
+ENERGYPLUS = EngineProgram(
+    command=(*ISOLATED, "eplus_node.engine"),
+    failure=_failure,
+    explain=explain,
+    # Huge pages mean fewer page tables for a fork to copy: a fork takes half the time (docs/performance.md).
+    environment={"GLIBC_TUNABLES": "glibc.malloc.hugetlb=1"},
+)
+
+
+def engine_spec(plan: Plan, files: EpisodeFiles, folder: Path, **settings: Any) -> EngineSpec:
+    """Return the specification of an engine for an episode.
+
+    Args:
+        plan: what it simulates.
+        files: what it reads.
+        folder: where it writes.
+        settings: further fields of `EngineSpec`.
     """
+    points = plan.points
+    return EngineSpec(
+        program=ENERGYPLUS,
+        folder=folder,
+        values=len(points.sensors) + len(points.meters),
+        actuators=len(points.actuators),
+        feedback=tuple(i for i, a in enumerate(points.actuators) if a.feedback),
+        run={
+            "model": str(files.model),
+            "weather": str(files.weather),
+            "steps": plan.period.steps,
+            "steps_per_hour": plan.period.steps_per_hour,
+            "shrink_caches": plan.config.shrink_caches,
+            **_point_fields(points),
+        },
+        **settings,
+    )
 
-    model: Path
-    weather: Path
-    folder: Path
-    steps: int
-    steps_per_hour: int
-    points: Points
-    keep_output: bool = False
-    cpus: tuple[int, ...] = ()
-    poll: bool = False
-    branch: bool = False
-    shrink_caches: bool = True
 
-    def fields(self) -> dict[str, Any]:
-        """Return the fields that the engine reads, as JSON built-ins."""
-        points = self.points
-        return {
-            "model": str(self.model),
-            "weather": str(self.weather),
-            "folder": str(self.folder),
-            "steps": self.steps,
-            "steps_per_hour": self.steps_per_hour,
-            "keep": self.keep_output,
-            "parent": os.getpid(),
-            "cpus": self.cpus,
-            "poll": self.poll,
-            "branch": self.branch,
-            "shrink_caches": self.shrink_caches,
-            "sensors": [
-                (s.variable, s.key, str(s.aggregation), system)
-                for s, system in zip(points.sensors, points.system, strict=True)
-            ],
-            "meters": [(m.meter, h) for m, h in zip(points.meters, points.meter_handles, strict=True)],
-            "actuators": [(a.component_type, a.control_type, a.key) for a in points.actuators],
-            "feedback": [(a.feedback, a.key) for a in points.actuators if a.feedback],
-        }
+def _point_fields(points: Points) -> dict[str, Any]:
+    return {
+        "sensors": [
+            (s.variable, s.key, str(s.aggregation), system)
+            for s, system in zip(points.sensors, points.system, strict=True)
+        ],
+        "meters": [(m.meter, h) for m, h in zip(points.meters, points.meter_handles, strict=True)],
+        "actuators": [(a.component_type, a.control_type, a.key) for a in points.actuators],
+        "feedback": [(a.feedback, a.key) for a in points.actuators if a.feedback],
+    }

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from eplus_node.engine.client import EngineClient
-from eplus_node.engine.spec import EngineSpec
+from bridge.engine.client import EngineClient
+from bridge.engine.spec import EngineSpec
 from models.scenario.episode_weather import EpisodeFiles, WeatherDraw
 
 

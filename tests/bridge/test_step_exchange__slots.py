@@ -27,7 +27,7 @@ def answers(at: StepExchange, controller: str, slots: dict[int, tuple[float, flo
 def go(at: StepExchange, last: tuple[int, ...] = ()) -> tuple[list[int], np.ndarray]:
     """One timestep: who moved, and what ruled, shape (slots, actuators)."""
     assert at.ready_to_step(), at.awaiting()
-    values, _ = at.begin_step()
+    values = at.begin_step()
     moving = [*at.active_slots]
     at.finish_step([slot in last for slot in moving])
     at.open_intake()

@@ -15,8 +15,8 @@ from support.engine_forks import FOUR, SMALL, Faults, engines, episode, go, make
 from support.nodes import SMALL as OFFICE
 from support.nodes import runs, until
 
+from bridge.engine.client import EngineClient
 from eplus_node.config import read_config
-from eplus_node.engine.client import EngineClient
 from eplus_node.engine.pool import EnginePool
 from eplus_node.engine.template import EngineTemplate
 from eplus_node.plan import Plan

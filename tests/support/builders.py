@@ -127,10 +127,10 @@ def answer(
 def advance(at: StepExchange, *, last: bool = False) -> tuple[list[float], list[str]]:
     """One timestep: the values that ruled it (NaN: the building's own) and who set them."""
     assert at.ready_to_step(), f"waits for {at.awaiting()}"
-    values, who = at.begin_step()
+    values = at.begin_step()
     at.finish_step([last] * len(at.active_slots))
     at.open_intake()
-    sources = [at.source_names[i] for i in np.frombuffer(who, "<u2")]
+    sources = [at.source_names[i] for i in np.frombuffer(at.source_index, "<u2")]
     return np.frombuffer(values, "<f8").tolist(), sources
 
 
@@ -138,8 +138,10 @@ def ruling(at: StepExchange) -> tuple[list[float], list[str]]:
     """What would rule the next timestep, without simulating it: on a copy."""
     import copy
 
-    values, who = copy.deepcopy(at).begin_step()
-    return np.frombuffer(values, "<f8").tolist(), [at.source_names[i] for i in np.frombuffer(who, "<u2")]
+    ahead = copy.deepcopy(at)
+    values = ahead.begin_step()
+    sources = [ahead.source_names[i] for i in np.frombuffer(ahead.source_index, "<u2")]
+    return np.frombuffer(values, "<f8").tolist(), sources
 
 
 def wire(of: Command) -> bytes:

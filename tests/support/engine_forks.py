@@ -108,8 +108,9 @@ def kill(process: psutil.Process) -> None:
 _NODE_STARTS_THEM = """
 import sys
 if sys.orig_argv[-2:] == ["-m", "eplus_node"]:
-    import eplus_node.engine.client
-    eplus_node.engine.client.ISOLATED = (sys.executable, "-P", {engine!r})
+    from dataclasses import replace
+    from eplus_node.engine import spec
+    spec.ENERGYPLUS = replace(spec.ENERGYPLUS, command=(sys.executable, "-P", {engine!r}, "eplus_node.engine"))
 """
 
 _ENGINE = """

@@ -18,9 +18,9 @@ import agent_sdk
 from agent_sdk import Bus
 from agent_sdk.bus.controller_link import ControllerLink
 from bridge.faults import LinkFaults
+from bridge.node.fault_injection import FaultInjection
 from eplus_node.config import read_config
-from eplus_node.fault_injection import FaultInjection
-from eplus_node.plan import plan
+from eplus_node.plan import describe, plan
 from topics import codec, keys
 from topics.errors import InvalidConfig
 from topics.fault_plan import FaultPlan
@@ -357,7 +357,7 @@ def test_messages_after_a_snapshot_meet_the_same_faults_of_the_link() -> None:
             found.append(injection.link.outgoing(0.0))
         return found
 
-    parent, branch = FaultInjection(faults, planned, 1), FaultInjection(faults, planned, 1)
+    parent, branch = FaultInjection(faults, describe(planned), 1), FaultInjection(faults, describe(planned), 1)
     told(parent, 0, 21)
     branch.restore(parent.state(), 0)
     told(branch, 20, 21)  # a branch says the sample at which it stands

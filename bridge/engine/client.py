@@ -22,12 +22,10 @@ from bridge.engine.forked_process import ForkedProcess, Process
 from bridge.engine.protocol import FrameKind, OrderKind
 from bridge.engine.registry import EngineRegistry
 from bridge.engine.sockets import SocketPair, fill, read_process_id, send_all, socket_pairs
+from bridge.engine.spec import EngineSpec
 from bridge.runtime.idle_watch import LOOK_S, IdleWatch
 from bridge.runtime.polling import Polling
-from eplus_node.engine.spec import EngineSpec
-from models.energyplus import ISOLATED
-from models.err_file import explain
-from topics.errors import EngineDied, EngineUnresponsive, ForkFailed, ModelError
+from topics.errors import EngineDied, EngineUnresponsive, ForkFailed, SimulatorError
 
 LOG = "engine.log"
 """Name of the file in the engine's folder that receives its standard error."""
@@ -35,10 +33,7 @@ LOG = "engine.log"
 T = TypeVar("T")
 _FINISH_TIMEOUT_S = 30.0
 _EXIT_TIMEOUT_S = 5.0
-# Huge pages mean fewer page tables for a fork to copy: a fork takes half the time (docs/performance.md).
-_HUGE_PAGES = {"GLIBC_TUNABLES": "glibc.malloc.hugetlb=1"}
 _FAILED, _LAST = float(FrameKind.FAILED), float(FrameKind.LAST)
-_CHILD_FIELDS = ("folder", "keep", "parent", "cpus", "poll", "branch")
 
 
 def _start(spec: EngineSpec) -> tuple[SocketPair, Process]:
@@ -46,9 +41,9 @@ def _start(spec: EngineSpec) -> tuple[SocketPair, Process]:
     ours, theirs = socket_pairs()
     with theirs, (spec.folder / LOG).open("wb") as log:
         process = subprocess.Popen(
-            [*ISOLATED, "eplus_node.engine", *map(str, theirs.descriptors), str(os.getpid())],
+            [*spec.program.command, *map(str, theirs.descriptors), str(os.getpid())],
             pass_fds=theirs.descriptors,
-            env=os.environ | _HUGE_PAGES,
+            env={**os.environ, **spec.program.environment},
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=log,
@@ -82,16 +77,14 @@ class EngineClient:
         self, spec: EngineSpec, forked: tuple[SocketPair, Process] | None = None, registry: EngineRegistry | None = None
     ) -> None:
         self._spec, self._registry = spec, registry or EngineRegistry()
-        points = spec.points
-        self._with_feedback = [i for i, a in enumerate(points.actuators) if a.feedback]
-        values = len(points.sensors) + len(points.meters)
+        self._with_feedback, values = [*spec.feedback], spec.values
         self._frame_bytes = memoryview(bytearray(8 * (2 + values + len(self._with_feedback))))
         self._frame: NDArray[np.float64] = np.frombuffer(self._frame_bytes)
         self._header = self._frame_bytes.cast("d")
         self._values_bytes = self._frame_bytes[16 : 16 + 8 * values]
         self._feedback_bytes = self._frame_bytes[16 + 8 * values :]
-        self._finish = struct.pack("=dd", OrderKind.FINISH, 0.0) + bytes(8 * len(points.actuators))
-        self._order_bytes = 8 * len(points.actuators)
+        self._finish = struct.pack("=dd", OrderKind.FINISH, 0.0) + bytes(8 * spec.actuators)
+        self._order_bytes = 8 * spec.actuators
         self._step = struct.pack("=dd", OrderKind.STEP, 0.0)
         self.last = False
         self._interrupted = False
@@ -129,8 +122,7 @@ class EngineClient:
         except OSError as error:
             raise ForkFailed(f"cannot open sockets for a fork: {error.strerror}") from None
         # Only the fields that differ: a short text arrives in one piece, with its sockets.
-        fields = spec.fields()
-        text = json.dumps({name: fields[name] for name in _CHILD_FIELDS}).encode()
+        text = json.dumps(spec.fork_fields()).encode()
         order = struct.pack("=dd", OrderKind.FORK, len(text)) + bytes(self._order_bytes)
         with theirs, suppress(OSError):  # `_forked_pid` detects that the engine has ended
             self._orders.sendall(order)
@@ -205,7 +197,7 @@ class EngineClient:
         return bytes(self._values_bytes)
 
     def effective_bytes(self, commanded: bytes) -> bytes:
-        """Return the effective value of each actuator as raw float64: EnergyPlus's feedback, else `commanded`."""
+        """Return the effective value of each actuator as raw float64: the engine's feedback, else `commanded`."""
         if len(self._with_feedback) * 8 == len(commanded):
             return bytes(self._feedback_bytes)
         effective = np.frombuffer(commanded).copy()
@@ -216,7 +208,7 @@ class EngineClient:
         """Wait for the next frame.
 
         Raises:
-            ModelError: EnergyPlus failed; the text contains its own message.
+            SimulatorError: the simulator failed; the text contains its own message.
             EngineDied: the process ended.
             EngineUnresponsive: the process neither answered nor used processor time, and was killed.
         """
@@ -225,7 +217,7 @@ class EngineClient:
             raise EngineDied(self._exit_report())
         kind = self._header[0]
         if kind == _FAILED:
-            raise ModelError(self._model_error(int(self._frame[1])))
+            raise self._failure(int(self._frame[1]))
         self.last = kind == _LAST
 
     def _try_read(self) -> int | None:
@@ -281,14 +273,14 @@ class EngineClient:
             raise EngineDied(self._exit_report()) from None
 
     def end(self, *, failed: bool) -> None:
-        """End the run. If its output is kept and it has not failed, let EnergyPlus finish its files."""
+        """End the run. If its output is kept and it has not failed, let the simulator finish its files."""
         if self._spec.keep_output and not failed:
             self.finish()
         else:
             self.close()
 
     def finish(self) -> None:
-        """Let EnergyPlus end the run early and write its files, then close."""
+        """Let the simulator end the run early and write its files, then close."""
         check, until_s = self._watchdog(), monotonic() + _FINISH_TIMEOUT_S
         with suppress(OSError, EngineDied):  # it has ended already, or was killed
             self._orders.sendall(self._finish)
@@ -317,12 +309,12 @@ class EngineClient:
             self._process.kill()
             return self._process.wait()
 
-    def _model_error(self, length: int) -> str:
+    def _failure(self, length: int) -> SimulatorError:
         raw = bytearray(length)
         fill(self._frames, memoryview(raw), self._watchdog())
         text = raw.decode(errors="replace")
         self._exit_code()
-        return f"{text}. {explain(self._spec.folder, 'EnergyPlus gave no reason in eplusout.err')}"
+        return self._spec.program.failure(text, self._spec.folder)
 
     def _exit_report(self) -> str:
         code = self._exit_code()
@@ -330,4 +322,5 @@ class EngineClient:
         log = self._spec.folder / LOG
         lines = log.read_text(errors="replace").strip().splitlines()[-3:] if log.exists() else []
         output = "\n  ".join(["its last output:", *lines]) if lines else "it printed no error"
-        return f"the engine process {how} after sample {self.step}; {explain(self._spec.folder, output)}"
+        reason = self._spec.program.explain(self._spec.folder, output)
+        return f"the engine process {how} after sample {self.step}; {reason}"

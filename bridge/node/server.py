@@ -1,7 +1,7 @@
-"""A node server: connects an exchange (rules), engines (EnergyPlus) and Zenoh. Each node and each branch has one.
+"""A node server: connects an exchange (rules), a plant and Zenoh. Each node and each branch has one.
 
 One thread does all the work of a server. It waits for a message, passes it to the exchange, and when the exchange is
-ready, lets the engines simulate a timestep and publishes the sample. All other work (requests, writes, a signal, the
+ready, lets the plant simulate a timestep and publishes the sample. All other work (requests, writes, a signal, the
 death of an engine) is posted to a task queue by the thread that receives it, which then wakes this one with a message
 that never leaves the process.
 """
@@ -11,21 +11,19 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from datetime import datetime, timedelta
-from pathlib import Path
 from time import monotonic
 
 import zenoh
 
 from bridge.exchange.latency import LatencyWindow
 from bridge.exchange.step_exchange import StepExchange, Trigger
+from bridge.node.fault_injection import FaultInjection
+from bridge.node.pacing import Pacing
+from bridge.node.plant import RunningPlant
+from bridge.node.publications import Publications
+from bridge.node.request_handlers import RequestHandlers
+from bridge.node.subscriptions import COMMAND_QUEUE, MAX_PENDING, Subscriptions
 from bridge.runtime.timer import Timer
-from eplus_node.engine.group import EngineGroup
-from eplus_node.fault_injection import FaultInjection
-from eplus_node.pacing import Pacing
-from eplus_node.plan import Plan
-from eplus_node.publications import Publications
-from eplus_node.request_handlers import RequestHandlers
-from eplus_node.subscriptions import COMMAND_QUEUE, MAX_PENDING, Subscriptions
 from topics import codec, errors, keys
 from topics.errors import EpisodeAborted, RequestRejected, SimulatorError, ZenostatError
 from topics.fault_plan import FaultPlan
@@ -44,20 +42,17 @@ class Stopped(BaseException):
 
 
 class NodeServer:
-    """Engines on the bus, under one name.
+    """A plant on the bus, under one name.
 
     Args:
         session: the node's Zenoh session.
-        plan: what the engines simulate.
+        plant: waiting at its samples.
         manifest: the description to publish.
-        exchange: at the sample of the engines.
-        engines: waiting at their samples.
-        weather_file: returns the path of the weather file of a slot's present episode.
+        exchange: at the plant's samples.
         observer: called after each sample and event.
 
     Attributes:
         stopping: whether the server is about to end; errors of engines are then expected.
-        interrupt: kills the engines that it may be waiting for; thread-safe.
         on_stop: called by the thread that receives a stop request.
         latest_sample: the encoded latest sample.
     """
@@ -65,16 +60,13 @@ class NodeServer:
     def __init__(
         self,
         session: zenoh.Session,
-        plan: Plan,
+        plant: RunningPlant,
         manifest: Manifest,
         exchange: StepExchange,
-        engines: EngineGroup,
-        weather_file: Callable[[int], Path],
         observer: Observer | None = None,
     ) -> None:
-        self.session, self.plan, self.manifest = session, plan, manifest
-        self.exchange, self.engines = exchange, engines
-        self.weather_file = weather_file
+        self.session, self.plant, self.manifest = session, plant, manifest
+        self.exchange = exchange
         self._observer = observer
         self._close = ExitStack()
         self.timer = Timer()
@@ -85,13 +77,13 @@ class NodeServer:
         self._step_latency, self._cycle = LatencyWindow(), LatencyWindow()
         self._sampled_s = 0.0
         self.stopping = False
-        self.interrupt = engines.interrupt
         self.on_stop = self.cancel_step
         self._stopped = False
         self.failure = self.failure_error = ""
         self.latest_sample = b""
-        self._begin_time = plan.period.time(0)
-        self._timestep = timedelta(seconds=plan.period.step_s)
+        run_period = plant.description.run_period
+        self._begin_time, self._step_s = run_period.begin, run_period.step_s
+        self._timestep = timedelta(seconds=run_period.step_s)
 
     # On the bus
 
@@ -109,8 +101,8 @@ class NodeServer:
         self._close.enter_context(self.session.liveliness().declare_token(token))
 
     def close(self) -> None:
-        """End the engines and leave the bus; idempotent."""
-        self.engines.end(failed=self.exchange.state is State.FAILED)
+        """End the plant's simulators and leave the bus; idempotent."""
+        self.plant.end(failed=self.exchange.state is State.FAILED)
         self._close.close()
 
     # The loop
@@ -180,25 +172,25 @@ class NodeServer:
     def _run_tasks(self) -> None:
         self.exchange.now_s = monotonic()
         self.subscriptions.run_pending()
-        if self.exchange.state is _WAITING and not self.engines.alive and not self.stopping:
+        if self.exchange.state is _WAITING and not self.stopping:
             try:
-                self.engines.raise_if_dead()
+                self.plant.check()
             except SimulatorError as error:
                 self.fail(error)
 
     def _step(self) -> None:
-        """Simulate a timestep: send the commands to the engines, publish the sample."""
+        """Simulate a timestep: send the commands to the plant, publish the sample."""
         exchange = self.exchange
         self.pacing.step_started()
         began_s = exchange.now_s = monotonic()
         if exchange.commands.has_expiries:
             self.publish_events(exchange.expire(self.elapsed_s))
-        values, source_index = exchange.begin_step()
+        commands = exchange.begin_step()
         if self.injection is not None:
-            values = self.injection.apply_to_commands(values, exchange.step)
-        self._last_commands = values
+            commands = self.injection.apply_to_commands(commands, exchange.step)
+        self._last_commands = commands
         try:
-            last = self.engines.step(values, source_index, exchange.active_slots)
+            last = self.plant.step(commands, exchange.active_slots)
         except SimulatorError as error:
             if self.stopping:
                 self.subscriptions.run_pending(limit=MAX_PENDING)
@@ -213,7 +205,7 @@ class NodeServer:
 
     def publish(self) -> None:
         """Publish the present sample and open the intake of commands for the next step."""
-        exchange, counts, engines = self.exchange, self.exchange.counts, self.engines
+        exchange, counts, plant = self.exchange, self.exchange.counts, self.plant
         steps, fallback = exchange.step, _FALLBACK if exchange.fallback_active else _NO_FLAG
         now, times, elapsed_s = self._clock(steps)
         if True in exchange.done or 0 in steps:
@@ -223,7 +215,7 @@ class NodeServer:
             ]
         else:
             flags = [fallback] * len(steps)
-        values, fault_free_values, injection = engines.values_bytes(), b"", self.injection
+        values, fault_free_values, injection = plant.values(), b"", self.injection
         if injection is not None:
             fault_free_values, values = values, injection.apply_to_sensors(values, exchange.step)
         self.latest_sample = codec.pack(
@@ -233,13 +225,13 @@ class NodeServer:
             elapsed_s=elapsed_s,
             flags=flags,
             values=values,
-            effective=engines.effective,
-            source_index=engines.source_index,
+            effective=plant.effective,
+            source_index=exchange.source_index,
             sources=exchange.source_names,
             late=counts.late,
             rejected=counts.rejected,
-            baseline=engines.baseline_bytes() if engines.baselines else b"",
-            baseline_effective=engines.baseline_effective() if engines.baselines else b"",
+            baseline=plant.baseline_values() if plant.has_baseline else b"",
+            baseline_effective=plant.baseline_effective() if plant.has_baseline else b"",
             fault_free_values=fault_free_values,
         )
         if injection is None:
@@ -309,13 +301,13 @@ class NodeServer:
             self.fail(error)
 
     def fail(self, error: ZenostatError) -> None:
-        """End the episode after an engine's error or by the fallback policy; a reset begins another one."""
+        """End the episode after the plant's error or by the fallback policy; a reset begins another one."""
         self.pacing.cancel()
         self.exchange.transition(Trigger.FAIL)
         fields = errors.to_wire(error)
         self.failure, self.failure_error = fields["message"], fields["error"]
         self.event(self.exchange.event(EventKind.FAILED, self.failure, error=self.failure_error))
-        self.engines.end(failed=True)
+        self.plant.end(failed=True)
 
     def check_slot(self, slot: int) -> None:
         """Raise `RequestRejected` if there is no such slot."""
@@ -328,22 +320,22 @@ class NodeServer:
         Raises:
             InvalidConfig: see `FaultInjection`.
         """
-        self.injection = FaultInjection(faults, self.plan, self.manifest.slots) if faults.faults else None
+        self.injection = FaultInjection(faults, self.plant.description, self.manifest.slots) if faults.faults else None
         if self.injection is not None and self._last_commands:
             self.injection.remember_commands(self._last_commands)
         if self.manifest.faults_injected != (self.injection is not None):
             self.manifest = self.manifest.model_copy(update={"faults_injected": self.injection is not None})
 
     def cancel_step(self) -> None:
-        """Interrupt an engine that is computing; thread-safe."""
+        """Interrupt the plant if it is computing; thread-safe."""
         self.stopping = True
         if self.exchange.state in (State.RUNNING, State.STARTING):
-            self.interrupt()
+            self.plant.interrupt()
 
     @property
     def elapsed_s(self) -> float:
         """Simulated time since all slots began."""
-        return self.exchange.commands.timesteps * self.plan.period.step_s
+        return self.exchange.commands.timesteps * self._step_s
 
     def statistics(self) -> Statistics:
         """Return durations of steps, overruns and message counts; thread-safe."""

@@ -1,8 +1,8 @@
-"""Snapshots and branches: engines forked from those of a running episode.
+"""Snapshots and branches: copies of the plant of a running episode.
 
 A snapshot waits at its sample, and an episode can go back to it. A branch runs at once, as a node of its own on the
-bus, in a thread of its own; its engines run on any free core. Both end when the node ends, or when the controller that
-asked for them leaves the bus.
+bus, in a thread of its own; its simulators run on any free core. Both end when the node ends, or when the controller
+that asked for them leaves the bus.
 """
 
 from __future__ import annotations
@@ -12,19 +12,15 @@ import os
 import shutil
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from bridge.exchange.actuator_commands import CommandSnapshot
 from bridge.exchange.step_exchange import StepExchange
-from eplus_node.engine.client import EngineClient, start_all
-from eplus_node.engine.episode_folders import create_fork_folder
-from eplus_node.engine.group import EngineGroup
-from eplus_node.engine.pool import EnginePool, EpisodeWeather
-from eplus_node.fault_injection import NO_FAULTS, FaultState
-from eplus_node.manifests import weather_fields
-from eplus_node.server import NodeServer
-from models.scenario.episode_weather import WeatherSource
+from bridge.node.fault_injection import NO_FAULTS, FaultState
+from bridge.node.manifest import site_fields
+from bridge.node.plant import RunningPlant
+from bridge.node.server import NodeServer
 from topics import keys
 from topics.errors import ForkFailed, RequestRejected, did_you_mean
 from topics.messages import (
@@ -51,21 +47,35 @@ _NO_EPISODE = "there is nothing to fork: the episode is {}; reset it first"
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """State of a node at one sample: waiting engines, commands in effect, faults, and the weather of each slot."""
+    """State of a node at one sample: a copy of its plant, the commands in effect, and the injected faults."""
 
     name: str
     owner: str
     episode: list[int]
     step: list[int]
-    engines: EngineGroup
+    plant: RunningPlant
     commands: CommandSnapshot
     faults: FaultState | None
-    weather: list[EpisodeWeather]
     folder: Path
 
+    @classmethod
+    def of(cls, server: NodeServer, name: str, owner: str, folder: Path) -> Snapshot:
+        """Take a snapshot of a node; `ForkFailed` if its plant cannot be copied."""
+        exchange, injection = server.exchange, server.injection
+        return cls(
+            name,
+            owner,
+            [*exchange.episode],
+            [*exchange.step],
+            server.plant.fork(range(exchange.slots), folder, baseline=True),
+            exchange.capture(),
+            injection.state() if injection is not None else None,
+            folder,
+        )
+
     def drop(self) -> None:
-        """End its engines and remove its files; idempotent."""
-        self.engines.end()
+        """End its simulators and remove its files; idempotent."""
+        self.plant.close()
         shutil.rmtree(self.folder, ignore_errors=True)
 
 
@@ -121,8 +131,8 @@ class BranchManager:
 
     Args:
         server: the node's own.
-        folder: for the files of engines; the caller removes it.
-        cpus: where their engines and threads run; empty leaves it to the system.
+        folder: for the files of the copies; the caller removes it.
+        cpus: where their threads run; empty leaves it to the system.
         limit: maximum number of snapshots and branches at a time.
     """
 
@@ -135,38 +145,20 @@ class BranchManager:
         self.snapshots: dict[str, Snapshot] = {}
         self.branches: dict[str, Branch] = {}
 
-    def snapshot(self, request: TakeSnapshot, link_weather: Callable[[Path], list[EpisodeWeather]]) -> Snapshot:
-        """Take a snapshot.
-
-        Args:
-            request: names the controller that owns the snapshot.
-            link_weather: hard-links the weather of each slot into a folder and returns it.
+    def snapshot(self, request: TakeSnapshot) -> Snapshot:
+        """Take a snapshot, which the controller of the request owns.
 
         Raises:
             RequestRejected: no episode is running, or the limit is reached.
-            ForkFailed: the system cannot fork.
+            ForkFailed: the plant cannot be copied.
         """
         name, folder = self._allocate("s")
-        exchange = self._server.exchange
         try:
-            weather = link_weather(folder)  # before the fork: a failure after it would leave engines behind
-            engines = self._server.engines.fork(lambda client: self._fork(client, folder))
-            snapshot = Snapshot(
-                name,
-                request.controller,
-                [*exchange.episode],
-                [*exchange.step],
-                engines,
-                exchange.capture(),
-                self._server.injection.state() if self._server.injection is not None else None,
-                weather,
-                folder,
-            )
+            self.snapshots[name] = Snapshot.of(self._server, name, request.controller, folder)
         except BaseException:
             shutil.rmtree(folder, ignore_errors=True)
             raise
-        self.snapshots[name] = snapshot
-        return snapshot
+        return self.snapshots[name]
 
     def find(self, name: str) -> Snapshot:
         """Return a snapshot by its name; raise `RequestRejected` with near names if there is none."""
@@ -181,16 +173,12 @@ class BranchManager:
         self.find(name)
         self.snapshots.pop(name).drop()
 
-    def branch(self, request: CreateBranch, pools: Sequence[EnginePool]) -> Branch:
-        """Create a branch.
-
-        Args:
-            request: what to branch from, and the controller that owns the branch.
-            pools: by slot.
+    def branch(self, request: CreateBranch) -> Branch:
+        """Create a branch from the present sample or from a snapshot; the controller of the request owns it.
 
         Raises:
             RequestRejected: no such slot or snapshot, no episode is running, or the limit is reached.
-            ForkFailed: the system cannot fork.
+            ForkFailed: the plant cannot be copied.
         """
         parent = self._server
         parent.check_slot(request.slot)
@@ -198,11 +186,9 @@ class BranchManager:
         name, folder = self._allocate("b", from_snapshot=snapshot is not None)
         try:
             full_name = keys.check_name(f"{parent.manifest.node}.{name}", "a branch's name")
-            pool = pools[request.slot]
-            weather = pool.link(snapshot.weather[request.slot] if snapshot else pool.weather, folder / "in.epw")
-            manifest = self._branch_manifest(full_name, request.slots, pool.source_of(weather))
-            engines = self._fork_slot(snapshot.engines if snapshot else parent.engines, request, folder)
-            server = self._branch_server(manifest, engines, request, snapshot, weather.files.weather)
+            origin = snapshot.plant if snapshot is not None else parent.plant
+            plant = origin.fork([request.slot] * request.slots, folder)
+            server = self._branch_server(full_name, plant, request, snapshot)
             branch = self._start(Branch(server, request.controller, folder, self._cpus, self._on_end))
         except BaseException:
             shutil.rmtree(folder, ignore_errors=True)
@@ -219,18 +205,14 @@ class BranchManager:
             raise ForkFailed(f"cannot branch node {self._server.manifest.node!r}: {error}") from None
         return branch
 
-    def _fork_slot(self, engines: EngineGroup, request: CreateBranch, folder: Path) -> EngineGroup:
-        client = engines.clients[request.slot]
-        return engines.of_slot(request.slot, start_all(range(request.slots), lambda _: self._fork(client, folder)))
-
-    def _branch_manifest(self, name: str, slots: int, weather: WeatherSource) -> Manifest:
+    def _branch_manifest(self, name: str, slots: int, plant: RunningPlant) -> Manifest:
         manifest = self._server.manifest
         return manifest.model_copy(
             update={
                 "node": name,
                 "branch_of": manifest.node,
                 "slots": slots,
-                **weather_fields(weather),
+                **site_fields(plant.site(0)),
                 "baseline": False,
                 "warnings": (),
                 "mode": Mode.LOCKSTEP,
@@ -242,7 +224,7 @@ class BranchManager:
         )
 
     def _branch_server(
-        self, manifest: Manifest, engines: EngineGroup, request: CreateBranch, snapshot: Snapshot | None, weather: Path
+        self, name: str, plant: RunningPlant, request: CreateBranch, snapshot: Snapshot | None
     ) -> NodeServer:
         parent, slots = self._server, request.slots
         origin = snapshot or parent.exchange
@@ -256,7 +238,8 @@ class BranchManager:
                 (snapshot.commands if snapshot else parent.exchange.capture()).of_slot(request.slot, slots)
             )
         exchange.ready(dict.fromkeys(range(slots), origin.step[request.slot]))
-        server = NodeServer(parent.session, parent.plan, manifest, exchange, engines, lambda _: weather)
+        manifest = self._branch_manifest(name, slots, plant)
+        server = NodeServer(parent.session, plant, manifest, exchange)
         present = parent.injection.state() if parent.injection is not None else None
         faults = (snapshot.faults if snapshot is not None else present) or NO_FAULTS
         try:
@@ -293,27 +276,7 @@ class BranchManager:
                 "close some, or start the node with a higher limit"
             )
         name = f"{prefix}{next(self._numbers)}"
-        return name, create_fork_folder(self._folder / name)
-
-    def _fork(self, client: EngineClient, folder: Path) -> EngineClient:
-        subfolder = create_fork_folder(folder / str(next(self._numbers)))
-        child = client.fork(
-            replace(client.spec, folder=subfolder, keep_output=False, cpus=self._cpus, poll=False, branch=True)
-        )
-        try:
-            child.receive()
-        except BaseException:
-            child.close()
-            raise
-        return child
-
-    def fork_baseline(self, client: EngineClient) -> EngineClient:
-        """Fork an engine for the baseline.
-
-        Raises:
-            SimulatorError: it cannot be forked.
-        """
-        return self._fork(client, self._folder / "baseline")
+        return name, self._folder / name
 
     def _on_end(self, name: str) -> None:
         def remove() -> None:
@@ -351,19 +314,19 @@ class BranchManager:
 
     def status(self, *, memory: bool) -> tuple[list[ForkStatus], list[ForkStatus]]:
         """Return the status of all snapshots and of all branches; thread-safe."""
-        snapshots = [(s.name, s.owner, s.step, s.engines) for s in [*self.snapshots.values()]]
-        branches = [(b.name, b.owner, b.server.exchange.step, b.server.engines) for b in [*self.branches.values()]]
+        snapshots = [(s.name, s.owner, s.step, s.plant) for s in [*self.snapshots.values()]]
+        branches = [(b.name, b.owner, b.server.exchange.step, b.server.plant) for b in [*self.branches.values()]]
         return _fork_status(snapshots, memory=memory), _fork_status(branches, memory=memory)
 
 
-def _fork_status(forks: Sequence[tuple[str, str, list[int], EngineGroup]], *, memory: bool) -> list[ForkStatus]:
+def _fork_status(forks: Sequence[tuple[str, str, list[int], RunningPlant]], *, memory: bool) -> list[ForkStatus]:
     return [
         ForkStatus(
             name=name,
             owner=owner,
             step=step[0],
-            engines=len(engines.all),
-            private_bytes=engines.private_bytes if memory else 0,
+            engines=plant.simulators,
+            private_bytes=plant.memory_bytes(private=True) if memory else 0,
         )
-        for name, owner, step, engines in forks
+        for name, owner, step, plant in forks
     ]

@@ -12,7 +12,7 @@ from topics.errors import ErrorCollector
 from topics.fault_plan import FaultPlan
 
 if TYPE_CHECKING:
-    from eplus_node.plan import Plan
+    from bridge.node.plant import PlantDescription
 
 FaultState = tuple[FaultPlan, list[Any], dict[str, Any]]
 """A plan, and the states of its point faults and of its link faults."""
@@ -26,7 +26,7 @@ class FaultInjection:
 
     Args:
         faults: what to inject.
-        plan: what is simulated.
+        plant: what is simulated.
         slots: number of slots.
 
     Attributes:
@@ -37,16 +37,16 @@ class FaultInjection:
         InvalidConfig: lists all unknown points, values out of bounds and windows without a sample.
     """
 
-    def __init__(self, faults: FaultPlan, plan: Plan, slots: int) -> None:
-        points, period = plan.points, plan.period
+    def __init__(self, faults: FaultPlan, plant: PlantDescription, slots: int) -> None:
+        period = plant.run_period
         self.plan = faults
-        self._sensor_shape = (slots, len(points.sensors) + len(points.meters))
-        self._command_shape = (slots, len(points.actuators))
-        period_fields = {"step_s": period.step_s, "begin": period.time(0), "end": period.time(period.steps)}
-        names = [*(sensor.name for sensor in points.sensors), *(meter.name for meter in points.meters)]
+        self._sensor_shape = (slots, len(plant.sensors) + len(plant.meters))
+        self._command_shape = (slots, len(plant.actuators))
+        period_fields = {"step_s": period.step_s, "begin": period.begin, "end": period.end}
+        names = [*(sensor.name for sensor in plant.sensors), *(meter.name for meter in plant.meters)]
         errors = ErrorCollector()
         point_faults = errors.collect(
-            lambda: PointFaults(faults, names, points.actuators, slots=slots, **period_fields)  # type: ignore[arg-type]
+            lambda: PointFaults(faults, names, plant.actuators, slots=slots, **period_fields)  # type: ignore[arg-type]
         )
         link_faults = errors.collect(lambda: LinkFaults(faults, **period_fields))  # type: ignore[arg-type]
         errors.raise_if_any()

@@ -9,9 +9,6 @@ import numpy as np
 import psutil
 
 from bridge.exchange.step_exchange import MAX_SOURCE_NAME
-from models.scenario.episode_weather import series
-from models.scenario.schema import dump
-from models.weather.epw import find_column
 from topics import codec, keys
 from topics.errors import BadMessage
 from topics.fault_plan import FaultPlan
@@ -32,7 +29,7 @@ from topics.messages import (
 )
 
 if TYPE_CHECKING:
-    from eplus_node.server import NodeServer
+    from bridge.node.server import NodeServer
 
 
 class RequestHandlers:
@@ -47,7 +44,9 @@ class RequestHandlers:
         subscriptions.listen(keys.ACTUATOR, self._write)
         subscriptions.answer_latest(keys.MANIFEST, lambda: codec.encode(self._manifest()))
         subscriptions.answer_latest(keys.SAMPLE, lambda: server.latest_sample)
-        subscriptions.answer(keys.SCENARIO, lambda _: codec.encode(ScenarioText(text=dump(server.plan.scenario))))
+        subscriptions.answer(
+            keys.SCENARIO, lambda _: codec.encode(ScenarioText(text=server.plant.description.scenario))
+        )
         subscriptions.answer(keys.STATUS, status or (lambda query: codec.encode(self.status(memory=query.memory))))
         subscriptions.request(keys.CLAIM, Claim, self._claim)
         subscriptions.request(keys.WEATHER, WeatherQuery, self._weather)
@@ -84,12 +83,11 @@ class RequestHandlers:
     def _weather(self, query: WeatherQuery) -> Message:
         server = self._server
         server.check_slot(query.slot)
-        values, step_s = series(server.weather_file(query.slot), server.plan.period, query.columns)
-        columns = [find_column(name) for name in query.columns]
+        columns, units, step_s, values = server.plant.weather(query.slot, query.columns)
         return WeatherSeries(
             episode=server.exchange.episode[query.slot],
-            columns=[column.name for column in columns],
-            units=[column.unit for column in columns],
+            columns=columns,
+            units=units,
             step_s=step_s,
             values=np.ascontiguousarray(values, "<f8").tobytes(),
         )
@@ -105,10 +103,11 @@ class RequestHandlers:
         """Return the present state of the server; thread-safe. `memory` takes some milliseconds per engine."""
         server = self._server
         exchange, counts, pacing = server.exchange, server.exchange.counts, server.pacing
+        run_period = server.plant.description.run_period
         return Status(
             node=server.manifest.node,
             state=exchange.state,
-            building=server.plan.building.name,
+            building=server.plant.description.name,
             weather=server.manifest.weather,
             mode=exchange.mode,
             episode=exchange.episode,
@@ -116,8 +115,8 @@ class RequestHandlers:
             speed=pacing.pace.speed,
             paused=pacing.paused,
             policy=exchange.policy,
-            steps=server.plan.period.steps,
-            time=[server.plan.period.time(step).isoformat() for step in exchange.step],
+            steps=run_period.steps,
+            time=[run_period.time(step).isoformat() for step in exchange.step],
             controllers=exchange.controllers(),
             accepted=counts.accepted,
             rejected=counts.rejected,
@@ -126,8 +125,8 @@ class RequestHandlers:
             failure=server.failure,
             failure_error=server.failure_error,
             node_rss_bytes=psutil.Process().memory_info().rss,
-            engine_rss_bytes=server.engines.rss_bytes,
+            engine_rss_bytes=server.plant.memory_bytes(),
             statistics=server.statistics(),
             faults=server.injection.active() if server.injection is not None else [],
-            engine_private_bytes=server.engines.private_bytes if memory else 0,
+            engine_private_bytes=server.plant.memory_bytes(private=True) if memory else 0,
         )

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
-from eplus_node.batching import BATCH_S, SampleBatcher
+from bridge.node.batching import BATCH_S, SampleBatcher
 from topics import codec
 from topics.messages import Batch
 

@@ -13,7 +13,7 @@ from topics.errors import EpisodeAborted, RequestRejected
 from topics.messages import Ack, EventKind, Message, Mode, Pause, Resume, SetPace, State, StepRequest
 
 if TYPE_CHECKING:
-    from eplus_node.server import NodeServer
+    from bridge.node.server import NodeServer
 
 _PACED = Mode.PACED
 
@@ -29,7 +29,7 @@ class Pacing:
 
     def __init__(self, server: NodeServer) -> None:
         self._server = server
-        self.pace = StepSchedule(server.plan.period.step_s, server.manifest.speed)
+        self.pace = StepSchedule(server.plant.description.run_period.step_s, server.manifest.speed)
         self.paused = False
         self.steps_left = 0
         self._timesteps = 0  # since the start, of all episodes; the schedule counts them

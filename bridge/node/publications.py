@@ -11,8 +11,8 @@ import zenoh
 from zenoh import CongestionControl
 from zenoh.handlers import Callback
 
+from bridge.node.batching import SampleBatcher
 from bridge.runtime.timer import Timer
-from eplus_node.batching import SampleBatcher
 from topics import codec, keys
 from topics.messages import Event, EventKind, Manifest, PointValue
 

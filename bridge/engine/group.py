@@ -1,0 +1,143 @@
+"""The engines of a plant, which step together: one per slot and, with a baseline, a second one per slot."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from bridge.engine.client import EngineClient
+
+
+class EngineGroup:
+    """Engines waiting at their samples: what a plant that runs in engines needs to step; see `bridge.node.plant`.
+
+    Args:
+        actuators: number of actuators of a slot.
+        clients: one engine per slot.
+        baselines: one engine per slot that receives no commands; empty without a baseline.
+
+    Attributes:
+        clients, baselines: as above.
+        effective: effective values of all actuators; shape (slots, actuators).
+    """
+
+    def __init__(
+        self, actuators: int, clients: Iterable[EngineClient] = (), baselines: Iterable[EngineClient] = ()
+    ) -> None:
+        self.clients = [*clients]
+        self.baselines = [*baselines]
+        self._row_bytes = 8 * actuators
+        self._relinquished = np.full(actuators, np.nan).tobytes()
+        self.effective = b""
+
+    def begin(self, slots: Sequence[int]) -> None:
+        """Set effective values at the first sample of an episode, at which nothing is commanded."""
+        effective = self._rows(self.effective)
+        for slot in slots:
+            effective[slot] = self.clients[slot].effective_bytes(self._relinquished)
+        self.effective = b"".join(effective)
+
+    def step(self, commands: bytes, active_slots: Sequence[int]) -> list[bool]:
+        """Simulate a timestep in the active slots.
+
+        Args:
+            commands: raw float64; NaN relinquishes an actuator; shape (slots, actuators).
+            active_slots: slots that step.
+
+        Returns:
+            For each active slot, whether this was its last sample.
+
+        Raises:
+            SimulatorError: an engine failed or died.
+        """
+        clients = self.clients
+        if len(clients) == 1 and not self.baselines:
+            (client,) = clients
+            client.send(commands)
+            client.receive()
+            self.effective = client.effective_bytes(commands)
+            return [client.last]
+        return self._step_all(self._rows(commands), active_slots)
+
+    def _step_all(self, commands: Sequence[bytes], active_slots: Sequence[int]) -> list[bool]:
+        clients = self.clients
+        for slot in active_slots:
+            clients[slot].send(commands[slot])
+        baselines = [self.baselines[slot] for slot in active_slots] if self.baselines else []
+        for baseline in baselines:
+            baseline.send(self._relinquished)
+        for baseline in baselines:
+            baseline.receive()
+        for slot in active_slots:
+            clients[slot].receive()
+        if len(active_slots) == len(clients):
+            effective = [client.effective_bytes(row) for client, row in zip(clients, commands, strict=True)]
+        else:
+            effective = self._rows(self.effective)
+            for slot in active_slots:
+                effective[slot] = clients[slot].effective_bytes(commands[slot])
+        self.effective = b"".join(effective)
+        return [clients[slot].last for slot in active_slots]
+
+    def _rows(self, raw: bytes) -> list[bytes]:
+        width = self._row_bytes
+        return [raw[slot * width : (slot + 1) * width] for slot in range(len(self.clients))]
+
+    def values(self) -> bytes:
+        """Return the latest sensors and meters; shape (slots, points)."""
+        if len(self.clients) == 1:
+            return self.clients[0].values_bytes()
+        return b"".join([client.values_bytes() for client in self.clients])
+
+    @property
+    def has_baseline(self) -> bool:
+        """Whether there are engines that receive no commands."""
+        return bool(self.baselines)
+
+    def baseline_values(self) -> bytes:
+        """Return the baseline's latest sensors and meters; shape (slots, points), empty without a baseline."""
+        return b"".join([client.values_bytes() for client in self.baselines])
+
+    def baseline_effective(self) -> bytes:
+        """Return the baseline's effective values; shape (slots, actuators), NaN where the engine reports none."""
+        return b"".join([client.effective_bytes(self._relinquished) for client in self.baselines])
+
+    @property
+    def all(self) -> list[EngineClient]:
+        """All engines, baselines last."""
+        return [*self.clients, *self.baselines]
+
+    @property
+    def simulators(self) -> int:
+        """Number of engines."""
+        return len(self.clients) + len(self.baselines)
+
+    def check(self) -> None:
+        """Raise the `SimulatorError` of an engine that has died before its last sample, if any."""
+        for client in self.all:
+            if not (client.alive or client.last):
+                client.receive()
+
+    def memory_bytes(self, *, private: bool = False) -> int:
+        """Return the resident memory of all engines, or only what belongs to a single process; thread-safe."""
+        return sum(client.private_bytes if private else client.rss_bytes for client in self.all)
+
+    def copy_effective(self, other: EngineGroup, slots: Sequence[int]) -> None:
+        """Take over the effective values of some slots of another group."""
+        rows = other._rows(other.effective)
+        self.effective = b"".join([rows[slot] for slot in slots])
+
+    def interrupt(self) -> None:
+        """Kill all engines, so that threads waiting for them continue; thread-safe."""
+        for client in self.all:
+            client.interrupt()
+
+    def end(self, *, failed: bool = False) -> None:
+        """End all engines; where output is kept, the simulator may finish its files. Idempotent."""
+        for client in self.all:
+            client.end(failed=failed)
+
+    def close(self) -> None:
+        """End all engines; idempotent."""
+        self.end()

@@ -1,0 +1,71 @@
+"""The specification of an engine: the program that it runs, its points, its folder and its cores."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from topics.errors import SimulatorError
+
+
+@dataclass(frozen=True, slots=True)
+class EngineProgram:
+    """A simulator that can run as an engine; see `bridge.engine.protocol` for what it has to do.
+
+    Attributes:
+        command: starts it; the descriptors of its two sockets and the node's process id are appended.
+        environment: variables that are added to those of the node.
+        failure: returns the error for a text that the engine sent before it ended, and its folder.
+        explain: returns the reason why an engine ended, from its folder and the end of its output.
+    """
+
+    command: tuple[str, ...]
+    failure: Callable[[str, Path], SimulatorError]
+    explain: Callable[[Path, str], str] = lambda _, output: output
+    environment: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EngineSpec:
+    """Specification of an engine.
+
+    Attributes:
+        folder: its working files; removed when it ends, unless `keep_output`.
+        values: number of sensors and meters.
+        actuators: number of actuators.
+        feedback: indices of the actuators whose effective value the engine reports.
+        run: fields of the simulator's own, as JSON built-ins.
+        keep_output: keep the folder and let the simulator finish its files.
+        cpus: cores on which the engine may run; empty leaves it to the system.
+        poll: whether the engine polls for orders before it sleeps.
+        branch: end the process at its last sample, without the simulator's own end of run.
+    """
+
+    program: EngineProgram
+    folder: Path
+    values: int
+    actuators: int
+    feedback: tuple[int, ...] = ()
+    run: Mapping[str, Any] = field(default_factory=dict)
+    keep_output: bool = False
+    cpus: tuple[int, ...] = ()
+    poll: bool = False
+    branch: bool = False
+
+    def fields(self) -> dict[str, Any]:
+        """Return the fields that the engine reads first."""
+        return {**self.run, **self.fork_fields()}
+
+    def fork_fields(self) -> dict[str, Any]:
+        """Return the fields that may differ in a fork."""
+        return {
+            "folder": str(self.folder),
+            "keep": self.keep_output,
+            "parent": os.getpid(),
+            "cpus": self.cpus,
+            "poll": self.poll,
+            "branch": self.branch,
+        }

@@ -1,0 +1,1 @@
+"""A node: a plant on the bus."""

@@ -1,0 +1,168 @@
+"""The episodes of a node: reset, go back to a snapshot, branch."""
+
+from __future__ import annotations
+
+from bridge.exchange.step_exchange import StepExchange
+from bridge.node.branches import BranchManager
+from bridge.node.fault_injection import NO_FAULTS, FaultState
+from bridge.node.manifest import site_fields
+from bridge.node.plant import Plant
+from bridge.node.server import NodeServer, Stopped
+from topics import keys
+from topics.errors import RequestRejected, SimulatorError
+from topics.messages import (
+    Ack,
+    BranchCreated,
+    CreateBranch,
+    DropSnapshot,
+    EventKind,
+    Message,
+    Reset,
+    SnapshotTaken,
+    State,
+    TakeSnapshot,
+)
+
+
+class EpisodeManager:
+    """Resets, snapshots and branches of a node. Its methods are for the server's thread.
+
+    A reset is answered before the plant starts, which may take seconds; `_start_episodes` then starts it and publishes
+    sample 0.
+
+    Args:
+        server: the node on the bus.
+        plant: that it simulates.
+        branches: the node's snapshots and branches.
+    """
+
+    def __init__(self, server: NodeServer, plant: Plant, branches: BranchManager) -> None:
+        self._server, self._plant, self._branches = server, plant, branches
+        self._slots = server.manifest.slots
+
+    @property
+    def _exchange(self) -> StepExchange:
+        return self._server.exchange
+
+    def declare(self) -> None:
+        """Answer requests about episodes, snapshots and branches."""
+        subscriptions = self._server.subscriptions
+        subscriptions.request(keys.RESET, Reset, self._reset)
+        subscriptions.request(keys.SNAPSHOT, TakeSnapshot, self._snapshot)
+        subscriptions.request(keys.DROP, DropSnapshot, self._drop)
+        subscriptions.request(keys.BRANCH, CreateBranch, self._branch)
+
+    def begin_first(self) -> None:
+        """Begin the first episodes; the plant is at sample 0. The caller publishes it."""
+        self._exchange.ready()
+        self._server.begin_episodes([*range(self._slots)], [None] * self._slots)
+        self._publish_start("")
+
+    # Resets
+
+    def _reset(self, reset: Reset) -> Message:
+        requested = list(dict.fromkeys(reset.slots)) if reset.slots is not None else [*range(self._slots)]
+        by_slot = dict(sorted(zip(requested, _seeds(reset, len(requested)), strict=True)))
+        slots, seeds = [*by_slot], [*by_slot.values()]
+        self._server.check_slot(slots[-1])
+        if reset.snapshot:
+            return self._restore(reset, slots)
+        exchange = self._exchange
+        if exchange.state is State.FAILED and len(slots) < self._slots:
+            raise RequestRejected("the engines have ended; reset all slots")
+        untouched = [exchange.state is State.WAITING and not exchange.modified[slot] for slot in slots]
+        exchange.reset(slots)
+        try:
+            starts = self._plant.next_episode(slots, seeds, exchange.episode, untouched)
+        except SimulatorError as error:
+            self._server.fail(error)
+            raise
+        self._server.subscriptions.post_first(lambda: self._start_episodes(slots, seeds, reset.controller))
+        return Ack(episode=exchange.episode, episode_starts=starts)
+
+    def _start_episodes(self, slots: list[int], seeds: list[int | None], source: str) -> None:
+        server = self._server
+        try:
+            self._plant.start(slots)
+        except SimulatorError as error:
+            if server.stopping:
+                raise Stopped from None
+            server.fail(error)
+            return
+        self._begin(dict.fromkeys(slots, 0), source, seeds)
+        self._plant.clean_up()
+
+    def _begin(
+        self, steps: dict[int, int], source: str, seeds: list[int | None], faults: FaultState | None = None
+    ) -> None:
+        """Begin episodes whose first samples the plant has reached, and publish these.
+
+        Args:
+            steps: the first sample of each slot.
+            source: the controller that asked for the reset.
+            seeds: by slot, for injected faults.
+            faults: those of a snapshot.
+        """
+        server = self._server
+        server.exchange.ready(steps)
+        server.begin_episodes([*steps], seeds)
+        previous = server.manifest
+        if faults is not None:
+            server.inject(faults[0])
+            if server.injection is not None:
+                server.injection.restore(faults)
+        server.failure = server.failure_error = ""
+        site = self._plant.site(0)
+        if previous.weather != site.weather:
+            server.manifest = server.manifest.model_copy(update=site_fields(site))
+        if server.manifest != previous:
+            server.publications.manifest(server.manifest)
+        self._publish_start(source)
+        server.publish()
+
+    def _publish_start(self, source: str) -> None:
+        for warning in self._plant.drain_warnings():
+            self._server.event(self._exchange.event(EventKind.WARNING, warning))
+        begins = f"episode {self._exchange.episode[0]} of {self._server.manifest.building} begins"
+        text = "; ".join([begins, *self._plant.notes(0)])
+        self._server.event(self._exchange.event(EventKind.STARTED, text, source))
+
+    # Snapshots and branches
+
+    def _snapshot(self, request: TakeSnapshot) -> Message:
+        snapshot = self._branches.snapshot(request)
+        text = f"snapshot {snapshot.name} at step {snapshot.step[0]}"
+        self._server.event(self._exchange.event(EventKind.SNAPSHOT, text, request.controller))
+        return SnapshotTaken(snapshot=snapshot.name, episode=snapshot.episode, step=snapshot.step)
+
+    def _drop(self, request: DropSnapshot) -> Message:
+        self._branches.drop(request.snapshot)
+        return Ack(episode=self._exchange.episode)
+
+    def _branch(self, request: CreateBranch) -> Message:
+        branch = self._branches.branch(request)
+        self._server.event(self._exchange.event(EventKind.BRANCH_CREATED, f"branch {branch.name}", request.controller))
+        return BranchCreated(node=branch.name)
+
+    def _restore(self, reset: Reset, slots: list[int]) -> Message:
+        """Go back to a snapshot; if the plant cannot be restored, the present episode continues."""
+        exchange = self._exchange
+        if len(slots) != self._slots:
+            raise RequestRejected("a snapshot contains all slots; reset all of them to it")
+        snapshot = self._branches.find(reset.snapshot)
+        starts = self._plant.restore(snapshot.plant, [number + 1 for number in exchange.episode])
+        exchange.reset()
+        exchange.restore(snapshot.commands)
+        steps = dict(enumerate(snapshot.step))
+        self._begin(steps, reset.controller, [None] * len(slots), snapshot.faults or NO_FAULTS)
+        self._plant.clean_up()
+        return Ack(episode=exchange.episode, episode_starts=starts)
+
+
+def _seeds(reset: Reset, slots: int) -> list[int | None]:
+    """Return a seed for each of the slots to reset."""
+    if isinstance(reset.seed, list):
+        if len(reset.seed) != slots:
+            raise RequestRejected(f"{len(reset.seed)} seeds for {slots} slots; one each, or a single one")
+        return reset.seed
+    return [None if reset.seed is None else reset.seed + index for index in range(slots)]

@@ -1,0 +1,58 @@
+"""The manifest of a node."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from bridge.node.plant import Plant, Site
+from bridge.node.settings import NodeSettings
+from bridge.runtime import affinity
+from topics.messages import Manifest
+
+
+def node_manifest(settings: NodeSettings, plant: Plant, *, instance: str, cpu: int | None) -> Manifest:
+    """Describe a node.
+
+    Args:
+        settings: of the node.
+        plant: at its first sample.
+        instance: the id of its Zenoh session.
+        cpu: the core on which it runs; None if it is not placed.
+    """
+    description = plant.description
+    run_period = description.run_period
+    return Manifest(
+        node=settings.name,
+        instance=instance,
+        building=description.name,
+        **site_fields(plant.site(0)),
+        begin=run_period.begin.isoformat(),
+        end=run_period.end.isoformat(),
+        steps_per_hour=round(3600.0 / run_period.step_s),
+        steps=run_period.steps,
+        slots=settings.slots,
+        baseline=settings.baseline,
+        mode=settings.mode,
+        speed=settings.speed,
+        policy=settings.policy,
+        grace_s=settings.grace_s,
+        deadline_s=settings.deadline_s,
+        sensors=description.sensors,
+        meters=description.meters,
+        actuators=description.actuators,
+        task=description.task,
+        warnings=description.warnings,
+        versions=description.versions,
+        host=affinity.host(),
+        cpu=cpu,
+    )
+
+
+def site_fields(site: Site) -> dict[str, Any]:
+    """Return the fields of a manifest that describe the weather file and its location."""
+    return {
+        "weather": site.weather,
+        "location": site.location,
+        "latitude_deg": site.latitude_deg,
+        "longitude_deg": site.longitude_deg,
+    }

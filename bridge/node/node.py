@@ -1,0 +1,246 @@
+"""A node: one plant on the bus, from start to end."""
+
+from __future__ import annotations
+
+import gc
+import os
+import signal
+from collections.abc import Callable
+from contextlib import ExitStack
+from types import FrameType
+
+from bridge.engine.registry import EngineRegistry
+from bridge.exchange.step_exchange import StepExchange
+from bridge.faults import read_plan
+from bridge.node.branches import BranchManager
+from bridge.node.episodes import EpisodeManager
+from bridge.node.manifest import node_manifest
+from bridge.node.plant import PlantContext, PlantFactory, SlotPlacement
+from bridge.node.server import NodeServer, Observer
+from bridge.node.settings import NodeSettings
+from bridge.node.shutdown import SHUTDOWN_TIMEOUT_S, ShutdownGuard
+from bridge.runtime import affinity
+from bridge.runtime.scratch import Scratch, sweep
+from bridge.runtime.signals import TERMINATION_SIGNALS, override_signals
+from bridge.transport.session import open_session
+from topics import codec, keys
+from topics.errors import NameInUse
+from topics.messages import EventKind, Manifest, Query
+
+
+class Node:
+    """A plant on the bus. `with Node(settings, prepare) as node: node.serve()`, in the main thread.
+
+    Args:
+        settings: of the node.
+        prepare: checks what the plant simulates, and returns a function that creates it; called first of all.
+        observer: called with the server after each sample and event.
+        program: whether the process belongs to the node alone; it is then ended if the node does not end in time.
+        finish_s: time that the simulators may take to finish files that are kept; 0: they are killed at once.
+
+    Attributes:
+        plant: the plant.
+        server: the node on the bus.
+        branches: its snapshots and branches.
+
+    Raises (on entering):
+        UsageError, SimulatorError, BusError: see `topics.errors`; everything that was started is closed.
+    """
+
+    def __init__(
+        self,
+        settings: NodeSettings,
+        prepare: Callable[[], PlantFactory],
+        observer: Observer | None = None,
+        *,
+        program: bool = False,
+        finish_s: float = 0.0,
+    ) -> None:
+        self.settings = settings
+        self._prepare, self._observer, self._finish_s = prepare, observer, finish_s
+        self._registry = EngineRegistry(settings.unresponsive_s)
+        self._scratch: Scratch | None = None
+        timeout_s = SHUTDOWN_TIMEOUT_S + finish_s
+        self._guard = ShutdownGuard(self._stop_waiting, self._end_process if program else None, timeout_s)
+        self._has_server = False
+        self._close = ExitStack()
+
+    def __enter__(self) -> Node:
+        with ExitStack() as undo:
+            undo.callback(self.close)
+            self._close.enter_context(self._guard)
+            create = self._prepare()
+            self._set_affinity()
+            self._open_bus()
+            self._create_scratch()
+            self.plant = create(self._context())
+            self._close.callback(self.plant.close)
+            self._start_server()
+            self._announce()
+            undo.pop_all()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the engines, leave the bus and remove all files; idempotent. Signals are ignored in the meantime."""
+        with override_signals(lambda *_: None, *TERMINATION_SIGNALS):  # the guard counts them
+            self._registry.close()
+            self._close.close()
+
+    @property
+    def manifest(self) -> Manifest:
+        """The description that the node publishes of itself."""
+        return self.server.manifest
+
+    @property
+    def exchange(self) -> StepExchange:
+        """The state of its episodes and controllers."""
+        return self.server.exchange
+
+    # Start
+
+    def _set_affinity(self) -> None:
+        """Choose the cores of node and engines; several slots use all cores, and the node shares one of them."""
+        settings = self.settings
+        self._cpus = affinity.allowed()
+        self._engine_cpu, self.cpu = settings.engine_cpu, settings.cpu
+        if settings.cpu is None:
+            self._engine_cpu, self.cpu = affinity.pick_cores(settings.affinity)
+        affinity.set_affinity(self.cpu)
+
+    def _open_bus(self) -> None:
+        settings = self.settings
+        self.session = self._close.enter_context(
+            open_session(
+                listen=settings.listen,
+                connect=settings.connect,
+                expose=settings.expose,
+                keys=settings.keys,
+                role=keys.Role.NODE,
+                certificate=settings.certificate,
+            )
+        )
+        self.instance = str(self.session.zid())
+        self._check_name_is_free(settings.name)
+
+    def _tokens(self) -> list[str]:
+        replies = self.session.liveliness().get(keys.NODE_TOKEN.at(self.settings.name, name="*"))
+        return [keys.last_chunk(str(reply.ok.key_expr)) for reply in replies if reply.ok]
+
+    def _check_name_is_free(self, name: str) -> None:
+        others = [token for token in self._tokens() if token != self.instance]
+        if others:
+            raise NameInUse(f"a node named {name!r} is on this bus already (instance {others[0]}); choose another name")
+
+    def _create_scratch(self) -> None:
+        sweep()
+        self._scratch = Scratch(self.settings.folder)
+        self._close.callback(self._scratch.remove)
+        self._folder = self._scratch.folder
+
+    def _context(self) -> PlantContext:
+        settings, slots = self.settings, self.settings.slots
+        if slots == 1:
+            cpus = () if self._engine_cpu is None else (self._engine_cpu,)
+            placement = [SlotPlacement(cpus, self._spare_cpus(cpus), poll=self._engine_cpu != self.cpu)]
+        else:
+            # In blocks, the node's core last: an engine on it could delay the node's orders to all other engines.
+            cores = sorted(self._cpus, key=lambda core: core == self.cpu) if self.cpu is not None else []
+            by_slot = [(cores[slot * len(cores) // slots],) if cores else () for slot in range(slots)]
+            placement = [SlotPlacement(cpus, self._spare_cpus(cpus)) for cpus in by_slot]
+        return PlantContext(
+            self._folder, tuple(placement), self._cpus, baseline=settings.baseline, registry=self._registry
+        )
+
+    def _spare_cpus(self, cpus: tuple[int, ...]) -> tuple[int, ...]:
+        """Return the other cores that the node may use; all cores if there are no others."""
+        return tuple(core for core in self._cpus if core not in cpus) or self._cpus
+
+    def _start_server(self) -> None:
+        """Start the plant and create the server, which is not on the bus yet."""
+        settings, plant = self.settings, self.plant
+        exchange = StepExchange(
+            plant.description.actuators,
+            slots=settings.slots,
+            mode=settings.mode,
+            policy=settings.policy,
+            deadline_s=settings.deadline_s,
+        )
+        plant.start(range(settings.slots))
+        manifest = node_manifest(settings, plant, instance=self.instance, cpu=self.cpu)
+        self.server = NodeServer(self.session, plant, manifest, exchange, self._observer)
+        self.server.on_stop = self._on_stop_request
+        self._close.callback(self.server.close)
+        if not self._finish_s:
+            self._close.callback(self._registry.interrupt)  # all at once is faster than one by one
+        if settings.faults is not None:
+            self.server.inject(read_plan(settings.faults))
+        self.branches = BranchManager(self.server, self._folder, cpus=self._cpus, limit=settings.branches)
+        self._close.callback(self.branches.close)
+        self._has_server = True
+        self._episodes = EpisodeManager(self.server, plant, self.branches)
+
+    def _announce(self) -> None:
+        """Put the node on the bus: first what answers requests, its presence last."""
+        server = self.server
+        server.declare(self.status)
+        server.subscriptions.watch_presence(keys.CONTROLLER_TOKEN, self._on_disconnect)
+        self._episodes.declare()
+        self._close.callback(signal.signal, signal.SIGCHLD, signal.getsignal(signal.SIGCHLD))
+        signal.signal(signal.SIGCHLD, self._on_child)
+        self._episodes.begin_first()
+        for warning in self.plant.description.warnings:
+            server.event(server.exchange.event(EventKind.WARNING, warning))
+        server.publish()
+        server.announce()
+        if any(token < self.instance for token in self._tokens()):
+            self._check_name_is_free(self.settings.name)  # of two nodes that started at once, the lower id remains
+
+    # Run and stop
+
+    def serve(self) -> None:
+        """Serve until stopped by a request, a signal, or the end of the node's owner."""
+        gc.freeze()  # objects loaded so far stay; the garbage collector need not scan them
+        with override_signals(self._on_signal, *TERMINATION_SIGNALS):
+            self.server.serve()
+
+    def status(self, query: Query) -> bytes:
+        """Return the encoded status of the node; thread-safe."""
+        snapshots, branches = self.branches.status(memory=query.memory)
+        status = self.server.requests.status(memory=query.memory)
+        return codec.encode(status.model_copy(update={"snapshots": snapshots, "branches": branches}))
+
+    def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
+        # No exception here: the signal can arrive anywhere, even while a thread is being started.
+        self.server.subscriptions.post_first(self.server.stop_serving)
+
+    def _on_stop_request(self) -> None:
+        self.server.cancel_step()
+        self._guard.request()
+
+    def _stop_waiting(self, signals: int) -> None:
+        """Interrupt all engines, unless they are finishing files that are kept; thread-safe."""
+        self._registry.close()
+        if self._has_server:
+            self.server.cancel_step()
+            self.branches.cancel_steps()
+        if signals > 1 or not self._finish_s or not self._has_server:
+            self._registry.interrupt()
+
+    def _end_process(self) -> None:
+        """Kill the engines, remove all files and exit the process at once; thread-safe."""
+        self._registry.interrupt()
+        if self._scratch is not None:
+            self._scratch.remove()
+        os.write(2, f"node {self.settings.name!r} did not end in time and was ended\n".encode())
+        os._exit(0)
+
+    def _on_child(self, _number: int, _frame: FrameType | None) -> None:
+        self.server.subscriptions.notify()  # so that the end of an engine is detected while no messages arrive
+        self.branches.notify_all()
+
+    def _on_disconnect(self, controller: str) -> None:
+        self.server.on_disconnect(controller)
+        self.branches.on_disconnect(controller)

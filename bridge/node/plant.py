@@ -1,0 +1,271 @@
+"""The interface between a node and the plant that it simulates.
+
+A node puts one plant on the bus: it publishes samples, collects commands, paces, injects faults, answers requests. The
+plant computes. A plant has one or more slots, independent copies that step together, each with its own episode.
+
+Values cross this interface as raw bytes of native float64, so that a timestep creates no object per point:
+
+    commands   shape (slots, actuators); NaN: the actuator is relinquished, and the plant's own control applies
+    values     shape (slots, sensors + meters), in the order of the description
+    effective  shape (slots, actuators); what acted in the latest timestep; NaN: unknown
+
+The life of a plant, all in the node's thread unless noted:
+
+    create ─▶ start ─▶ step … ─▶ close
+                ▲        │
+                └─ next_episode, later start; or restore of a fork
+                         │
+                         └─▶ fork ─▶ a plant of its own: step, fork, close
+
+`values` and `effective` describe the latest sample of each slot; sample 0 follows `start`. After a `SimulatorError` the
+plant does not step again until all slots have been started.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bridge.engine.registry import EngineRegistry
+from topics.errors import RequestRejected
+from topics.messages import Actuator, EpisodeStart, Meter, Sensor, Task, Versions
+
+
+@dataclass(frozen=True, slots=True)
+class RunPeriod:
+    """The simulated time of an episode.
+
+    Attributes:
+        begin: of sample 0, in the plant's local standard time.
+        step_s: length of a timestep in seconds.
+        steps: number of timesteps.
+    """
+
+    begin: datetime
+    step_s: float
+    steps: int
+
+    def time(self, step: int) -> datetime:
+        """Return the simulated time of a sample."""
+        return self.begin + timedelta(seconds=step * self.step_s)
+
+    @property
+    def end(self) -> datetime:
+        """Simulated time of the last sample."""
+        return self.time(self.steps)
+
+
+@dataclass(frozen=True, slots=True)
+class Site:
+    """The weather and the location of an episode; empty for a plant without weather."""
+
+    weather: str = ""
+    location: str = ""
+    latitude_deg: float | None = None
+    longitude_deg: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class PlantDescription:
+    """What does not change while a plant exists.
+
+    Attributes:
+        name: of the building or plant.
+        scenario: the text that `rpc/scenario` returns.
+        warnings: texts for the manifest.
+    """
+
+    name: str
+    run_period: RunPeriod
+    sensors: tuple[Sensor, ...]
+    meters: tuple[Meter, ...]
+    actuators: tuple[Actuator, ...]
+    versions: Versions
+    task: Task = field(default_factory=Task)
+    scenario: str = ""
+    warnings: tuple[str, ...] = ()
+
+
+class WeatherTable(NamedTuple):
+    """Weather of an episode: values of shape (rows, columns), NaN where missing, each at the end of its interval."""
+
+    columns: list[str]
+    units: list[str]
+    step_s: float
+    values: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class SlotPlacement:
+    """The cores of one slot; empty leaves them to the system.
+
+    Attributes:
+        cpus: cores of its engine.
+        spare: cores on which the engine of the next episode may start.
+        poll: whether its engine has a core of its own and may poll for orders.
+    """
+
+    cpus: tuple[int, ...] = ()
+    spare: tuple[int, ...] = ()
+    poll: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class PlantContext:
+    """What a node provides to its plant.
+
+    Attributes:
+        folder: for the plant's files; the node removes it at the end.
+        placement: of each slot.
+        cpus: cores that forks may use; empty leaves them to the system.
+        baseline: whether each slot has a second copy that receives no commands.
+        registry: where the plant registers its engine processes, so that a node that ends can kill them at any time.
+    """
+
+    folder: Path
+    placement: tuple[SlotPlacement, ...] = (SlotPlacement(),)
+    cpus: tuple[int, ...] = ()
+    baseline: bool = False
+    registry: EngineRegistry = field(default_factory=EngineRegistry)
+
+    @property
+    def slots(self) -> int:
+        """Number of slots."""
+        return len(self.placement)
+
+
+class RunningPlant(Protocol):
+    """A plant that waits at the latest sample of each slot: a node's own, a snapshot's or a branch's."""
+
+    @property
+    def description(self) -> PlantDescription:
+        """What the plant is."""
+
+    @property
+    def effective(self) -> bytes:
+        """Effective value of each actuator in the latest timestep."""
+
+    @property
+    def has_baseline(self) -> bool:
+        """Whether `baseline_values` and `baseline_effective` return anything."""
+
+    def step(self, commands: bytes, active_slots: Sequence[int]) -> list[bool]:
+        """Simulate a timestep in the active slots; return for each of them whether it was its last.
+
+        Raises:
+            SimulatorError: the plant failed; its text names the reason.
+        """
+
+    def values(self) -> bytes:
+        """Return the latest sensor and meter values."""
+
+    def baseline_values(self) -> bytes:
+        """Return the latest values of the copies without commands; empty without a baseline."""
+
+    def baseline_effective(self) -> bytes:
+        """Return the effective values of these copies."""
+
+    def check(self) -> None:
+        """Raise the `SimulatorError` of a simulator that has ended while it waited; quick, called when woken."""
+
+    def fork(self, slots: Sequence[int], folder: Path, *, baseline: bool = False) -> RunningPlant:
+        """Return a copy at the same samples.
+
+        Args:
+            slots: for each slot of the copy, the slot that it copies.
+            folder: for the files of the copy; it does not exist yet, and the caller removes it.
+            baseline: whether to copy the slots' baseline as well, if there is one.
+
+        Raises:
+            ForkFailed: the plant cannot be copied, or the system lacks the resources. This plant is unchanged.
+            SimulatorError: a simulator has failed.
+        """
+
+    def site(self, slot: int) -> Site:
+        """Return the weather and the location of the present episode of a slot."""
+
+    def notes(self, slot: int) -> list[str]:
+        """Return texts that describe the present episode of a slot, for the event that reports its start."""
+
+    def weather(self, slot: int, columns: Sequence[str]) -> WeatherTable:
+        """Return weather columns from the begin of the present episode until after its end.
+
+        Raises:
+            RequestRejected: the plant has no weather.
+            UnknownName: there is no such column.
+        """
+
+    def memory_bytes(self, *, private: bool = False) -> int:
+        """Return the memory of all simulators; `private`: without pages that processes share. Thread-safe."""
+
+    @property
+    def simulators(self) -> int:
+        """Number of simulators, including those of the baseline."""
+
+    def interrupt(self) -> None:
+        """Make a running `step` or `start` raise a `SimulatorError` soon; thread-safe."""
+
+    def end(self, *, failed: bool = False) -> None:
+        """End the simulators; those that have not failed may finish files that are kept. Idempotent."""
+
+    def close(self) -> None:
+        """End everything and release all resources; idempotent."""
+
+
+class Plant(RunningPlant, Protocol):
+    """The plant of a node, which also begins episodes."""
+
+    def next_episode(
+        self, slots: Sequence[int], seeds: Sequence[int | None], episode: Sequence[int], untouched: Sequence[bool]
+    ) -> list[EpisodeStart]:
+        """Choose the inputs of the next episode of some slots; `start` begins it. Does not wait for a simulator.
+
+        Args:
+            slots: slots to reset.
+            seeds: one for each of them; None continues the sequence of the previous seed.
+            episode: numbers of the episodes, of all slots of the plant.
+            untouched: of each of `slots`, whether it waits at sample 0 and has received no command.
+
+        Raises:
+            SimulatorError: the inputs cannot be prepared.
+        """
+
+    def start(self, slots: Sequence[int]) -> None:
+        """Bring some slots to sample 0 of the episode that `next_episode` chose, or of the first one.
+
+        Raises:
+            SimulatorError: a simulator cannot be started or failed.
+        """
+
+    def restore(self, saved: RunningPlant, episode: Sequence[int]) -> list[EpisodeStart]:
+        """Continue all slots from a copy that `fork` returned, which remains as it is.
+
+        If this fails, the present episode can continue.
+
+        Raises:
+            SimulatorError: the copy cannot be forked.
+        """
+
+    def clean_up(self) -> None:
+        """End simulators that `start` or `restore` replaced, and prepare the next episodes.
+
+        Called after the first sample has been published, which is not delayed by this work.
+        """
+
+    def drain_warnings(self) -> list[str]:
+        """Return warnings since the last call, for events."""
+
+
+PlantFactory = Callable[[PlantContext], Plant]
+"""Creates a plant; does not start a simulator."""
+
+
+def without_weather() -> RequestRejected:
+    """Return the error of a plant that has no weather."""
+    return RequestRejected("this plant has no weather")

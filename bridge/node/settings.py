@@ -1,0 +1,57 @@
+"""The settings of a node that do not depend on its plant."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from bridge.engine.registry import UNRESPONSIVE_S
+from bridge.runtime.affinity import Affinity
+from bridge.transport.session import DEFAULT_ENDPOINT
+from topics.messages import Mode, Policy
+
+
+class NodeSettings(BaseModel):
+    """The settings of a node.
+
+    Attributes:
+        check: only check the settings; start nothing.
+        faults: a file with a fault plan.
+        listen: endpoints; empty for a node that only connects to a router or another node.
+        keys: a folder created by `zenostat keys init`; `certificate` names another certificate than `node`.
+        unresponsive_s: time after which an engine that neither answers nor uses processor time is killed.
+        folder: for temporary files; None uses the system's.
+        cpu: the core of the node, and `engine_cpu` that of its engine; None lets `affinity` choose.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    check: bool = False
+    name: str = "building"
+    mode: Mode = Mode.LOCKSTEP
+    speed: Annotated[float, Field(gt=0, le=1e9)] = 1.0
+    policy: Policy = Policy.WAIT
+    grace_s: Annotated[float, Field(ge=0, le=1e9)] = 0.0
+    deadline_s: Annotated[float, Field(gt=0, le=1e9)] | None = None
+    faults: Path | None = None
+    listen: list[str] = Field(default_factory=lambda: [DEFAULT_ENDPOINT])
+    connect: list[str] = Field(default_factory=list)
+    expose: bool = False
+    keys: Path | None = None
+    certificate: str | None = None
+    slots: Annotated[int, Field(ge=1, le=256)] = 1
+    baseline: bool = False
+    branches: Annotated[int, Field(ge=0, le=4096)] = 64
+    unresponsive_s: Annotated[float, Field(gt=0, le=1e9)] = UNRESPONSIVE_S
+    folder: Path | None = None
+    affinity: Affinity = Affinity.SEPARATE_CORES
+    cpu: int | None = None
+    engine_cpu: int | None = None
+
+    @model_validator(mode="after")
+    def _has_a_bus(self) -> Self:
+        if not self.listen and not self.connect:
+            raise ValueError("name an endpoint to listen on, or one to connect to")
+        return self
