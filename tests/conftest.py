@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import signal
 import tempfile
@@ -21,6 +22,9 @@ settings.load_profile("zenostat")
 
 # A shell without job control has what it starts in the background ignore Ctrl-C, and so would all that tests start.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+# Tests start hundreds of programs; without stored bytecode each of them compiles all modules, most of its start.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 
 SYSTEM = ("system", "chaos")
