@@ -13,6 +13,8 @@ import sys
 import threading
 from typing import Any
 
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is imported: it needs no threads here
+
 from bridge.runtime.signals import TERMINATION_SIGNALS
 from eplus_node.config import read_config
 from eplus_node.node import energyplus_node
