@@ -9,7 +9,15 @@ import re
 from datetime import datetime
 from typing import Annotated, Any, Literal, TypeAlias, get_args
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, Field, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    field_validator,
+    model_validator,
+)
 
 from topics.errors import did_you_mean
 from topics.messages import Count, Finite, Message
@@ -66,7 +74,13 @@ Names = Annotated[
 """One or several names; `*` matches any characters."""
 
 
-class When(Message):
+class _Part(Message):
+    """A part of a fault plan; its validator is built when it is first used, since most programs use none."""
+
+    model_config = ConfigDict(defer_build=True)
+
+
+class When(_Part):
     """Conditions under which a fault is active: at the samples that meet all of them; always, if there are none.
 
     Starts are inclusive, ends exclusive. A command is affected at the sample that it answers.
@@ -106,7 +120,7 @@ class When(Message):
         return self
 
 
-class AnyFault(Message):
+class AnyFault(_Part):
     """Base class of all faults.
 
     Attributes:
@@ -305,7 +319,7 @@ def _check_kind(value: Any) -> Any:
 Fault = Annotated[AnyPointFault | AnyLinkFault, Field(discriminator="kind"), BeforeValidator(_check_kind)]
 
 
-class FaultPlan(Message):
+class FaultPlan(_Part):
     """Faults to inject into a node. Faults of the same point are applied in this order, each to the previous result.
 
     Attributes:
