@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 _NAMES = {
     "": "1",
     "C": "degC",
@@ -27,6 +29,7 @@ _LIMITS: dict[str, tuple[float | None, float | None]] = {
 }
 
 
+@cache
 def unit_name(energyplus: str) -> str:
     """Return a unit's name on the bus: `degC` for `[C]`, `1` for no unit; unknown units are unchanged."""
     bare = energyplus.strip().removeprefix("[").removesuffix("]").strip()

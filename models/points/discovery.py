@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from datetime import date
 from functools import cache, cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from models import energyplus
 from models.building.model import Building, Objects, check_runnable, for_episode, write
@@ -23,8 +23,7 @@ Kinds = Mapping[str, Objects]
 _FORMAT = "2"
 
 
-@dataclass(frozen=True, slots=True)
-class Variable:
+class Variable(NamedTuple):
     """An output variable.
 
     Attributes:
@@ -48,8 +47,7 @@ class MeterPoint:
     index: int
 
 
-@dataclass(frozen=True, slots=True)
-class ActuatorPoint:
+class ActuatorPoint(NamedTuple):
     """An actuator: component type, control type and key, in EnergyPlus's terms."""
 
     component_type: str
@@ -58,8 +56,7 @@ class ActuatorPoint:
     unit: str
 
 
-@dataclass(frozen=True, slots=True)
-class InternalVariable:
+class InternalVariable(NamedTuple):
     """A constant of the model, read or sized: a floor area, a design flow."""
 
     name: str
