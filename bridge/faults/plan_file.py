@@ -6,7 +6,6 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from topics import yaml12
 from topics.codec import describe_validation_errors
 from topics.errors import InvalidConfig
 from topics.fault_plan import FaultPlan
@@ -18,6 +17,8 @@ def read_plan(path: Path) -> FaultPlan:
     Raises:
         InvalidConfig: the file cannot be read, or is not a valid plan; the text lists all errors.
     """
+    from topics import yaml12  # slow to import, and only files need it
+
     try:
         text = yaml12.read_text(path.expanduser())
     except (OSError, RuntimeError, UnicodeDecodeError) as error:

@@ -26,7 +26,6 @@ from pydantic_core import CoreSchema
 from models.building.edits import Edits
 from models.catalog import MODEL_SUFFIXES, WEATHER_SUFFIXES
 from models.weather.noise import ColumnNoise
-from topics import yaml12
 from topics.codec import describe_validation_errors
 from topics.errors import ErrorCollector, InvalidConfig, UnknownName
 from topics.messages import Aggregation, SafeName, TimeField
@@ -230,6 +229,8 @@ def load_yaml(path: Path) -> dict[str, Any]:
         UnknownName: there is no such file.
         InvalidConfig: the file is not YAML, or not a mapping.
     """
+    from topics import yaml12  # slow to import, and only files need it
+
     try:
         text = yaml12.read_text(path)
     except FileNotFoundError:
@@ -273,6 +274,8 @@ def _time_series(value: Any, absolute: Callable[[Any], Any]) -> Any:
 
 def dump(scenario: Scenario, *, defaults: bool = False) -> str:
     """Write the scenario as YAML, which `load_scenario` reads back; `defaults`: include fields with default values."""
+    from topics import yaml12  # slow to import, and only files need it
+
     plain = scenario.model_dump(mode="json", exclude_defaults=not defaults, exclude_none=defaults)
     if scenario.reward is None:
         plain["reward"] = None

@@ -1,0 +1,20 @@
+"""What the programs of a node import, of what takes long to import: a start pays for each of them."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+THIRD_PARTY = {"cryptography", "gymnasium", "numpy", "psutil", "pydantic", "rich", "typer", "yaml", "zenoh"}
+
+
+@pytest.mark.parametrize(
+    ("program", "needed"),
+    [("eplus_node", {"numpy", "psutil", "pydantic", "zenoh"}), ("eplus_node.engine", set())],
+)
+def test_a_program_imports_only_what_each_start_needs(program: str, needed: set[str]) -> None:
+    text = f"import sys, {program}.__main__; print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-P", "-c", text], capture_output=True, text=True, check=True).stdout
+    assert {name.partition(".")[0] for name in loaded.split()} & THIRD_PARTY == needed
