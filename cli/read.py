@@ -12,9 +12,9 @@ import typer
 from bridge.transport.session import default_endpoint
 from cli.options import CertificateName, Connect, Keys
 from cli.tables import show, show_json
-from topics.errors import UnknownName, did_you_mean
 from topics.keys import Role
 from topics.messages import Manifest, Meter, Sensor
+from topics.points import PointIndex
 
 if TYPE_CHECKING:
     from agent_sdk.bus.sample import SampleView
@@ -79,10 +79,8 @@ def check_points(manifest: Manifest, names: Sequence[str]) -> None:
     Raises:
         UnknownName: it lacks some; the text suggests similar names for each.
     """
-    known = [*manifest.names, *(a.name for a in manifest.actuators)]
-    unknown = [f"node {manifest.node!r} has no point {n!r}; {did_you_mean(n, known)}" for n in names if n not in known]
-    if unknown:
-        raise UnknownName("\n".join(unknown))
+    points = (*manifest.points, *manifest.actuators)
+    PointIndex((point.name for point in points), "point").require(names)
 
 
 def sample_id(sample: SampleView) -> dict[str, Any]:

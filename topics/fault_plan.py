@@ -21,6 +21,7 @@ from pydantic import (
 
 from topics.errors import did_you_mean
 from topics.messages import Count, Finite, Message
+from topics.points import check_order
 
 Weekday = Literal["mon", "tue", "wed", "thu", "fri", "sat", "sun"]
 WEEKDAYS: tuple[Weekday, ...] = get_args(Weekday)
@@ -235,8 +236,7 @@ class Clip(PointFault):
     def _check_range(self) -> Clip:
         if self.low is None and self.high is None:
             raise ValueError("give low, high or both")
-        if self.low is not None and self.high is not None and self.low >= self.high:
-            raise ValueError(f"low {self.low:g} is not below high {self.high:g}")
+        check_order(self)
         return self
 
 

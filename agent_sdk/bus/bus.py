@@ -69,6 +69,7 @@ from topics.messages import (
     WeatherSeries,
     Write,
 )
+from topics.points import actuator_index, value_index
 
 M = TypeVar("M", bound=Message)
 
@@ -279,7 +280,7 @@ class Bus:
         manifest = self.manifest(node)
         if not 0 <= slot < manifest.slots:
             raise UnknownName(f"node {node!r} has no slot {slot}; it has 0 to {manifest.slots - 1}")
-        return SampleView(self.latest(node), manifest, {name: i for i, name in enumerate(manifest.names)}, slot=slot)
+        return SampleView(self.latest(node), manifest, value_index(manifest), slot=slot)
 
     def write(
         self,
@@ -308,9 +309,7 @@ class Bus:
             RequestRejected: The node rejected the write, with its reason.
         """
         manifest = self.manifest(node)
-        known = [actuator.name for actuator in manifest.actuators]
-        if point not in known:
-            raise UnknownName(f"node {node!r} has no actuator {point!r}; {did_you_mean(point, known)}")
+        actuator_index(manifest.actuators).require([point])
         unique = f"{source}-{os.getpid()}-{next(_numbers)}"
         try:
             write = Write(value=value, priority=priority, duration_s=duration_s, source=unique)

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topics import codec
-from topics.errors import InvalidAction, did_you_mean
+from topics.errors import InvalidAction
 from topics.messages import CommandOp, Manifest
+from topics.points import actuator_index
 
 # Plain integers: an exception that a signal handler raises inside NumPy's access to an enum member is lost, such as the
 # KeyboardInterrupt of Ctrl-C.
@@ -20,8 +21,8 @@ class CommandEncoder:
     """Encodes values for the actuators of one node."""
 
     def __init__(self, manifest: Manifest) -> None:
-        self._node, self._slots = manifest.node, manifest.slots
-        self._index = {actuator.name: i for i, actuator in enumerate(manifest.actuators)}
+        self._slots = manifest.slots
+        self._index = actuator_index(manifest.actuators, InvalidAction)
         count = len(manifest.actuators)
         self._shape = (manifest.slots, count) if manifest.slots > 1 else (count,)
 
@@ -35,10 +36,8 @@ class CommandEncoder:
             return values.astype(codec.FLOAT, copy=False).tobytes(), operations
         row, codes = np.zeros(len(self._index)), np.full(len(self._index), _KEEP, np.uint8)
         for name, value in (values or {}).items():
-            if name not in self._index:
-                raise InvalidAction(f"node {self._node!r} has no actuator {name!r}; {did_you_mean(name, self._index)}")
+            index = self._index[name]
             if value is not None and not np.isfinite(value):
                 raise InvalidAction(f"{name} = {value}; a finite number or None (relinquish) expected")
-            index = self._index[name]
             row[index], codes[index] = (0.0, _RELINQUISH) if value is None else (value, _SET)
         return row.tobytes() * self._slots, codes.tobytes() * self._slots

@@ -44,6 +44,7 @@ from topics.messages import (
     State,
     WeatherSeries,
 )
+from topics.points import value_index
 from topics.seeds import check_seed
 
 if TYPE_CHECKING:
@@ -102,7 +103,7 @@ class ControllerLink:
     def _open(self, session: zenoh.Session) -> None:
         """Subscribe first and claim last, so that no message after the claim is missed."""
         manifest, claim = self.manifest, self._claim
-        self._names = {name: i for i, name in enumerate(manifest.names)}
+        self._names = value_index(manifest)
         self._encode = CommandEncoder(manifest).encode
         self._sample_key = keys.SAMPLE.at(manifest.node)
         self._wake_key = keys.wake(manifest.node)

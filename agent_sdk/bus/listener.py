@@ -16,6 +16,7 @@ from bridge.transport.wakeup import Wake
 from topics import codec, keys
 from topics.errors import BusError, NodeLost
 from topics.messages import Sample
+from topics.points import value_index
 
 if TYPE_CHECKING:
     from agent_sdk.bus.bus import Bus
@@ -27,7 +28,7 @@ _INBOX = 16384
 def listen(bus: Bus, node: str) -> Iterator[Iterator[SampleView]]:
     """Yield an iterator over a node's samples from now on; see `Bus.listen`."""
     manifest = bus.manifest(node)
-    names = {name: i for i, name in enumerate(manifest.names)}
+    names = value_index(manifest)
     token, wake_key = keys.NODE_TOKEN.at(node, name=manifest.instance), keys.wake(node)
     wake = Wake(bus.session, wake_key)
 

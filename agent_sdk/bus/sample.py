@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topics import codec
-from topics.errors import UnknownName, did_you_mean
+from topics.errors import UnknownName
 from topics.messages import Flag, Manifest, Sample
+from topics.points import PointIndex
 
 _TRUNCATED, _FALLBACK = int(Flag.TRUNCATED), int(Flag.FALLBACK)
 
@@ -35,7 +36,7 @@ class SampleView:
     __slots__ = ("_index", "_link", "manifest", "message", "slot")
 
     def __init__(
-        self, message: Sample, manifest: Manifest, index: Mapping[str, int], link: Replier | None = None, slot: int = 0
+        self, message: Sample, manifest: Manifest, index: PointIndex, link: Replier | None = None, slot: int = 0
     ) -> None:
         self.message, self.manifest, self.slot, self._index, self._link = message, manifest, slot, index, link
 
@@ -107,10 +108,7 @@ class SampleView:
 
     def __getitem__(self, name: str) -> float:
         """Return the value of a sensor or meter; `UnknownName` lists similar names."""
-        index = self._index.get(name)
-        if index is None:
-            raise UnknownName(f"no sensor or meter {name!r}; {did_you_mean(name, self._index)}")
-        return float(self.values[index])
+        return float(self.values[self._index[name]])
 
     def as_dict(self) -> dict[str, float]:
         """Return the values of all sensors and meters by name."""

@@ -9,10 +9,10 @@ from enum import StrEnum
 
 from agent_sdk.controllers.base import Values
 from agent_sdk.controllers.comfort_band import rewarded_temperatures
-from agent_sdk.controllers.parameters import bounds
 from topics import energyplus_names
 from topics.energyplus_names import ZONE_TEMPERATURES
 from topics.messages import Action, Actuator, Manifest, Sensor
+from topics.points import bounds, value_index
 
 THERMOSTAT = energyplus_names.THERMOSTAT.casefold()
 OCCUPANTS = "zone people occupant count"
@@ -116,7 +116,7 @@ def _zone_points(
     action: Action, actuators: Sequence[Actuator], manifest: Manifest
 ) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """Return indices of temperatures and occupant counts: by zone for thermostats, else by similar names, else all."""
-    indices = {s.name: i for i, s in enumerate(manifest.sensors)}
+    indices = value_index(manifest)
     people = {s.key.casefold(): indices[s.name] for s in manifest.sensors if s.variable.casefold() == OCCUPANTS}
     sensors = temperature_sensors(manifest)
     if actuators[0].component_type.casefold() == THERMOSTAT:

@@ -10,10 +10,9 @@ import numpy as np
 from agent_sdk.bus.sample import SampleView
 from agent_sdk.controllers.action_roles import SETPOINTS, role_of
 from agent_sdk.controllers.base import ControllerProtocol, Values
-from agent_sdk.controllers.parameters import bounds
 from topics.errors import InvalidAction, did_you_mean
 from topics.messages import Action, DiscreteAction, Manifest
-from topics.units import with_unit
+from topics.points import contains, describe_violation
 
 
 class Agent:
@@ -73,10 +72,8 @@ def action_of(manifest: Manifest, values: Mapping[str, float | None]) -> Any:
         rows = [_nearest_row(choice, targets, setpoints) for choice in manifest.task.discrete_actions]
         return rows[0] if len(rows) == 1 else np.array(rows, np.int64)
     for action in actions:
-        low, high = bounds(action)
-        if not low <= targets[action.name] <= high:
-            limits = with_unit(f"{low:g} to {high:g}", action.unit)
-            raise InvalidAction(f"{action.name} = {targets[action.name]:g}; its bounds are {limits}")
+        if not contains(action, targets[action.name]):
+            raise InvalidAction(describe_violation(action, targets[action.name]))
     return np.array([targets[action.name] for action in actions], np.float32)
 
 

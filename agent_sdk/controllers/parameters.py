@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 from topics.errors import InvalidConfig, did_you_mean
 from topics.messages import Action, Actuator, Manifest
-from topics.units import with_unit
+from topics.points import contains, describe_violation
 
 T = TypeVar("T")
 
@@ -38,11 +38,6 @@ def number(name: str, value: object, *, minimum: float = -math.inf, maximum: flo
     raise InvalidConfig(f"{name} = {value!r}; expected {expected}")
 
 
-def bounds(point: Action | Actuator) -> tuple[float, float]:
-    """Return the bounds of an action or actuator; infinite where it has none."""
-    return (-math.inf if point.low is None else point.low, math.inf if point.high is None else point.high)
-
-
 def actuator_values(manifest: Manifest, values: Mapping[str, object]) -> dict[str, float]:
     """Convert values by the name of an action or an actuator to values by actuator.
 
@@ -58,9 +53,9 @@ def actuator_values(manifest: Manifest, values: Mapping[str, object]) -> dict[st
                 f"node {manifest.node!r} has no action or actuator {name!r}; {did_you_mean(name, points)}"
             )
         point = points[name]
-        value, (low, high) = number(name, setting), bounds(point)
-        if not low <= value <= high:
-            raise InvalidConfig(f"{name} = {value:g}; its bounds are {with_unit(f'{low:g} to {high:g}', point.unit)}")
+        value = number(name, setting)
+        if not contains(point, value):
+            raise InvalidConfig(describe_violation(point, value))
         for actuator in point.actuators if isinstance(point, Action) else (name,):
             if actuator in by_actuator:
                 raise InvalidConfig(f"{actuator!r} is set twice, the second time by {name!r}")

@@ -8,9 +8,10 @@ from collections.abc import Sequence
 from agent_sdk.bus.sample import SampleView
 from agent_sdk.controllers.action_roles import SETPOINTS, role_of, temperature_sensors
 from agent_sdk.controllers.base import Controller, Values
-from agent_sdk.controllers.parameters import ControllerMismatch, actuator_values, bounds, number
+from agent_sdk.controllers.parameters import ControllerMismatch, actuator_values, number
 from topics.errors import InvalidConfig, did_you_mean
 from topics.messages import Action, Actuator, Manifest, Sensor
+from topics.points import bounds
 
 
 class PIDController(Controller):

@@ -9,9 +9,10 @@ from agent_sdk.controllers.action_roles import SETPOINTS, Role, bind_actions
 from agent_sdk.controllers.base import Controller, Values
 from agent_sdk.controllers.comfort_band import Band, comfort_bands, default_setback, inside
 from agent_sdk.controllers.fixed import DAYS, check_deadband, default_values
-from agent_sdk.controllers.parameters import ControllerMismatch, bounds, number
+from agent_sdk.controllers.parameters import ControllerMismatch, number
 from topics.errors import InvalidConfig
 from topics.messages import Manifest
+from topics.points import contains, describe_bounds
 
 _DAYS = ("mon", "tue", "wed", "thu", "fri", "sat", "sun")
 
@@ -89,9 +90,9 @@ class ScheduledSetback(Controller):
         if value is None:
             return None
         setpoint, role = number(name, value), Role.HEATING if name.startswith("heating") else Role.COOLING
-        ranges = [bounds(binding.action) for binding in self._bindings if binding.role is role]
-        if not any(low <= setpoint <= high for low, high in ranges):
-            reason = f"its bounds are {ranges[0][0]:g} to {ranges[0][1]:g}" if ranges else f"there is no {role}"
+        actions = [binding.action for binding in self._bindings if binding.role is role]
+        if not any(contains(action, setpoint) for action in actions):
+            reason = f"its bounds are {describe_bounds(actions[0])}" if actions else f"there is no {role}"
             raise InvalidConfig(f"{name} = {setpoint:g}; {reason}")
         return setpoint
 

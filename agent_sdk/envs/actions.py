@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from math import isfinite
 from numbers import Real
 from typing import Any
 
@@ -13,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from agent_sdk.envs import spaces
 from topics.errors import InvalidAction, did_you_mean
 from topics.messages import Action, CommandOp, DiscreteAction, Manifest
-from topics.units import with_unit
+from topics.points import LARGEST, bound_arrays, contains, describe_violation
 
 _SMALL = 8
 
@@ -31,20 +30,19 @@ class Actions:
         self.space = spaces.action_space(manifest)
         self._actions = task.actions
         self._tables = [_ChoiceTable(discrete, task.actions) for discrete in task.discrete_actions]
-        self._low = np.array([-np.inf if a.low is None else a.low for a in task.actions])
-        self._high = np.array([np.inf if a.high is None else a.high for a in task.actions])
+        self._low, self._high = bound_arrays(task.actions)
         if isinstance(self.space, spaces.Floats):
             low, high = np.minimum(self.space.low, self._low), np.maximum(self.space.high, self._high)
             self._min, self._max = low - _slack(low), high + _slack(high)
         action_of = {name: i for i, action in enumerate(task.actions) for name in action.actuators}
-        self._floor, self._ceiling = _finite(self._low), _finite(self._high)
+        self._floor, self._ceiling = bound_arrays(task.actions, unbounded=LARGEST)
         # A small action is compared with these number by number, which takes less time than arrays do.
         self._bounds = list(zip(self._floor.tolist(), self._ceiling.tolist(), strict=True))
         self._is_small = len(self._bounds) <= _SMALL
         self._action_index = np.array([action_of.get(a.name, 0) for a in manifest.actuators], np.intp)
         self._is_identity = self._action_index.tolist() == list(range(len(task.actions)))
         unbound = [a.name for a in manifest.actuators if a.name not in action_of]
-        self._actuators, self._unbound = manifest.actuators, unbound
+        self._actuators, self._unbound = {a.name: (i, a) for i, a in enumerate(manifest.actuators)}, unbound
         codes = [CommandOp.KEEP if a.name in unbound else CommandOp.SET for a in manifest.actuators]
         self.operations = bytes(codes) if unbound else None
 
@@ -122,14 +120,9 @@ class Actions:
                 raise InvalidAction(
                     f"{name!r} is not an actuator outside the actions; {did_you_mean(name, self._unbound)}"
                 )
-            index = next(i for i, a in enumerate(self._actuators) if a.name == name)
-            actuator = self._actuators[index]
-            low = -np.inf if actuator.low is None else actuator.low
-            high = np.inf if actuator.high is None else actuator.high
-            if value is not None and not (isinstance(value, Real) and isfinite(value) and low <= value <= high):
-                raise InvalidAction(
-                    f"{name} = {value!r}; its bounds are {with_unit(f'{low:g} to {high:g}', actuator.unit)}"
-                )
+            index, actuator = self._actuators[name]
+            if value is not None and not (isinstance(value, Real) and contains(actuator, value)):
+                raise InvalidAction(describe_violation(actuator, value))
             context[index] = value
         return context
 
@@ -166,9 +159,8 @@ class Actions:
     def _describe_violations(self, values: NDArray[np.float64], inside: NDArray[np.bool_]) -> str:
         violations = []
         for *slot, index in np.argwhere(~inside).tolist():
-            action = self._actions[index]
-            bounds = with_unit(f"{self._low[index]:g} to {self._high[index]:g}", action.unit)
-            violations.append(f"{_slot_prefix(slot)}{action.name} = {values[*slot, index]:g}; its bounds are {bounds}")
+            violation = describe_violation(self._actions[index], values[*slot, index])
+            violations.append(_slot_prefix(slot) + violation)
         return "; ".join(violations)
 
     def _from_choices(self, action: ArrayLike) -> NDArray[np.float64]:
@@ -209,12 +201,6 @@ def _slack(bound: NDArray[np.float64]) -> NDArray[np.float64]:
     """Four units in the last place of float32 at a bound."""
     size: NDArray[np.float64] = np.spacing(np.where(np.isfinite(bound), np.abs(bound), 1.0).astype(np.float32))
     return 4.0 * size.astype(np.float64)
-
-
-def _finite(bounds: NDArray[np.float64]) -> NDArray[np.float64]:
-    largest = np.finfo(np.float64).max
-    finite: NDArray[np.float64] = np.clip(bounds, -largest, largest)
-    return finite
 
 
 def as_array(action: ArrayLike, dtype: type[np.float64] | None) -> NDArray[Any]:

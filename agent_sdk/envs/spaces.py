@@ -9,15 +9,15 @@ import numpy as np
 from gymnasium.spaces import Box, Discrete, MultiDiscrete, Space
 
 from agent_sdk.envs.time_features import BOUNDS
-from topics.messages import Action, Manifest, Meter, Sensor
+from topics.messages import Manifest
+from topics.points import bounds
 
 Floats = Box
 
 
 def observation_space(manifest: Manifest) -> Box[np.float32]:
     """Return a float32 box, shape (time fields + sensors + meters,), with infinite bounds where a point has none."""
-    points: list[Sensor | Meter] = [*manifest.sensors, *manifest.meters]
-    return _box([*(BOUNDS[field] for field in manifest.task.time), *map(_bounds, points)])
+    return _box([*(BOUNDS[field] for field in manifest.task.time), *map(bounds, manifest.points)])
 
 
 def action_space(manifest: Manifest) -> Space[Any]:
@@ -25,13 +25,9 @@ def action_space(manifest: Manifest) -> Space[Any]:
     counts = [len(discrete.values) for discrete in manifest.task.discrete_actions]
     if len(counts) == 1:
         return Discrete(counts[0])
-    return MultiDiscrete(counts) if counts else _box(map(_bounds, manifest.task.actions))
+    return MultiDiscrete(counts) if counts else _box(map(bounds, manifest.task.actions))
 
 
-def _bounds(point: Sensor | Meter | Action) -> tuple[float, float]:
-    return (-np.inf if point.low is None else point.low, np.inf if point.high is None else point.high)
-
-
-def _box(bounds: Iterable[tuple[float, float]]) -> Box[np.float32]:
-    low, high = np.array([*bounds], np.float32).reshape(-1, 2).T
+def _box(ranges: Iterable[tuple[float, float]]) -> Box[np.float32]:
+    low, high = np.array([*ranges], np.float32).reshape(-1, 2).T
     return Box(low, high, dtype=np.float32)

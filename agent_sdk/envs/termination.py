@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topics.messages import Manifest
+from topics.points import bounds, value_index
 
 Floats = NDArray[np.float64]
 
@@ -24,9 +25,9 @@ class TerminationLimits:
     def __init__(self, manifest: Manifest, slots: int | None = None) -> None:
         self._limits = manifest.task.terminate
         self._step_s = 3600.0 / manifest.steps_per_hour
-        self._points = [np.array([manifest.names.index(name) for name in limit.points]) for limit in self._limits]
-        self._low = [-np.inf if limit.low is None else limit.low for limit in self._limits]
-        self._high = [np.inf if limit.high is None else limit.high for limit in self._limits]
+        index = value_index(manifest)
+        self._points = [np.array([index[name] for name in limit.points]) for limit in self._limits]
+        self._bounds = [bounds(limit) for limit in self._limits]
         self._batch_shape = () if slots is None else (slots,)
         self.reset()
 
@@ -64,13 +65,14 @@ class TerminationLimits:
 
     def _check(self, number: int, values: Floats) -> _LimitCheck:
         points = values.take(self._points[number], axis=-1)
-        outside = (points < self._low[number]) | (points > self._high[number])
+        low, high = self._bounds[number]
+        outside = (points < low) | (points > high)
         outside_s = self._outside_s[number] = np.where(outside, self._outside_s[number] + self._step_s, 0.0)
         return _LimitCheck(points, outside_s, outside & (outside_s >= self._limits[number].duration_s))
 
     def _describe(self, number: int, values: Floats, outside_s: Floats, violated: NDArray[np.bool_]) -> str:
         worst = int(np.argmax(np.where(violated, outside_s, -1.0)))
-        low, high = self._low[number], self._high[number]
+        low, high = self._bounds[number]
         name, hours = self._limits[number].points[worst], outside_s[worst] / 3600.0
         return f"{name} = {values[worst]:g} has been outside {low:g} to {high:g} for {hours:g} h"
 

@@ -11,7 +11,7 @@ from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime, time, timedelta
 from fnmatch import fnmatchcase
-from math import ceil, inf, isfinite
+from math import ceil, isfinite
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +23,9 @@ from agent_sdk.bus.sample import SampleView
 from agent_sdk.envs.arguments import NODE_ARGUMENTS, of_scenario
 from agent_sdk.envs.building_env import BuildingEnv
 from agent_sdk.evaluation.probe_effects import Effect, HoldExperiment, Ranges, Side, effect_of
-from topics.errors import BusError, ErrorCollector, InvalidConfig, SimulatorError, UnknownName, did_you_mean
+from topics.errors import BusError, ErrorCollector, InvalidConfig, SimulatorError, did_you_mean
 from topics.messages import Actuator, CreateBranch, Manifest
-from topics.units import with_unit
+from topics.points import PointIndex, actuator_index, contains, describe_bounds, value_index
 
 Progress = Callable[[int, int], None]
 """Callback for simulated timesteps: number done, total number."""
@@ -144,10 +144,10 @@ class ProbeRequest:
         errors = ErrorCollector()
         self.length = round(hours * manifest.steps_per_hour) if isfinite(hours) else 0
         self.steps: list[int] = errors.collect(lambda: _steps(manifest, self.length, days, at)) or []
-        self.compared = errors.collect(lambda: _matching(manifest.names, points)) or []
+        self.compared = errors.collect(lambda: _matching(value_index(manifest), points)) or []
+        known = actuator_index(manifest.actuators)
         for overrides in (low, high):
-            for name in overrides:
-                errors.collect(lambda name=name: _check_actuator(name, manifest))  # type: ignore[misc]
+            errors.collect(lambda overrides=overrides: known.require(overrides))  # type: ignore[misc]
         for actuator in manifest.actuators:
             errors.collect(lambda actuator=actuator: self._check_bounds(actuator))  # type: ignore[misc]
         errors.raise_if_any()
@@ -162,12 +162,9 @@ class ProbeRequest:
             raise InvalidConfig(f"{actuator.name} has no bound to hold it at (its unit: {unit}); add {options}")
         if low is not None and high is not None and low >= high:
             raise InvalidConfig(f"{actuator.name}: low {low:g} is not below high {high:g}")
-        minimum = -inf if actuator.low is None else actuator.low
-        maximum = inf if actuator.high is None else actuator.high
         for side, value in (("low", low), ("high", high)):
-            if value is not None and not minimum <= value <= maximum:
-                limits = with_unit(f"{minimum:g} to {maximum:g}", actuator.unit)
-                raise InvalidConfig(f"--{side} {actuator.name}={value:g}: its bounds are {limits}")
+            if value is not None and not contains(actuator, value):
+                raise InvalidConfig(f"--{side} {actuator.name}={value:g}: its bounds are {describe_bounds(actuator)}")
 
     def _bounds(self, actuator: Actuator) -> tuple[float | None, float | None]:
         return self._low.get(actuator.name, actuator.low), self._high.get(actuator.name, actuator.high)
@@ -182,19 +179,11 @@ class ProbeRequest:
         return ("low", low), ("high", high)
 
 
-def _check_actuator(name: str, manifest: Manifest) -> None:
-    names = [actuator.name for actuator in manifest.actuators]
-    if name not in names:
-        raise UnknownName(f"no actuator {name!r}; {did_you_mean(name, names)}")
-
-
-def _matching(names: Sequence[str], patterns: Sequence[str]) -> list[int]:
+def _matching(index: PointIndex, patterns: Sequence[str]) -> list[int]:
     for pattern in patterns:
-        if not any(fnmatchcase(name, pattern) for name in names):
-            raise UnknownName(f"no sensor or meter {pattern!r}; {did_you_mean(pattern, names)}")
-    return [
-        i for i, name in enumerate(names) if not patterns or any(fnmatchcase(name, pattern) for pattern in patterns)
-    ]
+        if not any(fnmatchcase(name, pattern) for name in index):
+            raise index.unknown(pattern)
+    return [i for name, i in index.items() if not patterns or any(fnmatchcase(name, pattern) for pattern in patterns)]
 
 
 def _steps(manifest: Manifest, length: int, days: int, at: Sequence[float]) -> list[int]:

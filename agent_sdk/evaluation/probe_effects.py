@@ -141,7 +141,7 @@ def effect_of(
     ]
     independent = [i for i in compared if i not in pass_through]
     minutes = 60 / manifest.steps_per_hour
-    units = [sensor.unit for sensor in manifest.sensors] + [meter.unit for meter in manifest.meters]
+    units = [point.unit for point in manifest.points]
     responses = [
         response
         for i in independent

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from agent_sdk.rewards.selectors import indices, of_variables
 from topics.energyplus_names import HVAC_POWER
 from topics.errors import InvalidConfig, did_you_mean
-from topics.messages import Aggregation, Manifest, Meter, Sensor
+from topics.messages import Aggregation, Manifest, Sensor
+from topics.points import value_index
 
 J_PER_KWH = 3.6e6
 METERS = ("electricity:facility", "electricity:hvac")
@@ -36,7 +37,7 @@ class EnergyMeter:
 
     def __init__(self, kind: str, names: Sequence[str] | None, manifest: Manifest) -> None:
         points = _default(kind, manifest) if names is None else [_index(kind, name, manifest) for name in names]
-        units = [point.unit for point in _points(manifest)]
+        units = [point.unit for point in manifest.points]
         per_step = {"J": 1.0 / J_PER_KWH, "W": 1e-3 / manifest.steps_per_hour}
         self._indices = indices(points)
         self._kwh = np.array([per_step[units[i]] for i in points])
@@ -46,10 +47,6 @@ class EnergyMeter:
     def kwh(self, values: NDArray[np.float64]) -> Any:
         """Return the energy of the timestep in kWh, with the leading shape of `values`."""
         return np.add.reduce(values.take(self._indices, axis=-1) * self._kwh, axis=-1)
-
-
-def _points(manifest: Manifest) -> list[Sensor | Meter]:
-    return [*manifest.sensors, *manifest.meters]
 
 
 def _default(kind: str, manifest: Manifest) -> list[int]:
@@ -67,23 +64,21 @@ def _default(kind: str, manifest: Manifest) -> list[int]:
 
 
 def _index(kind: str, name: str, manifest: Manifest) -> int:
-    points = _points(manifest)
-    fitting = [point.name for point in points if point.unit in ("J", "W")]
-    if name not in manifest.names:
+    index = value_index(manifest)
+    fitting = [point.name for point in manifest.points if point.unit in ("J", "W")]
+    if name not in index:
         raise InvalidConfig(
             f"the {kind} reward names {name!r}, which the node does not have; {did_you_mean(name, fitting)}"
         )
-    index = manifest.names.index(name)
+    point = manifest.points[index[name]]
     if name not in fitting:
         raise InvalidConfig(
-            f"the {kind} reward needs energy in J or power in W, which {name!r} is not ({points[index].unit}); "
+            f"the {kind} reward needs energy in J or power in W, which {name!r} is not ({point.unit}); "
             f"{did_you_mean(name, fitting)}"
         )
-    if index < len(manifest.sensors):
-        sensor = manifest.sensors[index]
-        if sensor.unit == "J" and sensor.aggregation is not Aggregation.SUM:
-            raise InvalidConfig(
-                f"the {kind} reward needs the energy of the whole timestep, and {name!r} reads {sensor.aggregation!s}: "
-                f"({sensor.variable!r}, {sensor.key!r}, 'sum') in sensors= reads all of it"
-            )
-    return index
+    if isinstance(point, Sensor) and point.unit == "J" and point.aggregation is not Aggregation.SUM:
+        raise InvalidConfig(
+            f"the {kind} reward needs the energy of the whole timestep, and {name!r} reads {point.aggregation!s}: "
+            f"({point.variable!r}, {point.key!r}, 'sum') in sensors= reads all of it"
+        )
+    return index[name]

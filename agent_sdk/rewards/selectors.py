@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from topics.energyplus_names import HVAC_POWER, ZONE_TEMPERATURES
 from topics.errors import InvalidConfig, did_you_mean
 from topics.messages import Manifest
+from topics.points import value_index
 
 Indices = NDArray[np.intp]
 """Indices among the values of a sample."""
@@ -36,7 +37,8 @@ def named(kind: str, name: str, manifest: Manifest, units: Sequence[str]) -> int
     """
     sensor_units = {sensor.name: sensor.unit for sensor in manifest.sensors}
     fitting = [sensor for sensor, unit in sensor_units.items() if unit in units]
-    if name not in manifest.names:
+    index = value_index(manifest)
+    if name not in index:
         raise InvalidConfig(
             f"the {kind} reward names {name!r}, which the node does not have; {did_you_mean(name, fitting)}"
         )
@@ -45,7 +47,7 @@ def named(kind: str, name: str, manifest: Manifest, units: Sequence[str]) -> int
         raise InvalidConfig(
             f"the {kind} reward needs a sensor in {expected}, which {name!r} is not; {did_you_mean(name, fitting)}"
         )
-    return manifest.names.index(name)
+    return index[name]
 
 
 def of_variables(manifest: Manifest, *variables: str) -> list[int]:

@@ -19,6 +19,7 @@ from agent_sdk.testing.report import Check, Report, name_of, raised, run
 from topics.energyplus_names import THERMOSTAT
 from topics.errors import ZenostatError
 from topics.messages import Manifest
+from topics.points import contains, describe_bounds
 
 ControllerFactory = Callable[[Manifest], ControllerProtocol]
 """A controller class, or a function that creates a controller."""
@@ -139,16 +140,15 @@ def _is_number(value: Any) -> bool:
 
 
 def _bounded(context: _CheckContext) -> Iterator[str]:
-    bounds = {a.name: (a.low, a.high) for a in context.manifest.actuators}
+    actuators = {a.name: a for a in context.manifest.actuators}
     reported = set()
     for step, answer in context.valid_answers:
         for name, value in answer.items():
-            low, high = bounds.get(name, (None, None))
-            if not _is_number(value) or name in reported:
+            if name not in actuators or not _is_number(value) or name in reported:
                 continue
-            if (low is not None and value < low) or (high is not None and value > high):
+            if not contains(actuators[name], value):
                 reported.add(name)
-                yield f"{name} = {float(value):g} at sample {step}; its bounds are {low} to {high}"
+                yield f"{name} = {value:g} at sample {step}; its bounds are {describe_bounds(actuators[name])}"
 
 
 def _uncrossed(context: _CheckContext) -> Iterator[str]:

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from agent_sdk.bus.sample import SampleView
 from agent_sdk.testing.fake_building import FakeBuilding
-from topics.errors import EpisodeChanged, InvalidAction, PeerError, RequestRejected, did_you_mean
+from topics.errors import EpisodeChanged, InvalidAction, PeerError, RequestRejected
 from topics.messages import Ack, CommandOp, EngineStart, EpisodeStart, Flag, Sample, WeatherSeries
-from topics.units import with_unit
+from topics.points import actuator_index, bound_arrays, describe_violation, value_index
 
 Floats = NDArray[np.float64]
 
@@ -34,10 +34,9 @@ class FakeLink:
         self.building = FakeBuilding() if building is None else building
         self.manifest = self.building.manifest
         self.name = name
-        self._names = {point: i for i, point in enumerate(self.manifest.names)}
-        self._actuators = {a.name: i for i, a in enumerate(self.manifest.actuators)}
-        self._low = np.array([-np.inf if a.low is None else a.low for a in self.manifest.actuators])
-        self._high = np.array([np.inf if a.high is None else a.high for a in self.manifest.actuators])
+        self._names = value_index(self.manifest)
+        self._actuators = actuator_index(self.manifest.actuators, InvalidAction)
+        self._low, self._high = bound_arrays(self.manifest.actuators)
         self._commanded = np.full(len(self._actuators), np.nan)
         self._latest: SampleView | None = None
         self._sent: tuple[Floats, Floats] | None = None
@@ -130,19 +129,15 @@ class FakeLink:
     def _read(self, values: Mapping[str, float | None]) -> tuple[Floats, Floats]:
         row, operations = np.zeros_like(self._commanded), np.full_like(self._commanded, float(CommandOp.KEEP))
         for name, value in values.items():
-            if name not in self._actuators:
-                raise InvalidAction(f"node 'fake' has no actuator {name!r}; {did_you_mean(name, self._actuators)}")
+            index = self._actuators[name]
             if value is not None and not np.isfinite(value):
                 raise InvalidAction(f"{name} = {value}; expected a finite number, or None to relinquish it")
-            index = self._actuators[name]
             row[index], operations[index] = (0.0, CommandOp.RELINQUISH) if value is None else (value, CommandOp.SET)
         return row, operations
 
     def _check_bounds(self, values: Floats, operations: Floats) -> None:
         for index in np.flatnonzero((operations == CommandOp.SET) & ~((values >= self._low) & (values <= self._high))):
-            actuator = self.manifest.actuators[index]
-            value = with_unit(f"{values[index]:g}", actuator.unit)
-            reason = f"{actuator.name} = {value}; its bounds are {actuator.low} to {actuator.high}"
+            reason = describe_violation(self.manifest.actuators[index], values[index])
             raise RequestRejected(f"node 'fake' rejected the command: {reason}")
 
     def _sample(self, values: Floats, effective: Floats) -> SampleView:

@@ -30,6 +30,7 @@ from topics.messages import (
     TerminationLimit,
     Versions,
 )
+from topics.points import value_index
 
 HEATING, COOLING = HEATING_SETPOINT, COOLING_SETPOINT
 
@@ -92,12 +93,7 @@ def build_manifest(
     sensors, meters = _sensors(zones), _meters()
     dimensions = _default_actions(actuators, control) if actions is None else _selected_actions(actuators, actions)
     task = _task(dimensions, _discrete_actions(dimensions, actuators, control, discrete), time, reward, terminate)
-    known = {s.name for s in sensors} | {m.name for m in meters}
-    for limit in task.terminate:
-        for name in limit.points:
-            if name not in known:
-                raise InvalidConfig(f"terminate: there is no sensor or meter {name!r}; {did_you_mean(name, known)}")
-    return Manifest(
+    manifest = Manifest(
         node="fake",
         instance="fake",
         building="fake",
@@ -115,6 +111,11 @@ def build_manifest(
         task=task,
         versions=Versions(zenostat=topics.VERSION, energyplus="none"),
     )
+    index = value_index(manifest)
+    for name in (name for limit in task.terminate for name in limit.points):
+        if name not in index:
+            raise InvalidConfig(f"terminate: {index.unknown(name)}")
+    return manifest
 
 
 def _sensors(zones: Sequence[Zone]) -> list[Sensor]:

@@ -17,6 +17,7 @@ from agent_sdk.testing.fake_building import FakeBuilding
 from agent_sdk.testing.fake_link import FakeLink
 from topics.errors import EpisodeChanged, InvalidAction, InvalidConfig, PeerError
 from topics.messages import Ack, Sample, WeatherSeries
+from topics.points import value_index
 
 Floats = NDArray[np.float64]
 
@@ -115,7 +116,7 @@ class FakeSlots:
             source_index=b"".join(message.source_index for message in messages),
             sources=messages[0].sources,
         )
-        return SampleView(wire, self.manifest, {name: i for i, name in enumerate(self.manifest.names)})
+        return SampleView(wire, self.manifest, value_index(self.manifest))
 
 
 class FakeVectorEnv(BuildingVectorEnv):

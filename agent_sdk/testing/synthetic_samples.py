@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from agent_sdk.bus.sample import SampleView
 from topics.messages import Flag, Manifest, Meter, Sample, Sensor
+from topics.points import bounds, value_index
 
 _RANGES = {"degC": (10.0, 35.0), "percent": (0.0, 100.0), "W": (0.0, 2e4), "J": (0.0, 1e7), "W/m2": (0.0, 900.0)}
 _MAX_PEOPLE = 6
@@ -17,9 +18,8 @@ _MAX_PEOPLE = 6
 def values(manifest: Manifest, count: int, seed: int) -> NDArray[np.float64]:
     """Return values of shape (count, points) within the points' bounds; zones are unoccupied half of the time."""
     random = np.random.default_rng([seed, 1])
-    points: list[Sensor | Meter] = [*manifest.sensors, *manifest.meters]
-    columns: NDArray[np.float64] = np.empty((count, len(points)))
-    for index, point in enumerate(points):
+    columns: NDArray[np.float64] = np.empty((count, len(manifest.points)))
+    for index, point in enumerate(manifest.points):
         columns[:, index] = _column(point, count, random)
     return columns
 
@@ -31,8 +31,8 @@ def _column(point: Sensor | Meter, count: int, random: np.random.Generator) -> N
         )
         return people
     low, high = _RANGES.get(point.unit, (0.0, 1.0))
-    low = low if point.low is None else max(low, point.low)
-    high = high if point.high is None else min(high, point.high)
+    minimum, maximum = bounds(point)
+    low, high = max(low, minimum), min(high, maximum)
     column: NDArray[np.float64] = random.uniform(low, max(low, high), count)
     return column
 
@@ -47,7 +47,7 @@ def samples(manifest: Manifest, count: int, seed: int) -> list[SampleView]:
     """Return new samples 0 to `count` - 1 of an episode that ends with the last of them."""
     rows = np.repeat(values(manifest, count, seed)[:, None, :], manifest.slots, axis=1)
     effective = np.full((manifest.slots, len(manifest.actuators)), np.nan)
-    index = {name: i for i, name in enumerate(manifest.names)}
+    index = value_index(manifest)
     views = []
     for step, (row, time) in enumerate(zip(rows, episode_starts(manifest, count), strict=True)):
         flag = Flag.FIRST if step == 0 else Flag.TRUNCATED if step == count - 1 else Flag.NONE

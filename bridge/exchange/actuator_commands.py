@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from bridge.exchange.claims import ClaimHolder
 from bridge.exchange.priority_array import PriorityArray
 from topics import codec
-from topics.errors import BadMessage, did_you_mean
+from topics.errors import BadMessage
 from topics.messages import Actuator, Command, CommandOp, Write
+from topics.points import LARGEST, actuator_index, bound_arrays, contains, describe_violation
 from topics.units import with_unit
 
 _SMALL = 8
@@ -63,14 +64,11 @@ class ActuatorCommands:
 
     def __init__(self, actuators: tuple[Actuator, ...], slots: int) -> None:
         self._actuators, self._shape = actuators, (slots, len(actuators))
-        max_float = float(np.finfo(np.float64).max)  # an unbounded actuator accepts any finite value
-        low = [-max_float if a.low is None else a.low for a in actuators]
-        high = [max_float if a.high is None else a.high for a in actuators]
-        self._bounds = np.tile(np.array([low, high]).reshape(2, -1), slots)
+        self._bounds = np.tile(np.stack(bound_arrays(actuators, unbounded=LARGEST)), slots)
         self._clipped = np.empty(self._bounds.shape[1])
-        self._is_small = len(low) * slots <= _SMALL
-        self._low, self._high = low * slots, high * slots
-        self._index = {a.name: i for i, a in enumerate(actuators)}
+        self._is_small = len(self._clipped) <= _SMALL
+        self._low, self._high = self._bounds.tolist()
+        self._index = actuator_index(actuators, BadMessage)
         self._expiries: list[Expiry] = []
         self.array = PriorityArray(*self._shape)
         self.size = self._clipped.nbytes
@@ -150,12 +148,7 @@ class ActuatorCommands:
         invalid = ~((values >= low) & (values <= high))  # true for NaN
         if invalid.any():
             slot, index = np.argwhere(invalid)[0]
-            raise BadMessage(self._out_of_bounds(int(index), float(values[slot, index])))
-
-    def _out_of_bounds(self, index: int, value: float) -> str:
-        actuator = self._actuators[index]
-        low, high = (str(b) if b is not None else "unbounded" for b in (actuator.low, actuator.high))
-        return f"{actuator.name} = {with_unit(f'{value:g}', actuator.unit)}; its bounds are {low} to {high}"
+            raise BadMessage(describe_violation(self._actuators[index], values[slot, index]))
 
     # Writes of single points
 
@@ -165,13 +158,9 @@ class ActuatorCommands:
         Raises:
             BadMessage: there is no actuator of that name, or the value is out of its bounds.
         """
-        if name not in self._index:
-            raise BadMessage(f"no actuator {name!r}; {did_you_mean(name, self._index)}")
         index = self._index[name]
-        if write.value is not None:
-            low, high = self._bounds[:, index]
-            if not low <= write.value <= high:
-                raise BadMessage(self._out_of_bounds(index, write.value))
+        if write.value is not None and not contains(self._actuators[index], write.value):
+            raise BadMessage(describe_violation(self._actuators[index], write.value))
         return index
 
     def write(self, index: int, write: Write, source: int, elapsed_s: float) -> str:

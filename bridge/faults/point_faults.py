@@ -19,7 +19,7 @@ from bridge.faults.schedule import FaultSchedule, FaultTransition, StepGrid
 from topics.errors import ErrorCollector, InvalidConfig, did_you_mean
 from topics.fault_plan import FaultPlan, PointFault, Stuck
 from topics.messages import Actuator
-from topics.units import with_unit
+from topics.points import bound_arrays, contains, describe_bounds
 
 State = dict[str, Any]
 """State of the faults in one slot, as data that can be pickled."""
@@ -63,8 +63,7 @@ class PointFaults:
         self._schedule = schedule
         self._points = self._effects(SENSOR_EFFECTS, "points", points, step_s)
         self._actuators = self._effects(ACTUATOR_EFFECTS, "actuators", [a.name for a in actuators], step_s)
-        self._low = np.array([-np.inf if a.low is None else a.low for a in actuators])
-        self._high = np.array([np.inf if a.high is None else a.high for a in actuators])
+        self._low, self._high = bound_arrays(actuators)
 
     def _effects(
         self, kinds: Mapping[type[PointFault], type[Effect]], side: str, names: Sequence[str], step_s: float
@@ -201,15 +200,7 @@ def check_points(plan: FaultPlan, points: Sequence[str], actuators: Sequence[Act
                     errors.errors.append(InvalidConfig(f"fault {label!r}: no {kind} {pattern!r}; {hint}"))
         if isinstance(fault, Stuck):
             for actuator in actuators:
-                if _any_of(fault.actuators, actuator.name):
-                    _check_bounds(label, fault.value, actuator, errors)
-
-
-def _check_bounds(label: str, value: float, actuator: Actuator, errors: ErrorCollector) -> None:
-    low = -np.inf if actuator.low is None else actuator.low
-    high = np.inf if actuator.high is None else actuator.high
-    if not low <= value <= high:
-        bounds = " to ".join("unbounded" if b is None else f"{b:g}" for b in (actuator.low, actuator.high))
-        stuck = with_unit(f"{value:g}", actuator.unit)
-        text = f"fault {label!r}: {actuator.name} cannot be stuck at {stuck}; its bounds are {bounds}"
-        errors.errors.append(InvalidConfig(text))
+                if _any_of(fault.actuators, actuator.name) and not contains(actuator, fault.value):
+                    text = f"{actuator.name} cannot be stuck at {fault.value:g}"
+                    limits = describe_bounds(actuator)
+                    errors.errors.append(InvalidConfig(f"fault {label!r}: {text}; its bounds are {limits}"))

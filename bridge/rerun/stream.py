@@ -24,7 +24,7 @@ from zenoh.handlers import RingChannel
 
 from topics import codec, keys
 from topics.errors import BadMessage
-from topics.messages import Batch, Event, EventKind, Manifest, Meter, Sample, Sensor
+from topics.messages import Batch, Event, EventKind, Manifest, Sample
 
 RING = 65536
 PERIOD_S = 0.1
@@ -67,8 +67,7 @@ class _Node:
 def _quantities(manifest: Manifest) -> list[_Quantity]:
     """One plot per unit, with its sensors and meters in manifest order, and one plot of all actuators."""
     by_unit: dict[str, _Quantity] = {}
-    points: tuple[Sensor | Meter, ...] = (*manifest.sensors, *manifest.meters)
-    for column, point in enumerate(points):
+    for column, point in enumerate(manifest.points):
         quantity = by_unit.setdefault(
             point.unit, _Quantity(keys.safe_name(point.unit), _TITLES.get(point.unit, point.unit), [], [])
         )

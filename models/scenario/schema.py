@@ -29,6 +29,7 @@ from models.weather.noise import ColumnNoise
 from topics.codec import describe_validation_errors
 from topics.errors import ErrorCollector, InvalidConfig, UnknownName
 from topics.messages import Aggregation, SafeName, TimeField
+from topics.points import check_order
 
 Order = Literal["random", "sequence"]
 Control = Literal["point", "zone", "building"]
@@ -104,8 +105,7 @@ class LimitSpec(_Part):
     def _a_range(self) -> LimitSpec:
         if self.low is None and self.high is None:
             raise ValueError("a limit needs a low or a high")
-        if self.low is not None and self.high is not None and not self.low < self.high:
-            raise ValueError(f"low {self.low:g} is not below high {self.high:g}")
+        check_order(self)
         return self
 
 

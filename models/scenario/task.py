@@ -13,7 +13,7 @@ from topics.energyplus_names import COOLING_SETPOINT, THERMOSTAT
 from topics.errors import InvalidConfig, did_you_mean
 from topics.keys import check_name, safe_name
 from topics.messages import Action, Actuator, DiscreteAction, Task, TerminationLimit
-from topics.units import with_unit
+from topics.points import PointIndex, contains, describe_bounds
 
 T = TypeVar("T")
 
@@ -37,10 +37,9 @@ def task_of(scenario: Scenario, points: Points) -> Task:
         invalid = set(scenario.actions or ()) - {a.name for a in actions}
         errors += _choice_errors(choices, actions, invalid)
     names = [sensor.name for sensor in points.sensors] + [meter.name for meter in points.meters]
+    index = PointIndex(names, "sensor or meter")
     for number, limit in enumerate(scenario.terminate):
-        for name in limit.points:
-            if name not in names:
-                errors.append(f"terminate.{number}: there is no sensor or meter {name!r}; {did_you_mean(name, names)}")
+        errors += [f"terminate.{number}: {index.unknown(name)}" for name in limit.points if name not in index]
     if errors:
         raise InvalidConfig("\n".join(errors))
     return Task(
@@ -116,22 +115,13 @@ def _named_actions(scenario: Scenario, actuators: Sequence[Actuator], errors: li
 def _bound_errors(action: Action, low: float | None, high: float | None) -> list[str]:
     errors = []
     for side, bound in (("low", low), ("high", high)):
-        if bound is not None and not _inside(bound, action):
-            errors.append(f"action {action.name!r}: {side} {bound:g} is outside its actuators' {_range(action)}")
+        if bound is not None and not contains(action, bound):
+            limits = describe_bounds(action)
+            errors.append(f"action {action.name!r}: {side} {bound:g} is outside its actuators' {limits}")
     lower, upper = action.low if low is None else low, action.high if high is None else high
     if lower is not None and upper is not None and not lower < upper:
         errors.append(f"action {action.name!r}: its lower bound {lower:g} is not below its upper bound {upper:g}")
     return errors
-
-
-def _inside(value: float, action: Action) -> bool:
-    return (action.low is None or value >= action.low) and (action.high is None or value <= action.high)
-
-
-def _range(action: Action) -> str:
-    low = "-inf" if action.low is None else f"{action.low:g}"
-    high = "inf" if action.high is None else f"{action.high:g}"
-    return with_unit(f"{low} to {high}", action.unit)
 
 
 def _steps(
@@ -191,7 +181,7 @@ def _choice_errors(choices: Sequence[DiscreteAction], actions: Sequence[Action],
 
 def _row_errors(label: str, row: Sequence[float], actions: Sequence[Action]) -> list[str]:
     return [
-        f"{label}: {action.name} = {value:g} is outside {_range(action)}"
+        f"{label}: {action.name} = {value:g} is outside {describe_bounds(action)}"
         for value, action in zip(row, actions, strict=True)
-        if not _inside(value, action)
+        if not contains(action, value)
     ]

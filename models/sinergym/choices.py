@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from models.scenario.schema import ActuatorSpec, DiscreteActionSpec
 from models.sinergym.literals import DiscreteSpec, MultiDiscrete, Offsets, Rows, Table
 from topics.errors import InvalidConfig
+from topics.points import bounds
 
 _Values = tuple[tuple[float, ...], ...]
 
@@ -56,10 +57,9 @@ def _separate(discrete: MultiDiscrete, table: Table, actuators: int) -> list[_Va
 def _outside(choice: DiscreteActionSpec, actuators: Mapping[str, ActuatorSpec]) -> list[str]:
     """Return errors for the values of a choice that are outside the bounds of their actuators."""
     return [
-        f"choice {number} sets {name} to {value:g}, outside {actuator.low:g} to {actuator.high:g} of action_space"
+        f"choice {number} sets {name} to {value:g}, outside {low:g} to {high:g} of action_space"
         for number, row in enumerate(choice.values)
         for name, value in zip(choice.actions, row, strict=True)
-        if (actuator := actuators[name]).low is not None
-        and actuator.high is not None
-        and not actuator.low <= value <= actuator.high
+        for low, high in [bounds(actuators[name])]
+        if not low <= value <= high
     ]

@@ -30,6 +30,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, field_validator, mo
 from models.weather.epw import COLUMNS, Column, Floats, Weather, find_column
 from models.weather.psychrometrics import clear_sky_infrared, dew_point, relative_humidity
 from topics.errors import InvalidConfig
+from topics.points import bounds, check_order
 
 Mask = NDArray[np.bool_]
 
@@ -85,8 +86,7 @@ class ColumnNoise(BaseModel):
 
     @model_validator(mode="after")
     def _limits(self) -> ColumnNoise:
-        if self.low is not None and self.high is not None and self.low >= self.high:
-            raise ValueError(f"low ({self.low:g}) must be less than high ({self.high:g})")
+        check_order(self)
         return self
 
 
@@ -182,8 +182,8 @@ def _high(column: Column) -> float:
 
 
 def _limits(column: Column, noise: ColumnNoise) -> tuple[float, float]:
-    low = column.low if noise.low is None else max(column.low, noise.low)
-    return low, _high(column) if noise.high is None else min(_high(column), noise.high)
+    low, high = bounds(noise)
+    return max(column.low, low), min(_high(column), high)
 
 
 def _draw(rng: np.random.Generator, value: float | tuple[float, float]) -> float:

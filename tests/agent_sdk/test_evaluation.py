@@ -21,6 +21,7 @@ from agent_sdk.rewards import LinearReward, MultiZoneReward, OccupiedReward, rea
 from agent_sdk.testing import Climate, FakeBuilding, FakeLink
 from topics.errors import InvalidConfig, UnknownName
 from topics.messages import Aggregation, Manifest, Sample, Task
+from topics.points import value_index
 
 BEGIN = datetime(2017, 7, 1)
 KWH = 3.6e6
@@ -42,7 +43,7 @@ def view(of: Manifest, step: int, values: list[float], *, late: int = 0, rejecte
         late=late,
         rejected=rejected,
     )
-    return SampleView(wire, of, {name: i for i, name in enumerate(of.names)})
+    return SampleView(wire, of, value_index(of))
 
 
 def tallied(of: Manifest, *rows: list[float], reward: Any = None, terms: Any = None) -> EpisodeMetrics:

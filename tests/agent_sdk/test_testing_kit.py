@@ -291,7 +291,7 @@ def test_what_a_node_refuses_a_fake_refuses() -> None:
     with pytest.raises(InvalidAction, match=r"shape \(1,\); \(2,\) expected"):
         link.send(column(20))
     link.send({"zone_1_heating_setpoint": 23.0})
-    with pytest.raises(RequestRejected, match=r"zone_1_heating_setpoint = 23 degC; its bounds are 15.0 to 22.5"):
+    with pytest.raises(RequestRejected, match=r"zone_1_heating_setpoint = 23; its bounds are 15 to 22.5 degC"):
         link.receive()
     link.send({"zone_1_heating_setpoint": 22.5})
     assert link.receive().step == 1
@@ -527,7 +527,7 @@ CONTROLLER_MUTANTS: dict[str, tuple[Any, dict[str, Any]]] = {
     "out of bounds": (
         answering(lambda s: {COOL: 31.0 if s.step == 9 else 24.0}),
         {
-            "values are within bounds": f"{COOL} = 31 at sample 9; its bounds are 22.5 to 30.0",
+            "values are within bounds": f"{COOL} = 31 at sample 9; its bounds are 22.5 to 30 degC",
             REFUSED: "RequestRejected",
         },
     ),
@@ -593,7 +593,7 @@ def test_all_failures_are_one_error_in_plain_words() -> None:
     assert lines[0] == "Answering fails 4 of 13 checks"
     assert "FAILED   names only actuators of the node" in lines
     assert "         the node has no actuator 'heating'" in lines
-    assert f"         {COOL} = 40 at sample 0; its bounds are 22.5 to 30.0" in lines
+    assert f"         {COOL} = 40 at sample 0; its bounds are 22.5 to 30 degC" in lines
     with pytest.raises(InvalidConfig, match="no check 'finite'; near names: 'values are finite'"):
         check_controller(Good, skip="finite")
 

@@ -606,8 +606,8 @@ def test_a_plan_that_does_not_fit_the_node_is_refused_with_all_its_mistakes() ->
         "fault 'drop 2': no sensor or meter 'room_temprature'; near names: 'room_temperature', 'hall_temperature'",
         "fault 'drop 2': no sensor or meter 'cooling'; name it under actuators",
         "fault 'stuck 3': no actuator 'power'; name it under points",
-        "fault 'stuck 3': cooling cannot be stuck at 45 degC; its bounds are 10 to 30",
-        "fault 'stuck 3': heating cannot be stuck at 45 degC; its bounds are 10 to 30",
+        "fault 'stuck 3': cooling cannot be stuck at 45; its bounds are 10 to 30 degC",
+        "fault 'stuck 3': heating cannot be stuck at 45; its bounds are 10 to 30 degC",
         "fault 'far' is never active: no sample is in its window; samples are every 900 s from 2017-07-03T00:00 to "
         "2017-07-10T00:00",
         "fault 'between' is never active: no sample is in its window; samples are every 900 s from 2017-07-03T00:00 to "

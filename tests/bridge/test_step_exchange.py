@@ -279,8 +279,8 @@ WRONG = {
     "for no slot": ("agent", command([], step=[], episode=[]), ["[]"]),
     "with too few values": ("agent", command([20.0], step=2), ["8 bytes", "16 expected"]),
     "with too many values": ("agent", command([20.0, 25.0, 1.0], step=2), ["24 bytes", "16 expected"]),
-    "with a value below its bounds": ("agent", command([14.9, 25.0], step=2), ["heat = 14.9 degC", "15.0 to 22.5"]),
-    "with a value above its bounds": ("agent", command([20.0, 30.5], step=2), ["cool = 30.5 degC", "22.5 to 30.0"]),
+    "with a value below its bounds": ("agent", command([14.9, 25.0], step=2), ["heat = 14.9", "15 to 22.5 degC"]),
+    "with a value above its bounds": ("agent", command([20.0, 30.5], step=2), ["cool = 30.5", "22.5 to 30 degC"]),
     "with a NaN": ("agent", command([20.0, NAN], step=2), ["cool = nan"]),
     "with an infinity": ("agent", command([-math.inf, 25.0], step=2), ["heat = -inf"]),
     "with a short mask": (
@@ -733,8 +733,8 @@ def test_an_expiry_releases_what_was_written_and_nothing_else() -> None:
 
 REFUSED_WRITES = {
     "unknown": ("coool", Write(value=25.0), ["no actuator 'coool'", "'cool'"]),
-    "too low": ("cool", Write(value=22.0), ["cool = 22 degC", "22.5 to 30.0"]),
-    "too high": ("cool", Write(value=31.0), ["cool = 31 degC", "22.5 to 30.0"]),
+    "too low": ("cool", Write(value=22.0), ["cool = 22", "22.5 to 30 degC"]),
+    "too high": ("cool", Write(value=31.0), ["cool = 31", "22.5 to 30 degC"]),
     "level of a controller": ("cool", Write(value=25.0, priority=9), ["priority 9 of 'cool'", "'helper'"]),
     "release of a controller's": ("cool", Write(value=None, priority=9), ["priority 9 of 'cool'", "'helper'"]),
 }

@@ -109,7 +109,7 @@ def test_what_the_node_refuses_ends_with_1_and_its_reason(node: NodeProgram, bus
     for value in ("99", "-5"):
         done = zenostat(node.endpoint, "write", "office", POINT, value)
         assert (done.returncode, done.stdout) == (1, "")
-        assert f"{POINT} = {value} degC; its bounds are {low} to {high}" in done.stderr
+        assert f"{POINT} = {value}; its bounds are {low:g} to {high:g} degC" in done.stderr
     with bus.controller("office", name="holder", priority=8) as link:
         done = zenostat(node.endpoint, "write", "office", POINT, "26")
         assert done.returncode == 1

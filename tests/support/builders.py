@@ -27,6 +27,7 @@ from topics.messages import (
     Task,
     Versions,
 )
+from topics.points import value_index
 
 NAN = float("nan")
 NOON = datetime(2017, 1, 16, 12)
@@ -163,4 +164,4 @@ def view(of: Manifest, at: datetime = NOON, *, step: int = 0, episode: int = 0, 
         source_index=bytes(2 * len(of.actuators)),
         sources=[""],
     )
-    return SampleView(wire, of, {name: i for i, name in enumerate(of.names)})
+    return SampleView(wire, of, value_index(of))

@@ -178,7 +178,7 @@ def test_a_strangers_faulty_write_changes_nothing_and_is_named(bus: agent_sdk.Bu
             "core_zn_heating_setpoint": b"\xc1 not msgpack",
         }
         expected = {
-            "core_zn_cooling_setpoint": "core_zn_cooling_setpoint = 80 degC; its bounds are 22.5 to 30.0",
+            "core_zn_cooling_setpoint": "core_zn_cooling_setpoint = 80; its bounds are 22.5 to 30 degC",
             "core_zn_coling_setpoint": "no actuator 'core_zn_coling_setpoint'; near names: 'core_zn_cooling_setpoint'",
             "core_zn_heating_setpoint": "core_zn_heating_setpoint: not msgpack",
         }

@@ -21,6 +21,7 @@ from agent_sdk.envs.spaces import action_space
 from eplus_node.config import read_config
 from eplus_node.plan import plan
 from topics.messages import Manifest, Sample
+from topics.points import value_index
 from topics.scenario_ids import BUILDINGS, WEATHERS, pack_ids
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -56,7 +57,7 @@ def made_up(of: Manifest, at: str, temperature: float, people: float) -> SampleV
         source_index=bytes(2 * len(of.actuators)),
         sources=[""],
     )
-    return SampleView(wire, of, {name: i for i, name in enumerate(of.names)})
+    return SampleView(wire, of, value_index(of))
 
 
 def check_acts(controller: type[Controller], of: Manifest) -> None:
@@ -91,9 +92,7 @@ def test_rules_heat_the_rooms_of_the_radiant_building_that_are_cold() -> None:
     sample = made_up(of, "2017-01-16T12:00:00", 20.5, 0.0)
     row = sample.values.copy()
     row[of.names.index("secondfloor_bedroom02_air_temperature")] = 18.0
-    cold = SampleView(
-        sample.message.model_copy(update={"values": row.tobytes()}), of, {name: i for i, name in enumerate(of.names)}
-    )
+    cold = SampleView(sample.message.model_copy(update={"values": row.tobytes()}), of, value_index(of))
     values = RuleBasedController(of).act(cold)
     assert [name for name, value in values.items() if value == 1.0] == ["radiant_bed2_availavility"]
     assert values["water_temperature"] == 45.0

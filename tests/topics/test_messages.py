@@ -24,6 +24,7 @@ from topics.messages import (
     Sensor,
     Write,
 )
+from topics.points import value_index
 
 CLASSES = sorted(
     (c for c in vars(messages).values() if isinstance(c, type) and issubclass(c, Message) and c is not Message),
@@ -154,7 +155,7 @@ WIRE = Sample(
 
 
 def view(wire: Sample = WIRE, slot: int = 0) -> SampleView:
-    return SampleView(wire, BUILDING, {name: i for i, name in enumerate(BUILDING.names)}, slot=slot)
+    return SampleView(wire, BUILDING, value_index(BUILDING), slot=slot)
 
 
 def test_each_slot_has_its_own_part_of_the_frame() -> None:

@@ -139,6 +139,11 @@ class Manifest(Message):
     statistics: Statistics | None = None
 
     @property
+    def points(self) -> tuple[Sensor | Meter, ...]:
+        """The points of `Sample.values`: the sensors, then the meters."""
+        return (*self.sensors, *self.meters)
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Names of `Sample.values`: the sensors, then the meters."""
-        return tuple(p.name for p in self.sensors) + tuple(p.name for p in self.meters)
+        return tuple(point.name for point in self.points)
