@@ -86,7 +86,7 @@ def _missing_note(session: zenoh.Session, node: str) -> str:
         return ""
     if node == "*":
         return "; no node is on this bus yet; waiting for one"
-    return f"; no node {node!r} is on this bus; {did_you_mean(node, nodes)}; waiting for it"
+    return f"; waiting for node {node!r}, which is not on this bus ({did_you_mean(node, nodes)})"
 
 
 def _wait_for_bus(connect: str, stop: threading.Event, **credentials: Any) -> bool:

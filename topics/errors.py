@@ -183,6 +183,7 @@ def did_you_mean(name: str, known: Iterable[str], *, limit: int = 5) -> str:
     by_fold = {n.casefold(): n for n in names}
     similar = list(dict.fromkeys(parts + [by_fold[a] for a in alike]))[:limit]
     if similar:
-        return "near names: " + ", ".join(repr(n) for n in similar)
+        *others, last = map(repr, similar)
+        return "did you mean " + (f"{', '.join(others)} or {last}?" if others else f"{last}?")
     shown = ", ".join(repr(n) for n in names[:limit])
     return f"there are: {shown}" + (f" and {len(names) - limit} more" if len(names) > limit else "")

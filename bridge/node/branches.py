@@ -161,7 +161,7 @@ class BranchManager:
         return self.snapshots[name]
 
     def find(self, name: str) -> Snapshot:
-        """Return a snapshot by its name; raise `RequestRejected` with near names if there is none."""
+        """Return a snapshot by its name; raise `RequestRejected` with similar names if there is none."""
         if name not in self.snapshots:
             raise RequestRejected(
                 f"no snapshot {name!r} on node {self._server.manifest.node!r}; {did_you_mean(name, self.snapshots)}"

@@ -108,7 +108,7 @@ class _TypeEditor:
             self.errors.extend(schema.schema_errors({self.kind: {name: new_fields}}, complete=False))
             names = ", ".join(map(repr, missing))
             self._add_error(
-                name, f": the model has no such object; {did_you_mean(name, self.items)}; a new one needs {names}"
+                name, f": the model has no such object ({did_you_mean(name, self.items)}); a new one needs {names}"
             )
         else:
             self.errors.extend(schema.schema_errors({self.kind: {name: new_fields}}, complete=True))

@@ -249,7 +249,7 @@ def test_what_is_set_lies_within_the_bounds(name: str, samples: list[tuple[float
         ({"preconditioning": 24}, "preconditioning = 24; expected a number from 0 to 23"),
         ({"setback": "much"}, "setback = 'much'; expected a number of at least 0"),
         ({"low": 24.0}, r"the comfort band 24 to 23.5 degC is reversed"),
-        ({"marign": 1}, "RuleBasedController has no parameter 'marign'; near names: 'margin'"),
+        ({"marign": 1}, "RuleBasedController has no parameter 'marign'; did you mean 'margin'"),
     ],
 )
 def test_parameters_that_cannot_be(given: dict[str, Any], says: str) -> None:
@@ -309,7 +309,7 @@ def test_fixed_values_by_name_and_the_bands_ends_for_the_rest() -> None:
     ("given", "says"),
     [
         ({"heating_setpoint": 25}, "heating_setpoint = 25; its bounds are 15 to 22.5 degC"),
-        ({"heatng_setpoint": 20}, "node 'office' has no action or actuator 'heatng_setpoint'; near names: 'heating"),
+        ({"heatng_setpoint": 20}, "node 'office' has no action or actuator 'heatng_setpoint'; did you mean 'heating"),
         ({"heating_setpoint": "warm"}, "heating_setpoint = 'warm'; expected a number"),
     ],
 )
@@ -537,11 +537,11 @@ def test_pid_drives_a_named_actuator_and_holds_others() -> None:
             {},
             r"pid takes one sensor: name it by sensor=...; there are: 'a'",
         ),
-        (node(HEAT), {"sensor": "aire"}, "there is no sensor 'aire' in degC for pid; near names: 'air'"),
+        (node(HEAT), {"sensor": "aire"}, "there is no sensor 'aire' in degC for pid; did you mean 'air'"),
         (
             node(HEAT),
             {"actuator": "heat"},
-            "there is no action or actuator 'heat' for pid; near names: 'heating_setpoint'",
+            "there is no action or actuator 'heat' for pid; did you mean 'heating_setpoint'",
         ),
         (single("valve", 0.0, None), {}, "'valve' has no bounds: set the limits of the output by low="),
         (node(HEAT), {"high": 30}, "high = 30; expected a number from 15 to 22.5"),
@@ -709,7 +709,7 @@ def test_a_class_of_anybodys_in_a_file(tmp_path: Path, modules: dict[str, Any]) 
     (tmp_path / "mine.py").write_text(MINE)
     made = make_controller(load_controller(f"{tmp_path}/mine.py:Mine"), node(), {"setpoint": 26.5})
     assert made.act(view(node())) == {"cooling_setpoint": 26.5}
-    with pytest.raises(InvalidConfig, match="Mine has no parameter 'setpint'; near names: 'setpoint'"):
+    with pytest.raises(InvalidConfig, match="Mine has no parameter 'setpint'; did you mean 'setpoint'"):
         make_controller(type(made), node(), {"setpint": 1})
 
 
@@ -760,7 +760,7 @@ def test_our_own_rooms_beside_a_file_stay_the_same(modules: dict[str, Any]) -> N
     [
         ("rcb", UnknownName, r"no controller 'rcb'; .*'rbc'.*path/to/file\.py:MyController"),
         ("nowhere/mine.py:Mine", UnknownName, r"there is no file .*/nowhere/mine\.py"),
-        ("mine.py:Mien", UnknownName, r"there is no 'Mien' in mine\.py; near names: 'Mine'"),
+        ("mine.py:Mien", UnknownName, r"there is no 'Mien' in mine\.py; did you mean 'Mine'"),
         (
             "mine.py:VALUE",
             InvalidConfig,

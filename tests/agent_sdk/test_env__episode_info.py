@@ -79,7 +79,7 @@ def test_an_episode_ends_when_comfort_was_left_for_two_hours(scratch: Path) -> N
 @pytest.mark.parametrize(
     ("limit", "words"),
     [
-        ({"points": ["core"], "high": 26.0}, "terminate.0.*no sensor or meter 'core'; near names: 'core_zn_"),
+        ({"points": ["core"], "high": 26.0}, "terminate.0.*no sensor or meter 'core'; did you mean 'core_zn_"),
         ({"points": ["core_zn_air_temperature"]}, "terminate.0.*a low or a high"),
         ({"points": ["core_zn_air_temperature"], "low": 3.0, "high": 2.0}, "low 3 is not below high 2"),
     ],
@@ -223,7 +223,7 @@ def test_a_wrapper_that_cannot_be_leaves_nothing_behind(scratch: Path) -> None:
         "building: ref-small-office\nweather: USA_CO_Denver\nbegin: 07-03\nend: 07-03\n"
         "wrappers: [{wrapper: CyclicTimes}]\n"
     )
-    with pytest.raises(InvalidConfig, match="no wrapper 'CyclicTimes'; near names: 'CyclicTime'"):
+    with pytest.raises(InvalidConfig, match="no wrapper 'CyclicTimes'; did you mean 'CyclicTime'"):
         gym.make("zenostat/Scenario-v1", file=file, affinity="off")
 
 

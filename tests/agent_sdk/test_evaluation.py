@@ -289,7 +289,7 @@ def test_parameters_go_to_those_that_take_them() -> None:
         ("rbc", {}, InvalidConfig, "expected a list of names, such as"),
         (["rbc", "rbc"], {}, InvalidConfig, "rbc is listed twice"),
         (["rbc", "rcb"], {}, UnknownName, "no controller 'rcb'"),
-        (["rbc"], {"parameters": {"mergin": 1}}, InvalidConfig, "near names: 'margin'"),
+        (["rbc"], {"parameters": {"mergin": 1}}, InvalidConfig, "did you mean 'margin'"),
         (["rbc", "setback"], {"parameters": {"margin": -1}}, InvalidConfig, "margin = -1"),
         (["rbc"], {"episodes": 0}, InvalidConfig, "at least one episode"),
         (["rbc"], {"seed": -1}, InvalidConfig, "a seed of at least 0"),

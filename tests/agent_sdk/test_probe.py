@@ -141,7 +141,7 @@ def test_all_mistakes_are_said_at_once(scratch: Path) -> None:
         probe(settings, points=["cores_*"], low={"peple": 1.0}, at=(24,))
     said = str(caught.value)
     assert "no sensor or meter 'cores_*'" in said
-    assert "no actuator 'peple'; near names: 'people'" in said
+    assert "no actuator 'peple'; did you mean 'people'" in said
     assert "one hour from 0 to below 24" in said
     assert "people has no bound to hold it at" in said
     assert "add --high people=VALUE" in said  # its least is 0
@@ -155,7 +155,7 @@ def test_all_mistakes_are_said_at_once(scratch: Path) -> None:
         ({"low": {"core_cooling": 29.0}}, "low 29 is not below high 29"),
         ({"high": {"core_heating": 16.0}}, "--high core_heating=16: its bounds are 10 to 15 degC"),
         ({"actuators": {}}, "no actuators"),
-        ({"wether": "USA_CO_Denver"}, "near names: 'weather'"),
+        ({"wether": "USA_CO_Denver"}, "did you mean 'weather'"),
     ],
 )
 def test_a_mistake(given: dict[str, Any], says: str, scratch: Path) -> None:

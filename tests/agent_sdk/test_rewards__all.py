@@ -654,8 +654,8 @@ THERE: dict[str, tuple[RewardConfig, Manifest, str]] = {
     "no energy": (PeakReward(), node_of(SENSORS[1]), "the peak reward needs the energy .*'Electricity:Facility' in m"),
     "unknown energy": (PeakReward(energy="elec"), NODE, "'elec', which the node does not have; near .*'electricity'"),
     "no energy's unit": (PeakReward(energy="north"), NODE, r"power in W, which 'north' is not \(degC\); there are"),
-    "water": (PeakReward(energy="water"), WARM, r"'water' is not \(m3\); near names: 'power'"),
-    "unknown temperature": (NormalizedReward(temperatures="nort"), NODE, "'nort'.*near names: 'north'"),
+    "water": (PeakReward(energy="water"), WARM, r"'water' is not \(m3\); did you mean 'power'"),
+    "unknown temperature": (NormalizedReward(temperatures="nort"), NODE, "'nort'.*did you mean 'north'"),
     "power as a temperature": (HourlyReward(temperatures="power"), NODE, "hourly reward needs a sensor in degC"),
     "no setpoints": (MultiZoneReward(), WARM, "the multi_zone reward needs .*'Zone Thermostat Heating Setpoint"),
     "unknown setpoint": (MultiZoneReward(zones={"north": "setpoint"}), NODE, "multi_zone reward names 'setpoint'"),
@@ -821,7 +821,7 @@ def asks_for_norht(values: Mapping[str, Any], begin: datetime) -> float:
 @pytest.mark.parametrize("slots", [None, 2])
 def test_a_function_that_asks_for_a_point_that_is_not_there(slots: int | None) -> None:
     given = values() if slots is None else np.array([values()] * slots)
-    with pytest.raises(UnknownName, match=r"asks_for_norht reads 'norht', .*near names: 'north'") as raised:
+    with pytest.raises(UnknownName, match=r"asks_for_norht reads 'norht', .*did you mean 'north'") as raised:
         read_reward(asks_for_norht).bind(NODE)(given, WINTER if slots is None else [WINTER] * slots)
     assert isinstance(raised.value.__cause__, KeyError)
 

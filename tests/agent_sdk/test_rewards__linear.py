@@ -194,9 +194,9 @@ def test_the_variables_are_found_in_any_case_and_mean_temperatures_serve_where_t
 MISSING: dict[str, tuple[LinearReward, Manifest, str]] = {
     "no power": (LinearReward(), manifest(sensors=[sensor("t")]), "'Facility Total HVAC Electricity Demand Rate'"),
     "no zone": (LinearReward(), manifest(sensors=[sensor("p", POWER)]), "'Zone Air Temperature'"),
-    "unknown power": (LinearReward(power="powr"), NODE, "'powr'.*near names: 'power'"),
+    "unknown power": (LinearReward(power="powr"), NODE, "'powr'.*did you mean 'power'"),
     "unknown one of two": (LinearReward(power=("power", "fan")), NODE, "'fan'"),
-    "unknown zone": (LinearReward(temperatures=("north", "sout")), NODE, "'sout'.*near names: 'south'"),
+    "unknown zone": (LinearReward(temperatures=("north", "sout")), NODE, "'sout'.*did you mean 'south'"),
 }
 
 
@@ -229,7 +229,7 @@ def test_a_scenario_names_the_parameters() -> None:
 @pytest.mark.parametrize(
     ("said", "words"),
     [
-        ("liner", "no kind 'liner'; near names: 'linear'"),
+        ("liner", "no kind 'liner'; did you mean 'linear'"),
         ({"weight": 0.3}, "reward: kind is missing; there are: linear"),
         ({"kind": ["linear"]}, "no kind"),
     ],

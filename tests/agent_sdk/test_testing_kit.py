@@ -186,7 +186,7 @@ def test_the_forecast_is_the_weather_that_comes() -> None:
     assert len(table) == 96 + 7 * 96
     assert table[47, 1] == pytest.approx(600.0)  # noon
     assert table[95, 1] == 0.0
-    with pytest.raises(UnknownName, match="no column 'dry_bulb'; near names: 'dry_bulb_temperature'"):
+    with pytest.raises(UnknownName, match="no column 'dry_bulb'; did you mean 'dry_bulb_temperature'"):
         building.weather(["dry_bulb"])
 
 
@@ -230,7 +230,7 @@ def test_a_heating_setpoint_above_the_cooling_setpoint_is_refused() -> None:
         ({"steps_per_hour": 7}, "steps_per_hour = 7; expected a divisor of 60"),
         ({"control": "room"}, "control = 'room'; expected 'point', 'zone' or 'building'"),
         ({"discrete": 1}, "discrete = 1; expected at least 2 steps"),
-        ({"actions": {"a": ["zone_9_heating_setpoint"]}}, "no actuator 'zone_9_heating_setpoint'; near names"),
+        ({"actions": {"a": ["zone_9_heating_setpoint"]}}, "no actuator 'zone_9_heating_setpoint'; did you mean"),
         (
             {"actions": {"a": ["zone_1_heating_setpoint"], "b": ["zone_1_heating_setpoint"]}},
             "already belongs to another action",
@@ -284,7 +284,7 @@ def test_what_a_node_refuses_a_fake_refuses() -> None:
     sample = link.reset(seed=0)
     with pytest.raises(PeerError, match=r"call send\(\) before receive\(\)"):
         link.receive()
-    with pytest.raises(InvalidAction, match="no actuator 'heating'; near names: 'zone_1_heating_setpoint'"):
+    with pytest.raises(InvalidAction, match="no actuator 'heating'; did you mean 'zone_1_heating_setpoint'"):
         sample.send({"heating": 20.0})
     with pytest.raises(InvalidAction, match="zone_1_heating_setpoint = nan"):
         sample.send({"zone_1_heating_setpoint": float("nan")})
@@ -594,7 +594,7 @@ def test_all_failures_are_one_error_in_plain_words() -> None:
     assert "FAILED   names only actuators of the node" in lines
     assert "         the node has no actuator 'heating'" in lines
     assert f"         {COOL} = 40 at sample 0; its bounds are 22.5 to 30 degC" in lines
-    with pytest.raises(InvalidConfig, match="no check 'finite'; near names: 'values are finite'"):
+    with pytest.raises(InvalidConfig, match="no check 'finite'; did you mean 'values are finite'"):
         check_controller(Good, skip="finite")
 
 

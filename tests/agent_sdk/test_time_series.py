@@ -217,7 +217,7 @@ def broken(rows: list[str], **lines: str) -> list[str]:
 
 
 FILES: dict[str, tuple[list[str], dict[str, Any], str]] = {
-    "no such column": (a_year(), {"column": "valu"}, "column 'valu' is missing in line 1.*near names: 'value'"),
+    "no such column": (a_year(), {"column": "valu"}, "column 'valu' is missing in line 1.*did you mean 'value'"),
     "other delimiter": (a_year(), {"delimiter": ","}, "is missing in line 1, with ',' between"),
     "column twice": (a_year("value;value"), {}, "is not unique"),
     "no header there": (a_year(), {"header_row": 9000}, "is missing in line 9000"),

@@ -291,7 +291,7 @@ def test_files_that_are_no_models(tmp_path: Path) -> None:
     ppo(fake()).save(tmp_path / "model.zip")
     for text, error, says in (
         (f"ppo:{tmp_path}/none.zip", UnknownName, "there is no model file"),
-        (f"pop:{tmp_path}/model.zip", UnknownName, "no algorithm 'pop'; near names: 'ppo'"),
+        (f"pop:{tmp_path}/model.zip", UnknownName, "no algorithm 'pop'; did you mean 'ppo'"),
         (f"{tmp_path}/model.zip", InvalidConfig, "the algorithm of .* is missing"),
         (f"ppo:{tmp_path}/text.zip", InvalidConfig, "is not a model of PPO, or of another version"),
         (f"sac:{tmp_path}/model.zip", InvalidConfig, "is not a model of SAC"),

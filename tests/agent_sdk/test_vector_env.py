@@ -425,7 +425,7 @@ def test_resets_that_cannot_be(given: dict[str, Any], words: str) -> None:
         ({"num_envs": 0}, "num_envs = 0; a number from 1 to 256"),
         ({"num_envs": 257}, "num_envs = 257; a number from 1 to 256"),
         ({"autoreset_mode": "Never"}, "autoreset_mode 'Never'; there are: NextStep, SameStep, Disabled"),
-        ({"bilding": "ref-small-office"}, "unexpected keyword argument 'bilding'; near names: 'building'"),
+        ({"bilding": "ref-small-office"}, "unexpected keyword argument 'bilding'; did you mean 'building'"),
         ({"render_mode": "human"}, "render_mode 'human'; there are: rgb_array, rerun"),
         ({"connect": "tcp/127.0.0.1:1"}, "needs the node's name"),
         ({}, "name a building and a weather"),

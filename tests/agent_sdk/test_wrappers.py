@@ -242,10 +242,10 @@ def test_what_was_wrapped_by_hand_is_data_too() -> None:
 @pytest.mark.parametrize(
     ("chain", "text"),
     [
-        ([{"wrapper": "CyclicTim"}], r"wrappers\[0\]: there is no wrapper 'CyclicTim'; near names: 'CyclicTime'"),
+        ([{"wrapper": "CyclicTim"}], r"wrappers\[0\]: there is no wrapper 'CyclicTim'; did you mean 'CyclicTime'"),
         ([{"wrapper": "os.system"}], "there is no wrapper"),
         (["CyclicTime"], r"wrappers\[0\]: 'CyclicTime' is not a wrapper; write"),
-        ([{"wrapper": "CyclicTime", "field": ["hour"]}], "CyclicTime has no argument 'field'; near names: 'fields'"),
+        ([{"wrapper": "CyclicTime", "field": ["hour"]}], "CyclicTime has no argument 'field'; did you mean 'fields'"),
         ([{"wrapper": "PreviousObservation"}], "missing a required argument: 'names'"),
         ([{"wrapper": "RescaleAction", "min_action": 0}], "RescaleAction: .*'max_action'"),
         (
@@ -337,7 +337,7 @@ def test_action_names() -> None:
     ],
 )
 def test_a_name_that_is_not_there_has_near_names(wrong: Callable[[Any], Any]) -> None:
-    with pytest.raises(InvalidConfig, match="no observation 'cor'; near names: 'core'"):
+    with pytest.raises(InvalidConfig, match="no observation 'cor'; did you mean 'core'"):
         wrong(fake())
 
 
@@ -619,7 +619,7 @@ def test_discrete_incremental_action_by_hand() -> None:
     ("wrong", "text"),
     [
         (lambda env: w.IncrementalAction(env, {"cool": 1}, {"heat": 20}), "have to name the same actions"),
-        (lambda env: w.IncrementalAction(env, {"coo": 1}, {"coo": 20}), "no action 'coo'; near names: 'cool'"),
+        (lambda env: w.IncrementalAction(env, {"coo": 1}, {"coo": 20}), "no action 'coo'; did you mean 'cool'"),
         (
             lambda env: w.IncrementalAction(env, {"cool": 1}, {"cool": 20}),
             "cool starts at 20, outside its bounds 22.5 to 30",
@@ -657,7 +657,7 @@ def test_reward_vector_in_the_order_asked() -> None:
     assert env.reward_space.contains(reward)
     wrong = w.RewardVector(fake(), ["comfor"])
     wrong.reset()
-    with pytest.raises(InvalidConfig, match="no reward term 'comfor'; near names: 'comfort'"):
+    with pytest.raises(InvalidConfig, match="no reward term 'comfor'; did you mean 'comfort'"):
         wrong.step(MIDDLE)
 
 

@@ -173,7 +173,7 @@ def test_faulty_actions_simulate_nothing() -> None:
     good = draw(env)
     for bad, says in (
         ({"zone_1": good["zone_1"]}, "no action of 'zone_2'"),
-        ({**good, "zone_3": good["zone_1"]}, "no agent 'zone_3'; near names: 'zone_"),
+        ({**good, "zone_3": good["zone_1"]}, "no agent 'zone_3'; did you mean 'zone_"),
         ({**good, "zone_2": good["zone_2"][:1]}, r"agent 'zone_2': action .*; Box.* expected: zone_2_heating_setpoint"),
         ({**good, "zone_2": "warm"}, "agent 'zone_2': action 'warm' is not an array of numbers"),
         ({**good, "zone_2": [31.0, 25.0]}, "zone_2_heating_setpoint = 31; its bounds are 15 to 22.5"),
@@ -259,7 +259,7 @@ def test_a_function_of_ones_own() -> None:
         ({"reward": "mine"}, "reward = 'mine'; 'shared', 'own' or a function"),
         ({"reward": "own", "building_reward": None}, "there is no reward; use building_reward='linear'"),
         ({"reward": "own", "building_reward": "peak"}, "PeakReward is not one; use"),
-        ({"shared": ["power"]}, "no observation is named 'power'; near names: 'hvac_electricity_power'"),
+        ({"shared": ["power"]}, "no observation is named 'power'; did you mean 'hvac_electricity_power'"),
     ],
 )
 def test_what_cannot_be(given: dict[str, Any], says: str) -> None:
@@ -275,7 +275,7 @@ def test_without_a_reward_all_get_nothing() -> None:
 
 def test_strangers_are_named() -> None:
     env = fake(1)
-    with pytest.raises(InvalidConfig, match="no agent 'zone_9'; near names: 'zone_1'"):
+    with pytest.raises(InvalidConfig, match="no agent 'zone_9'; did you mean 'zone_1'"):
         env.action_space("zone_9")
 
 

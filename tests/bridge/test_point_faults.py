@@ -549,10 +549,10 @@ def test_a_plan_without_faults_is_a_node_in_order() -> None:
 
 WRONG = {
     "faults: [": ["is not valid YAML"],
-    "fault: []": ["fault: there is no such field; near names: 'faults'"],
+    "fault: []": ["fault: there is no such field; did you mean 'faults'"],
     "seed: -1": ["seed: Input should be greater than or equal to 0, got -1"],
     "faults: [{points: a, offset: 1}]": ["faults.0: the kind is missing: one of bias, gain"],
-    "faults: [{kind: biass, points: a}]": ["faults.0: no kind 'biass'; near names: 'bias'"],
+    "faults: [{kind: biass, points: a}]": ["faults.0: no kind 'biass'; did you mean 'bias'"],
     "faults: [bias]": ["faults.0: a fault is a map with a kind"],
     "faults: [{kind: bias, points: a}]": ["faults.0.bias.offset: it is missing"],
     "faults: [{kind: bias, points: a, offset: '1'}]": ["faults.0.bias.offset: Input should be a valid number"],
@@ -603,7 +603,7 @@ def test_a_plan_that_does_not_fit_the_node_is_refused_with_all_its_mistakes() ->
             end=BEGIN + timedelta(days=7),
         )
     assert str(error.value).splitlines() == [
-        "fault 'drop 2': no sensor or meter 'room_temprature'; near names: 'room_temperature', 'hall_temperature'",
+        "fault 'drop 2': no sensor or meter 'room_temprature'; did you mean 'room_temperature' or 'hall_temperature'?",
         "fault 'drop 2': no sensor or meter 'cooling'; name it under actuators",
         "fault 'stuck 3': no actuator 'power'; name it under points",
         "fault 'stuck 3': cooling cannot be stuck at 45; its bounds are 10 to 30 degC",

@@ -494,7 +494,7 @@ def test_claims_that_do_not_meet_are_both_taken(priority: int, actuators: list[s
 
 def test_an_unknown_actuator_is_refused_with_near_names() -> None:
     at = exchange()
-    with pytest.raises(RequestRejected, match=r"no actuator 'coool'; near names: 'cool'"):
+    with pytest.raises(RequestRejected, match=r"no actuator 'coool'; did you mean 'cool'"):
         claim(at, "a", actuators=["coool"])
     assert at.controllers() == []
 

@@ -195,7 +195,7 @@ def test_points_tell_units():
 def test_points_that_match_nothing_are_told_with_near_names(more):
     done = _zenostat("points", "ref-small-office", "--match", "cor_zn", *more)
     assert (done.returncode, done.stdout) == (1, "")
-    assert re.search(r"no (point|actuator) of \S+ matches 'cor_zn'; near names: 'core_zn'", _plain(done.stderr), re.I)
+    assert re.search(r"no (point|actuator) of \S+ matches 'cor_zn'; did you mean 'core_zn'", _plain(done.stderr), re.I)
     nothing = _zenostat("points", "ref-small-office", "--match", "Dresser Coil", "--kind", "internal")
     assert (nothing.returncode, nothing.stdout) == (1, "")
 

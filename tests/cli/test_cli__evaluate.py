@@ -84,7 +84,7 @@ def test_json_is_the_table_of_the_episodes_and_csv_the_same(scratch: Path) -> No
     [
         (["--controller", "rbc", "--out", "rows.txt"], "--out rows.txt: expected a .parquet or .csv file"),
         (["--controller", "rbc", "--out", "nowhere/rows.csv"], "there is no folder"),
-        (["--controller", "rbcc"], "no controller 'rbcc'; near names: 'rbc'"),
+        (["--controller", "rbcc"], "no controller 'rbcc'; did you mean 'rbc'"),
         (["--controller", "rbc", "--controller", "rbc"], "the controller rbc is listed twice"),
         (["--controller", "rbc", "--set", "mergin=1"], "none of the controllers has the parameter 'mergin'"),
         (["--controller", "rbc", "--set", "margin"], "--set margin: expected a name and a value"),

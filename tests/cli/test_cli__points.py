@@ -121,9 +121,9 @@ def test_what_the_node_refuses_ends_with_1_and_its_reason(node: NodeProgram, bus
     ("arguments", "code", "words"),
     [
         (["write", "ofice", POINT, "26"], 1, ["no node 'ofice'", "'office'"]),
-        (["write", "office", "core_zn_coling_setpoint", "26"], 2, ["no actuator", f"near names: '{POINT}'"]),
+        (["write", "office", "core_zn_coling_setpoint", "26"], 2, ["no actuator", f"did you mean '{POINT}'"]),
         (["write", "office", AIR, "26"], 2, [f"no actuator '{AIR}'"]),
-        (["relinquish", "office", "core_zn_coling_setpoint"], 2, ["no actuator", f"near names: '{POINT}'"]),
+        (["relinquish", "office", "core_zn_coling_setpoint"], 2, ["no actuator", f"did you mean '{POINT}'"]),
         (["write", "office", POINT, "nan"], 2, [f"{POINT}: value"]),
         (["write", "office", POINT, "warm"], 2, ["Invalid value"]),
         (["write", "office", POINT, "26", "--duration", "2 weeks"], 2, ["--duration 2 weeks", "90s, 15min, 2h, 1d"]),
@@ -192,7 +192,7 @@ def test_each_writer_hears_of_its_own_write(node: NodeProgram, bus: agent_sdk.Bu
 def test_a_write_that_cannot_be_is_not_sent(standing: agent_sdk.Bus, wrong: dict[str, Any]) -> None:
     with pytest.raises(InvalidAction, match=POINT):
         standing.write("office", POINT, **wrong)
-    with pytest.raises(UnknownName, match=f"near names: '{POINT}'"):
+    with pytest.raises(UnknownName, match=f"did you mean '{POINT}'"):
         standing.write("office", POINT.upper(), 26.0)
     assert standing.status("office").rejected == 0
 

@@ -23,9 +23,9 @@ reward:
   kind: liner
 """
 EXPECTED = (
-    "wheather: there is no such field; near names: 'weather'",
+    "wheather: there is no such field; did you mean 'weather'",
     "weather: it is missing",
-    "no building 'offfice-small'; near names: 'office-small'",
+    "no building 'offfice-small'; did you mean 'office-small'",
     "begin '13-01' is not a calendar date",
     "end '07-32' is not a calendar date",
     "steps_per_hour 7 does not divide the hour",

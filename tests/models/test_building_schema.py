@@ -111,9 +111,9 @@ def test_a_right_object_has_no_fault() -> None:
 
 
 def test_unknown_names_list_near_ones() -> None:
-    assert only({"Materiall": {}}).startswith("EnergyPlus has no object type 'Materiall'; near names: 'Material'")
+    assert only({"Materiall": {}}).startswith("EnergyPlus has no object type 'Materiall'; did you mean 'Material'")
     assert only({"MATERIAL": {}}) == "EnergyPlus has no object type 'MATERIAL'; EnergyPlus spells it 'Material'"
-    assert only(material(thicknes=0.1)).startswith("Material 'brick' has no field 'thicknes'; near names: 'thickness'")
+    assert only(material(thicknes=0.1)).startswith("Material 'brick' has no field 'thicknes'; did you mean 'thickness'")
     assert "'Thickness'" in only(material(Thickness=0.1))
 
 

@@ -109,9 +109,9 @@ def test_a_part_that_fits_several_names_them_all() -> None:
 
 
 def test_a_misspelt_name_lists_near_ones() -> None:
-    with pytest.raises(UnknownName, match=r"no building 'ofice-medium'; near names: .*'office-medium'"):
+    with pytest.raises(UnknownName, match=r"no building 'ofice-medium'; did you mean .*'office-medium'"):
         find_building("ofice-medium")
-    with pytest.raises(UnknownName, match=r"no weather 'USA_CO_Denvr'; near names: .*'USA_CO_Denver'"):
+    with pytest.raises(UnknownName, match=r"no weather 'USA_CO_Denvr'; did you mean .*'USA_CO_Denver'"):
         find_weather("USA_CO_Denvr")
 
 

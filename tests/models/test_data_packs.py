@@ -100,7 +100,7 @@ def test_an_unprefixed_name_is_enough_where_the_wheel_has_nothing_like_it():
     assert find_weather("granada").path.name == "ESP_Granada.084190_SWEC.epw"
     with pytest.raises(UnknownName, match=r"'2Zone' matches several: sinergym/2Zone\w+_CW, sinergym/2Zone\w+_DX"):
         find_building("2Zone")
-    with pytest.raises(UnknownName, match=r"no building 'sinergym/5Zones'; near names: 'sinergym/5ZoneAutoDXVAV'"):
+    with pytest.raises(UnknownName, match=r"no building 'sinergym/5Zones'; did you mean 'sinergym/5ZoneAutoDXVAV'"):
         find_building("sinergym/5Zones")
 
 
@@ -145,7 +145,7 @@ def test_without_the_pack_its_names_say_what_to_do(cache):
         with pytest.raises(UnknownName) as raised:
             find_weather(text)
         assert str(raised.value) == f"weather {text!r} {command}"
-    with pytest.raises(UnknownName, match="no building 'sinergym/5Zones'; near names: 'sinergym/5ZoneAutoDXVAV'"):
+    with pytest.raises(UnknownName, match="no building 'sinergym/5Zones'; did you mean 'sinergym/5ZoneAutoDXVAV'"):
         find_building("sinergym/5Zones")
     with pytest.raises(InvalidConfig, match="needs the data pack 'sinergym': zenostat data-packs add sinergym"):
         folder("sinergym")
@@ -231,7 +231,7 @@ def test_a_store_that_cannot_be_written_is_said(fake, cache):
 
 def test_a_name_of_no_pack_lists_near_ones(cache):
     for do in (add, remove, folder):
-        with pytest.raises(UnknownName, match="no data pack 'sinergim'; near names: 'sinergym'"):
+        with pytest.raises(UnknownName, match="no data pack 'sinergim'; did you mean 'sinergym'"):
             do("sinergim")
 
 

@@ -82,7 +82,7 @@ def test_a_list_is_replaced_as_a_whole() -> None:
 
 def test_a_misspelled_name_says_the_near_one_and_what_a_new_object_would_lack() -> None:
     assert refused({"Material": {"Gypsumm": {"conductivity": 0.4}}}) == [
-        "Material 'Gypsumm': the model has no such object; near names: 'Gypsum'; "
+        "Material 'Gypsumm': the model has no such object (did you mean 'Gypsum'?); "
         "a new one needs 'roughness', 'thickness', 'density', 'specific_heat'"
     ]
 
@@ -90,13 +90,13 @@ def test_a_misspelled_name_says_the_near_one_and_what_a_new_object_would_lack() 
 @pytest.mark.parametrize(
     ("edits", "said"),
     [
-        ({"Materiel": {"Brick": {}}}, "EnergyPlus has no object type 'Materiel'; near names: 'Material'"),
-        ({"Material": {"Brick": {"thicknes": 1.0}}}, "Material 'Brick' has no field 'thicknes'; near names"),
-        ({"Material": {"Brick": {"thicknes": None}}}, "Material 'Brick' has no field 'thicknes'; near names"),
+        ({"Materiel": {"Brick": {}}}, "EnergyPlus has no object type 'Materiel'; did you mean 'Material'"),
+        ({"Material": {"Brick": {"thicknes": 1.0}}}, "Material 'Brick' has no field 'thicknes'; did you mean"),
+        ({"Material": {"Brick": {"thicknes": None}}}, "Material 'Brick' has no field 'thicknes'; did you mean"),
         ({"Material": {"Brick": {"thickness": 0}}}, "Material 'Brick': thickness is 0; expected a number above 0"),
         ({"Material": {"*": {"thickness": 0}}}, "Material '*': thickness is 0; expected a number above 0"),
         ({"Material": {"Brick": {"thickness": None}}}, "Material 'Brick': 'thickness' is required"),
-        ({"Material": {"Bric": None}}, "Material 'Bric': the model has no such object; near names: 'Brick'"),
+        ({"Material": {"Bric": None}}, "Material 'Bric': the model has no such object; did you mean 'Brick'"),
         ({"Lights": {"*": {}}}, "Lights '*': the model has no object of this type; there are none"),
         ({"Material": {"Brick": 3}}, "Material 'Brick': expected fields by name, or null to remove it; got 3"),
         ({"Material": 3}, "Material: expected objects by name, got 3"),

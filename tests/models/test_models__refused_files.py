@@ -42,7 +42,7 @@ def test_an_unknown_object_of_an_idf_is_named_with_its_file_and_line(idf: Callab
     with pytest.raises(ModelError) as caught:
         read(path)
     line = text[:begin].count("\n") + 1
-    for words in (str(path), f"Line: {line} ", '"Zonne" is not a valid Object Type', "near names: 'Zone'"):
+    for words in (str(path), f"Line: {line} ", '"Zonne" is not a valid Object Type', "did you mean 'Zone'"):
         assert words in str(caught.value)
 
 

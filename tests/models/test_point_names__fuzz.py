@@ -89,7 +89,7 @@ def test_a_name_that_cannot_be_is_told_as_it_was_written(name: str) -> None:
 
 
 def test_an_unknown_key_and_its_neighbours_are_told_as_energyplus_spells_them() -> None:
-    with pytest.raises(UnknownName, match=r"no key 'A/BB'; near names: 'A/B'"):
+    with pytest.raises(UnknownName, match=r"no key 'A/BB'; did you mean 'A/B'"):
         find_actuator(model(["A/B", "区域"]), "point", "Zone Temperature Control", "Heating Setpoint", "A/BB")
 
 

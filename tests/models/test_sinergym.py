@@ -434,7 +434,7 @@ def test_one_of_several_by_the_end_of_its_id(root):
         assert scenario_of(config, text).id == "5zone-cool-discrete-v1"
     with pytest.raises(UnknownName, match="'discrete' matches several: 5zone-hot-discrete-v1, 5zone-mixed-discrete-v1"):
         scenario_of(config, "discrete")
-    with pytest.raises(UnknownName, match="has no scenario 'hot-discret'; near names: '5zone-hot-discrete-v1'"):
+    with pytest.raises(UnknownName, match="has no scenario 'hot-discret'; did you mean '5zone-hot-discrete-v1'"):
         scenario_of(config, "hot-discret")
 
 
@@ -466,7 +466,7 @@ def test_all_faults_of_a_file_are_said_at_once(own, tmp_path, monkeypatch):
     faults = str(raised.value).splitlines()
     assert all(fault.startswith(f"{path}: ") for fault in faults)
     for expected in (
-        "unknown setting 'wether_variability'; near names: 'weather_variability'",
+        "unknown setting 'wether_variability'; did you mean 'weather_variability'",
         "id_base: the base of the ids 'my hut' is not valid in a topic",
         "building_file: '5ZoneAutoDXVAV.epJSON' is in the data pack 'sinergym': zenostat data-packs add sinergym",
         "weather_specification: 1 weather_files but 2 keys",
@@ -477,7 +477,7 @@ def test_all_faults_of_a_file_are_said_at_once(own, tmp_path, monkeypatch):
         "weather_variability.Dry Bulb Temprature: no weather column",
         "weather_variability.Wind Speed: expected [sigma, mu, tau] or [sigma, mu, tau, [low, high]], got [1, 0]",
         "weather_variability.Relative Humidity: sigma: ",
-        "time_variables: no field 'hours' of the clock; near names: 'hour'",
+        "time_variables: no field 'hours' of the clock; did you mean 'hour'",
         "variables.Zone Air Temperature: 2 variable_names but 1 keys",
         "variables.Site Wind Speed: unknown setting 'unit'",
         "variables.Site Wind Direction: two observations are called 'wind'",
@@ -508,14 +508,14 @@ def test_faults_of_the_reward_are_said_at_once(own):
     with pytest.raises(InvalidConfig) as raised:
         scenarios_of(path)
     for expected in (
-        "no variable or meter is called 'rom_1_air_temperature'; near names: 'room_1_air_temperature'",
+        "no variable or meter is called 'rom_1_air_temperature'; did you mean 'room_1_air_temperature'",
         "reward_kwargs.energy_variables: expected a list of strings, got 'power'",
         "reward_kwargs.range_comfort_winter: expected [low, high], got [23.5, 20]",
         "reward_kwargs.range_comfort_summer: expected two numbers, got None",
         "reward_kwargs.summer_start: expected [month, day], got [13, 1]",
         "reward_kwargs.energy_weight: expected a number from 0 to 1, got 2",
         "reward_kwargs.lambda_energy: expected a number, got 'much'",
-        "reward_kwargs: unknown setting 'lambda_temprature'; near names: 'lambda_temperature'",
+        "reward_kwargs: unknown setting 'lambda_temprature'; did you mean 'lambda_temperature'",
     ):
         assert expected in str(raised.value)
 
@@ -608,17 +608,17 @@ def test_the_packs_prices_go_by_their_name(own):
 WRONG: dict[str, tuple[str, dict[str, Any], str]] = {
     "no hours": ("HourlyLinearReward", {"range_comfort_hours": [19, 9]}, r"expected \[first, last\] of"),
     "half hours": ("HourlyLinearReward", {"range_comfort_hours": [9.5, 19]}, "range_comfort_hours: "),
-    "a weight of linear": ("HourlyLinearReward", {"energy_weight": 0.5}, "near names: 'default_energy_weight'"),
+    "a weight of linear": ("HourlyLinearReward", {"energy_weight": 0.5}, "did you mean 'default_energy_weight'"),
     "a factor": ("NormalizedLinearReward", {"lambda_energy": 1}, "unknown setting 'lambda_energy'"),
     "a maximum below 0": ("NormalizedLinearReward", {"max_energy_penalty": -8}, "expected at least 0, got -8"),
     "weights above 1": ("EnergyCostLinearReward", {"energy_weight": 0.7}, "temperature_weight is above 1"),
     "no name of prices": ("EnergyCostLinearReward", {"energy_cost_data_path": ""}, "the file of prices .* got ''"),
     "prices that are not there": ("EnergyCostLinearReward", {"energy_cost_data_path": "p.csv"}, "no file 'p.csv' next"),
-    "no such variable": ("ExpReward", {"energy_variables": ["powr"]}, "called 'powr'; near names: 'power'"),
+    "no such variable": ("ExpReward", {"energy_variables": ["powr"]}, "called 'powr'; did you mean 'power'"),
     "a band upside down": ("ExpReward", {"range_comfort_winter": [24, 20]}, r"expected \[low, high\], got"),
     "no zones": ("MultiZoneReward", {}, "temperature_and_setpoints_conf: expected temperatures and their setpoints"),
     "no such setpoint": ("MultiZoneReward", {"temperature_and_setpoints_conf": {"room_1_air_temperature": "setpont"}},
-                         "called 'setpont'; near names: 'setpoint:1'"),
+                         "called 'setpont'; did you mean 'setpoint:1'"),
     "a threshold below 0": ("MultiZoneReward", {"comfort_threshold": -1}, "comfort_threshold: expected at least 0"),
 }  # fmt: skip
 

@@ -150,8 +150,8 @@ def test_what_still_does_not_fit_is_refused_by_name() -> None:
         "old.epJSON is for EnergyPlus 25.1, and these objects do not match 25.2 (the engine's version is 25.2"
     )
     field, kind = said.split("\n")[1:]
-    assert field.startswith("Zone 'core' has no field 'multiplyer'; near names: 'multiplier'")
-    assert kind.startswith("EnergyPlus has no object type 'Zonne'; near names: ")
+    assert field.startswith("Zone 'core' has no field 'multiplyer'; did you mean 'multiplier'")
+    assert kind.startswith("EnergyPlus has no object type 'Zonne'; did you mean ")
 
 
 @pytest.mark.parametrize("version", ["9.6", "23.2", "24.3", "26.1", "8", "new"])

@@ -148,7 +148,7 @@ def test_columns_that_cannot_be_together_are_refused(columns: list[str], words: 
 
 
 def test_an_unknown_column_is_refused() -> None:
-    with pytest.raises(UnknownName, match="near names: 'wind_speed'"):
+    with pytest.raises(UnknownName, match="did you mean 'wind_speed'"):
         resolve_columns({"wind_sped": ColumnNoise(sigma=1)})
 
 

@@ -179,7 +179,7 @@ def test_a_strangers_faulty_write_changes_nothing_and_is_named(bus: agent_sdk.Bu
         }
         expected = {
             "core_zn_cooling_setpoint": "core_zn_cooling_setpoint = 80; its bounds are 22.5 to 30 degC",
-            "core_zn_coling_setpoint": "no actuator 'core_zn_coling_setpoint'; near names: 'core_zn_cooling_setpoint'",
+            "core_zn_coling_setpoint": "no actuator 'core_zn_coling_setpoint'; did you mean 'core_zn_cooling_setpoint'",
             "core_zn_heating_setpoint": "core_zn_heating_setpoint: not msgpack",
         }
         for name, payload in writes.items():
@@ -263,7 +263,7 @@ def test_a_second_claim_of_a_level_names_the_holder(bus: agent_sdk.Bus, second_b
         with second_bus.controller("office", name="late", priority=11) as late:
             both = sorted([("office", holder.name), ("office", late.name)])
             until(lambda: bus.controllers() == both, "both are there")
-    with pytest.raises(RequestRejected, match="no actuator 'core_zn_heating'; near names: 'core_zn_heating_setpoint'"):
+    with pytest.raises(RequestRejected, match="no actuator 'core_zn_heating'; did you mean 'core_zn_heating_setpoint'"):
         bus.controller("office", actuators=["core_zn_heating"])
 
 
@@ -286,7 +286,7 @@ def test_nodes_controllers_and_status(bus: agent_sdk.Bus) -> None:
         assert status.node_rss_bytes > 0
         assert status.engine_rss_bytes > 0
         assert bus.latest("office") == sample.message
-    with pytest.raises(NodeNotFound, match=r"no node 'offise' on .*; near names: 'office'"):
+    with pytest.raises(NodeNotFound, match=r"no node 'offise' on .*; did you mean 'office'"):
         bus.manifest("offise")
 
 

@@ -104,8 +104,8 @@ def test_a_monitor_says_whom_it_waits_for(node: NodeProgram, scratch: Path) -> N
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=scratch) as monitor:
         said = monitor.stdout.readline()
         assert said == (
-            f"connected to {node.endpoint}; no node 'ofice' is on this bus; near names: 'office'; waiting for it; "
-            "press Ctrl-C to stop\n"
+            f"connected to {node.endpoint}; waiting for node 'ofice', which is not on this bus "
+            "(did you mean 'office'?); press Ctrl-C to stop\n"
         )
         monitor.send_signal(signal.SIGINT)
         rest, _ = monitor.communicate(timeout=60)

@@ -111,7 +111,7 @@ def test_an_unknown_keyword_is_a_type_error(make: Any) -> None:
 
 
 def test_an_unknown_keyword_is_a_usage_error_with_near_names() -> None:
-    with pytest.raises(InvalidConfig, match="unexpected keyword argument 'wheather'; near names: 'weather'"):
+    with pytest.raises(InvalidConfig, match="unexpected keyword argument 'wheather'; did you mean 'weather'"):
         gym.make("zenostat/Building-v1", building="office-small", wheather="USA_CO_Denver")
 
 

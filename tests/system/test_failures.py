@@ -93,10 +93,10 @@ def during_a_timestep(env: gym.Env[Any, Any], do: Callable[[psutil.Process, psut
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"building": "ofice-small"}, r"no building 'ofice-small'; near names: .*'office-small'"),
+        ({"building": "ofice-small"}, r"no building 'ofice-small'; did you mean .*'office-small'"),
         ({"building": "office"}, r"building 'office' matches several: office-large, office-medium, office-small"),
         ({"building": "gone/model.idf"}, r"no building file at /.*/gone/model\.idf"),
-        ({"weather": "USA_CO_Denvr"}, r"no weather 'USA_CO_Denvr'; near names: 'USA_CO_Denver'"),
+        ({"weather": "USA_CO_Denvr"}, r"no weather 'USA_CO_Denvr'; did you mean 'USA_CO_Denver'"),
         ({"weather": "gone.epw"}, r"no weather file at /.*/gone\.epw"),
     ],
 )
@@ -131,8 +131,8 @@ def test_all_unknown_points_are_named_at_once_with_near_names() -> None:
     }
     assert len(lines) == len(expected)
     for line, (fault, near) in zip(lines, expected.items(), strict=True):
-        assert line.startswith(f"{fault}; near names: ")
-        assert near in line.partition("near names: ")[2]
+        assert line.startswith(f"{fault}; did you mean ")
+        assert near in line.partition("did you mean ")[2]
 
 
 def test_an_unknown_building_and_weather_are_named_at_once() -> None:
@@ -349,13 +349,13 @@ def test_faulty_actions_change_nothing() -> None:
 def test_faulty_values_of_a_controller(folder: Path) -> None:
     with node_and_bus(folder) as (_, bus), bus.controller("office") as link:
         sample = link.reset()
-        with pytest.raises(InvalidAction, match="no actuator 'core_zn_cooling'; near names: 'core_zn_cooling_setp"):
+        with pytest.raises(InvalidAction, match="no actuator 'core_zn_cooling'; did you mean 'core_zn_cooling_setp"):
             sample.send({"core_zn_cooling": 25.0})
         with pytest.raises(InvalidAction, match=r"core_zn_cooling_setpoint = nan; a finite number or None"):
             sample.send({"core_zn_cooling_setpoint": float("nan")})
         with pytest.raises(InvalidAction, match=r"values of shape \(3,\); \(10,\) expected"):
             sample.send(np.zeros(3))
-        with pytest.raises(UnknownName, match=r"no sensor or meter 'core_zn_temperature'; near names: .*'core_zn_air"):
+        with pytest.raises(UnknownName, match=r"no sensor or meter 'core_zn_temperature'; did you mean .*'core_zn_air"):
             sample["core_zn_temperature"]
         sample.send({"core_zn_cooling_setpoint": 25.0})
         assert link.receive().step == 1
@@ -404,7 +404,7 @@ def test_nobody_there(folder: Path) -> None:
         agent_sdk.connect(endpoint)
     with (
         NodeProgram(folder / "node", **SMALL) as node,
-        pytest.raises(NodeNotFound, match=r"no node 'ofice' on .*; near names: 'office'"),
+        pytest.raises(NodeNotFound, match=r"no node 'ofice' on .*; did you mean 'office'"),
     ):
         gym.make("zenostat/Building-v1", connect=node.endpoint, node="ofice")
 

@@ -277,7 +277,7 @@ FAULTS: dict[str, tuple[dict[str, Any], type[UsageError], str]] = {
     "a variable that is not there": (
         {"sensors": {"t": ["Zone Air Temprature", "Core_ZN"]}},
         UnknownName,
-        "no variable 'Zone Air Temprature'; near names: 'Zone Air Temperature'",
+        "no variable 'Zone Air Temprature'; did you mean 'Zone Air Temperature'",
     ),
     "bounds upside down": (
         {"actuators": {"c": ["Zone Temperature Control", "Cooling Setpoint", "Core_ZN", 30.0, 20.0]}, "actions": None},
@@ -292,7 +292,7 @@ FAULTS: dict[str, tuple[dict[str, Any], type[UsageError], str]] = {
     "a field that the schema lacks": (
         {"edits": {"Lights": {"*": {"watts_per_area": 2.0}}}},
         InvalidConfig,
-        "watts_per_area.*near names: 'watts_per_floor_area'",
+        "watts_per_area.*did you mean 'watts_per_floor_area'",
     ),
     "noise on what is no column": ({"weather_noise": {"dry_bulb_temp": {"sigma": 1}}}, UnknownName, "dry_bulb_temp"),
     "negative noise": ({"weather_noise": {"dry_bulb_temperature": {"sigma": -1}}}, InvalidConfig, "sigma"),

@@ -77,20 +77,20 @@ def test_one_except_catches_all() -> None:
         raise RequestRejected("no")
 
 
-# Near names
+# Similar names
 
 SETPOINTS = ["core_zn_cooling_setpoint", "core_zn_heating_setpoint", "attic_cooling_setpoint", "lights"]
 
 
 def test_names_that_contain_the_text_come_first() -> None:
     said = did_you_mean("cooling", [*SETPOINTS, "coolings", "coling"])
-    assert said.startswith("near names: 'core_zn_cooling_setpoint', 'attic_cooling_setpoint', 'coolings'")
-    assert said.endswith("'coling'")
+    assert said.startswith("did you mean 'core_zn_cooling_setpoint', 'attic_cooling_setpoint', 'coolings'")
+    assert said.endswith(" or 'coling'?")
 
 
 def test_names_that_are_spelled_alike_are_near() -> None:
-    assert did_you_mean("ligths", SETPOINTS) == "near names: 'lights'"
-    assert did_you_mean("LIGHTS", SETPOINTS) == "near names: 'lights'"
+    assert did_you_mean("ligths", SETPOINTS) == "did you mean 'lights'?"
+    assert did_you_mean("LIGHTS", SETPOINTS) == "did you mean 'lights'?"
 
 
 def test_where_nothing_is_near_some_are_shown() -> None:
@@ -110,8 +110,11 @@ def test_only_known_names_are_offered_and_never_too_many(name: str, known: list[
     if not known:
         assert said == "there are none"
         return
-    kind, _, rest = said.partition(": ")
-    assert kind in ("near names", "there are")
+    prefix = next(prefix for prefix in ("did you mean ", "there are: ") if said.startswith(prefix))
+    rest = said.removeprefix(prefix)
+    if prefix == "did you mean ":
+        assert rest.endswith("?")
+        rest = rest[:-1]
     offered = [n for n in dict.fromkeys(known) if repr(n) in rest]
     assert offered
     # Each offer is a known name in full, one after the other.
@@ -119,14 +122,14 @@ def test_only_known_names_are_offered_and_never_too_many(name: str, known: list[
     shown = 0
     while text:
         fits = max((repr(n) for n in known if text.startswith(repr(n))), key=len)
-        text = text[len(fits) :].removeprefix(", ")
+        text = text[len(fits) :].removeprefix(", ").removeprefix(" or ")
         shown += 1
     assert shown <= most
 
 
 @given(st.sampled_from(SETPOINTS))
 def test_a_name_is_nearest_to_itself(name: str) -> None:
-    assert did_you_mean(name, SETPOINTS).startswith(f"near names: {name!r}")
+    assert did_you_mean(name, SETPOINTS).startswith(f"did you mean {name!r}")
 
 
 # Mistakes of this side are told before anything is started

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-
 from support.builders import actuator, manifest, meter, sensor
+
 from topics.errors import InvalidAction, UnknownName, ZenostatError
 from topics.messages import Action
 from topics.points import (
