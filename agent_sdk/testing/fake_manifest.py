@@ -111,11 +111,16 @@ def build_manifest(
         task=task,
         versions=Versions(zenostat=topics.VERSION, energyplus="none"),
     )
-    index = value_index(manifest)
-    for name in (name for limit in task.terminate for name in limit.points):
-        if name not in index:
-            raise InvalidConfig(f"terminate: {index.unknown(name)}")
+    _check_termination(manifest)
     return manifest
+
+
+def _check_termination(manifest: Manifest) -> None:
+    index = value_index(manifest)
+    for limit in manifest.task.terminate:
+        for name in limit.points:
+            if name not in index:
+                raise InvalidConfig(f"terminate: {index.unknown(name)}")
 
 
 def _sensors(zones: Sequence[Zone]) -> list[Sensor]:
