@@ -74,7 +74,7 @@ def _families() -> list[tuple[str, ...]]:
 @scenarios.command()
 def show(
     scenario: Annotated[str, typer.Argument(help="Scenario id or scenario file.")],
-    brief: Annotated[bool, typer.Option("--brief", help="Print only fields that differ from the deerrors.")] = False,
+    brief: Annotated[bool, typer.Option("--brief", help="Print only fields that differ from the defaults.")] = False,
 ) -> None:
     """Print a scenario as a file that can be edited and simulated.
 
@@ -99,7 +99,7 @@ def show(
 
 
 def _with_reward_defaults(scenario: Scenario) -> Scenario:
-    """Return the scenario with all parameters of its reward, including deerrors."""
+    """Return the scenario with all parameters of its reward, including defaults."""
     from agent_sdk.rewards import REWARDS, read_reward
 
     if scenario.reward is None:
