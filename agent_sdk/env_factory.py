@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +9,6 @@ import gymnasium as gym
 from gymnasium.vector import VectorEnv
 
 from agent_sdk.bus.controller_link import ControllerLink
-from agent_sdk.envs.arguments import check_arguments
 from agent_sdk.envs.building_env import BuildingEnv
 from agent_sdk.envs.vector_env import BuildingVectorEnv
 from agent_sdk.rewards import Reward
@@ -29,7 +27,6 @@ def make(**arguments: Any) -> gym.Env[Any, Any]:
     Raises:
         UsageError, BusError, SimulatorError: See `BuildingEnv`; everything that was started is closed again.
     """
-    check_arguments(arguments, list(inspect.signature(BuildingEnv).parameters))
     env = BuildingEnv(**arguments)
     try:
         wrapped: gym.Env[Any, Any] = apply_wrappers(env, env.manifest.task.wrappers)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cli.console import out, progress
+from cli.node_options import argument
 from cli.results import show_results
 
 if TYPE_CHECKING:
@@ -26,10 +27,10 @@ ZENOSTAT = [sys.executable, "-P", "-m", "cli.main"]
 
 def demo(
     folder: Annotated[Path, typer.Option(help="Output folder for the recording and the screenshot.")] = Path("demo"),
-    building: Annotated[str, typer.Option(help="Short name of the building.")] = "office-medium",
-    weather: Annotated[str, typer.Option(help="Short name of the weather file.")] = "USA_CO_Denver",
-    begin: Annotated[str, typer.Option(help="First day, MM-DD.")] = "07-01",
-    end: Annotated[str, typer.Option(help="Last day, MM-DD.")] = "07-07",
+    building: Annotated[str, argument("building")] = "office-medium",
+    weather: Annotated[str, argument("weather")] = "USA_CO_Denver",
+    begin: Annotated[str, argument("begin")] = "07-01",
+    end: Annotated[str, argument("end")] = "07-07",
 ) -> None:
     """Run a node, a controller and a monitor in separate processes, and compare two controllers.
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cli.console import err, out, progress
+from cli.node_options import Begin, End
 from cli.run import read_parameters
 from cli.tables import show, show_json
 from topics.atomic_file import atomic_file
@@ -38,8 +39,8 @@ def evaluate(
     ],
     episodes: Annotated[int, typer.Option(min=1, help="Episodes per controller.")] = 1,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the first episode; each further episode adds 1.")] = 0,
-    begin: Annotated[str | None, typer.Option(help="First day, MM-DD or YYYY-MM-DD.")] = None,
-    end: Annotated[str | None, typer.Option(help="Last day, MM-DD or YYYY-MM-DD.")] = None,
+    begin: Begin = None,
+    end: End = None,
     parameters: Annotated[
         list[str] | None,
         typer.Option("--set", metavar="NAME=VALUE", help="Parameter for each controller that has it; repeatable."),

@@ -38,8 +38,8 @@ def node(
     speed: options.Speed = None,
     faults: options.Faults = None,
     policy: options.Policy = Policy.WAIT,
-    grace: options.Grace = 0.0,
-    deadline: options.Deadline = None,
+    grace_s: options.Grace = 0.0,
+    deadline_s: options.Deadline = None,
     listen: options.Listen = None,
     connect: options.Connect = None,
     no_listen: options.NoListen = False,
@@ -49,7 +49,7 @@ def node(
     slots: options.Slots = 1,
     baseline: options.Baseline = False,
     branches: options.Branches = 64,
-    unresponsive: options.Unresponsive = 10.0,
+    unresponsive_s: options.Unresponsive = 10.0,
     no_shrink_caches: options.NoShrinkCaches = False,
     output_dir: options.OutputDir = None,
     keep_last: options.KeepLast = None,
@@ -59,37 +59,19 @@ def node(
 
     Example: `zenostat node --building office-medium --weather USA_CO_Denver --begin 07-01 --end 07-07 --name office`
     """
+    settings = dict(locals())
     if no_listen and listen:
         raise InvalidConfig(f"--listen {listen} conflicts with --no-listen; use one of them")
     if speed is not None and mode is not Mode.PACED:
         raise InvalidConfig(f"--speed {speed:g} needs --mode paced; {mode} mode has no speed")
-    settings = {
-        "scenario": scenario,
-        "building": building,
+    del settings["no_listen"], settings["no_shrink_caches"]
+    if speed is None:
+        del settings["speed"]
+    settings |= {
         "weather": weather or None,
-        "name": name,
-        "begin": begin,
-        "end": end,
-        "steps_per_hour": steps_per_hour,
-        "mode": mode,
-        **({"speed": speed} if speed is not None else {}),
-        "faults": faults,
-        "policy": policy,
-        "grace_s": grace,
-        "deadline_s": deadline,
-        "listen": [] if no_listen else [listen or default_endpoint(keys)],
         "connect": connect or [],
-        "expose": expose,
-        "keys": keys,
-        "certificate": certificate,
-        "slots": slots,
-        "baseline": baseline,
-        "branches": branches,
-        "unresponsive_s": unresponsive,
+        "listen": [] if no_listen else [listen or default_endpoint(keys)],
         "shrink_caches": not no_shrink_caches,
-        "output_dir": output_dir,
-        "keep_last": keep_last,
-        "affinity": affinity,
     }
     _run(settings, is_endpoint_explicit=listen is not None)
 

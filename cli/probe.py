@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cli.console import out, progress
+from cli.node_options import Begin, End
 from cli.run import read_parameters
 from cli.tables import show, show_json
 from topics.errors import ErrorCollector, InvalidConfig
@@ -43,8 +44,8 @@ def probe(
         list[str] | None,
         typer.Option(metavar="NAME=VALUE", help="Value to use instead of an actuator's upper bound; repeatable."),
     ] = None,
-    begin: Annotated[str | None, typer.Option(help="First day, MM-DD or YYYY-MM-DD.")] = None,
-    end: Annotated[str | None, typer.Option(help="Last day, MM-DD or YYYY-MM-DD.")] = None,
+    begin: Begin = None,
+    end: End = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the episode.")] = 0,
     overrides: Annotated[
         list[str] | None,

@@ -157,6 +157,7 @@ def scenario_schema() -> dict[str, Any]:
     """Return the schema of scenario files, including the rewards' parameters, which `agent_sdk` defines."""
     from agent_sdk.rewards import REWARDS
     from models.scenario.schema import Scenario
+    from topics.scenario_fields import MEANING
 
     schema = Scenario.model_json_schema()
     rewards = []
@@ -166,8 +167,7 @@ def scenario_schema() -> dict[str, Any]:
         reward_schema["required"] = ["kind", *reward_schema.get("required", [])]
         schema["$defs"][reward.__name__] = reward_schema
         rewards.append({"$ref": f"#/$defs/{reward.__name__}"})
-    schema["properties"]["reward"] = {
-        "anyOf": [*rewards, {"type": "null"}],
-        "description": "Reward of the agent; null for none.",
-    }
+    schema["properties"]["reward"] = {"anyOf": [*rewards, {"type": "null"}]}
+    for name, field_schema in schema["properties"].items():
+        field_schema["description"] = MEANING[name]
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}

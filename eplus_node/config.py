@@ -16,18 +16,13 @@ from topics.errors import ErrorCollector, InvalidConfig, did_you_mean
 
 
 class NodeConfig(NodeSettings):
-    """The settings of a node that simulates a building with EnergyPlus.
+    """The settings of a node that simulates a building; `topics.scenario_fields` describes those of an environment.
 
     Attributes:
-        scenario: an id or a file; or None.
-        config: a Sinergym configuration instead, and its `variant` (`hot-continuous`; None: the first one).
         what: fields of a scenario; they override those of `scenario`.
         own_reward: the agent has a custom reward; the reward of a Sinergym configuration is not read.
-        shrink_caches: shrink EnergyPlus's cache of saturation pressures in its memory (experimental). On by default
-            because a step takes about 9 % less time and a branch 16 MB less memory, with equal results. See
-            `eplus_node.engine.memory`.
-        output_dir: a folder for EnergyPlus's output files, one folder per episode. The files of the running episode and
-            of the last `keep_last` finished ones are kept (None: all, or as the Sinergym configuration defines).
+        shrink_caches: on by default because of its gain; see `eplus_node.engine.memory`.
+        keep_last: None keeps all, or as many as the Sinergym configuration defines.
     """
 
     scenario: str | None = None

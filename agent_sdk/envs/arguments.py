@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import inspect
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,21 +18,14 @@ from topics.errors import InvalidConfig, UnknownArgument, UsageError, did_you_me
 FROM_SCENARIO = "scenario"
 """Marks the reward of the node's scenario."""
 
-NODE_ARGUMENTS = (
-    "building", "weather", "scenario", "file", "config", "variant", "sensors", "meters", "actuators", "begin", "end",
-    "steps_per_hour", "weather_order", "weather_noise", "sizing", "edits", "time", "aggregation", "actions", "control",
-    "discrete", "terminate", "output_dir", "keep_last", "baseline", "branches", "faults",
-    "unresponsive_s", "shrink_caches",
-)  # fmt: skip
-"""The arguments that become settings of a node."""
 
-
-def check_arguments(arguments: Mapping[str, Any], known: Sequence[str]) -> None:
-    """Check the names of keyword arguments.
+def check_arguments(arguments: Mapping[str, Any], env_type: Callable[..., Any]) -> None:
+    """Check the names of keyword arguments against the parameters of an environment.
 
     Raises:
         UnknownArgument: Unknown names; the text lists all of them with similar names.
     """
+    known = list(inspect.signature(env_type).parameters)
     if unknown := [name for name in arguments if name not in known]:
         errors = [f"got an unexpected keyword argument {name!r}; {did_you_mean(name, known)}" for name in unknown]
         raise UnknownArgument("\n".join(errors))

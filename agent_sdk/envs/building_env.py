@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, suppress
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import gymnasium as gym
 import numpy as np
@@ -32,6 +32,7 @@ from agent_sdk.rewards import AnyReward, Reward
 from bridge.runtime.affinity import Affinity
 from topics.errors import BusError, EpisodeChanged, InvalidConfig, UsageError
 from topics.messages import CreateBranch, WeatherSeries
+from topics.scenario_fields import ScenarioArguments, expand_arguments
 from topics.seeds import check_seed
 
 Observation = NDArray[np.float32]
@@ -57,37 +58,14 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
     the corresponding setting.
 
     Args:
-        building: Short name, path to an IDF or epJSON file, or any unique part of a listed name.
-        weather: Short name, path to an EPW file, or any unique part of a listed name; or several of them.
-        scenario: An id, as listed by `zenostat scenarios`.
-        file: A scenario file (YAML).
-        config: A Sinergym configuration (YAML); `variant` selects its weather and form.
-        variant: As `hot-continuous-stochastic`; the configuration's first one if left out.
-        sensors: Name to (variable, key) or (variable, key, aggregation), where aggregation is "mean", "sum" or
-            "instant".
-        meters: Name to EnergyPlus meter.
-        actuators: Name to (component type, control type, key), optionally followed by low and high. Empty: baseline
-            control only. If sensors, meters or actuators are left out, a sensible set is discovered in the model.
-        begin, end: First and last day, MM-DD or YYYY-MM-DD.
-        steps_per_hour: Timesteps per hour; None uses the model's.
-        weather_order, weather_noise, sizing, edits, time, aggregation, actions, control, discrete, terminate: As in
-            a scenario file (`zenostat scenarios schema`).
+        building, weather, node_arguments: The simulation and the settings of a local node, each described in
+            `topics.scenario_fields` and in the table of docs/environments.md.
         reward: An object of `agent_sdk.rewards`, a kind, a kind with its parameters, or a function or class of your
             own (`agent_sdk.rewards.from_function`). None gives 0.0; left out, the scenario's reward.
         connect: Endpoint of a bus.
         keys: For a bus over TLS, the folder of certificates created by `zenostat keys init`.
         node: The node's name on that bus.
         priority: Priority of this agent's commands, 1 (highest) to 16.
-        output_dir: Folder in which EnergyPlus's output files are kept, in one folder per episode.
-        keep_last: Number of finished episodes whose files are kept besides the running one's; None keeps all.
-        baseline: Also run the building under baseline control: `info["baseline"]` has the values of its points,
-            `info["baseline_effective"]` those of its actuators.
-        faults: A file (YAML) of faults that the node injects; see docs/faults.md.
-        branches: Maximum number of simultaneous snapshots and branches; 64 if left out.
-        unresponsive_s: Seconds for which an engine may neither answer nor use processor time before it is killed and
-            the episode fails; 10 if left out.
-        shrink_caches: Experimental; False leaves EnergyPlus's own memory as it is. By default True, because a step
-            takes about 9 % less time and a branch 16 MB less memory, with equal results.
         affinity: See `bridge.runtime.affinity`.
         render_mode: With `rgb_array`, `render()` returns a picture of the last day (needs matplotlib); `rerun` opens
             a live view.
@@ -107,50 +85,26 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
 
     metadata = {"render_modes": [*RENDER_MODES], "render_fps": 4}  # noqa: RUF012  # Gymnasium's own form
 
+    @expand_arguments
     def __init__(
         self,
         building: str | Path | None = None,
         weather: str | Path | Sequence[str | Path] | None = None,
         *,
-        scenario: str | None = None,
-        file: str | Path | None = None,
-        config: str | Path | None = None,
-        variant: str | None = None,
-        sensors: Mapping[str, Sequence[str]] | None = None,
-        meters: Mapping[str, str] | None = None,
-        actuators: Mapping[str, Sequence[str | float]] | None = None,
-        begin: str | None = None,
-        end: str | None = None,
-        steps_per_hour: int | None = None,
-        weather_order: str | None = None,
-        weather_noise: Mapping[str, Any] | None = None,
-        sizing: str | None = None,
-        edits: Mapping[str, Any] | None = None,
-        time: Sequence[str] | None = None,
-        aggregation: str | None = None,
-        actions: Mapping[str, Any] | None = None,
-        control: str | None = None,
-        discrete: int | Sequence[Any] | None = None,
-        terminate: Sequence[Mapping[str, Any]] | None = None,
         reward: AnyReward | None = arguments.FROM_SCENARIO,
         connect: str | None = None,
         node: str | None = None,
         priority: int = 10,
-        output_dir: str | Path | None = None,
-        keep_last: int | None = None,
-        baseline: bool | None = None,
-        branches: int | None = None,
-        unresponsive_s: float | None = None,
-        shrink_caches: bool | None = None,
-        faults: str | Path | None = None,
         affinity: Affinity | str = Affinity.SEPARATE_CORES,
         render_mode: str | None = None,
         keys: str | Path | None = None,
         link: Link | None = None,
+        **node_arguments: Unpack[ScenarioArguments],
     ) -> None:
-        parameters = locals()
+        arguments.check_arguments(node_arguments, BuildingEnv)
+        settings = {"building": building, "weather": weather, **node_arguments}
         self._connection = NodeConnection(
-            {name: parameters[name] for name in arguments.NODE_ARGUMENTS if parameters[name] is not None},
+            {name: value for name, value in settings.items() if value is not None},
             reward=reward, connect=connect, node=node, priority=priority, affinity=affinity, render_mode=render_mode,
             keys=keys, link=link,
         )  # fmt: skip

@@ -47,7 +47,7 @@ class NodeConnection:
     """Connects to a node on a bus, or starts a local one, whose manifest is known before its bus is used.
 
     Args:
-        node_arguments: The user's arguments for the node, by the names of `arguments.NODE_ARGUMENTS`.
+        node_arguments: The user's arguments for the node, by the names of `topics.scenario_fields.NODE_ARGUMENTS`.
         reward, connect, node, priority, affinity, render_mode, keys, link: See `BuildingEnv`.
         slots: Number of the node's engines.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Unpack, cast
 
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
@@ -27,6 +27,7 @@ from agent_sdk.rewards import AnyReward
 from bridge.runtime.affinity import Affinity
 from topics.errors import BusError, EpisodeChanged, InvalidConfig, UsageError
 from topics.messages import CommandOp, WeatherSeries
+from topics.scenario_fields import NodeArguments, expand_arguments
 
 Observations = NDArray[np.float32]
 Flags = NDArray[np.bool_]
@@ -66,6 +67,7 @@ class BuildingVectorEnv(ConnectedEnv, VectorEnv[Observations, Any, NDArray[Any]]
 
     closed = True  # until construction ends, because Gymnasium before 1.4 closes an environment when it is deleted
 
+    @expand_arguments
     def __init__(
         self,
         num_envs: int = 1,
@@ -79,10 +81,10 @@ class BuildingVectorEnv(ConnectedEnv, VectorEnv[Observations, Any, NDArray[Any]]
         render_mode: str | None = None,
         keys: str | Path | None = None,
         link: VectorLink | None = None,
-        **node_arguments: Any,
+        **node_arguments: Unpack[NodeArguments],
     ) -> None:
         self.num_envs, self.autoreset_mode = _check_count(num_envs), _check_mode(autoreset_mode)
-        _check_names(node_arguments)
+        arguments.check_arguments(node_arguments, BuildingVectorEnv)
         self._connection = NodeConnection(
             {name: value for name, value in node_arguments.items() if value is not None},
             reward=reward, connect=connect, node=node, priority=priority, affinity=affinity, render_mode=render_mode,
@@ -369,11 +371,6 @@ class BuildingVectorEnv(ConnectedEnv, VectorEnv[Observations, Any, NDArray[Any]]
     def close_extras(self, **_: Any) -> None:
         """Disconnect from the node, and end it if it is local."""
         self._connection.close()
-
-
-def _check_names(node_arguments: Mapping[str, Any]) -> None:
-    names = [*arguments.NODE_ARGUMENTS, *(BuildingVectorEnv.__init__.__kwdefaults__ or {})]
-    arguments.check_arguments(node_arguments, names)
 
 
 def _check_count(count: int) -> int:

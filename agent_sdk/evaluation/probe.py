@@ -20,12 +20,14 @@ from numpy.typing import NDArray
 
 from agent_sdk.bus.controller_link import ControllerLink
 from agent_sdk.bus.sample import SampleView
-from agent_sdk.envs.arguments import NODE_ARGUMENTS, of_scenario
+from agent_sdk.envs.arguments import of_scenario
 from agent_sdk.envs.building_env import BuildingEnv
 from agent_sdk.evaluation.probe_effects import Effect, HoldExperiment, Ranges, Side, effect_of
 from topics.errors import BusError, ErrorCollector, InvalidConfig, SimulatorError, did_you_mean
 from topics.messages import Actuator, CreateBranch, Manifest
 from topics.points import PointIndex, actuator_index, contains, describe_bounds, value_index
+from topics.scenario_fields import NODE_ARGUMENTS
+from topics.units import with_unit
 
 Progress = Callable[[int, int], None]
 """Callback for simulated timesteps: number done, total number."""

@@ -148,28 +148,7 @@ Discrete = Annotated[
 class Scenario(_Part):
     """Definition of an experiment: simulation, observations, actions and reward.
 
-    Attributes:
-        id: its name, without `zenostat/`.
-        about: a description for users.
-        building: short name or path of a model.
-        weather: short names or paths of weather files; one is drawn for each episode.
-        weather_order: `random`, or `sequence`: the files take turns, one per episode.
-        weather_noise: noise by column of the weather file.
-        sizing: `weather`: location and design days of the weather file; `model`: the model's own.
-        begin, end: first and last day, MM-DD or YYYY-MM-DD; default: the model's own run period.
-        steps_per_hour: timesteps per hour; default: the model's own.
-        edits: changes to objects of the model, field by field.
-        time: time features in the observation, before the sensors.
-        sensors, meters, actuators: points by the names that they get; default: a set chosen from the model's points.
-        aggregation: of sensors without their own: `instant`, or `mean` for what EnergyPlus reports (the mean or sum
-            over the timestep); default: `mean` for rates and energies, `instant` for states.
-        actions: the action's dimensions, by name; default: chosen by `control`.
-        control: `point`: a dimension for each actuator; `zone`: the same, with a separate choice for each zone if
-            discrete; `building`: one pair of setpoints for all thermostats.
-        discrete: choices, or the number of equal steps from the widest to the tightest setpoints; None: continuous.
-        reward: its kind and parameters; None: always 0.
-        terminate: limits that end an episode early.
-        wrappers: of the environment, by name with their arguments, innermost first.
+    `topics.scenario_fields` describes each field.
     """
 
     id: str = ""

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agent_sdk.envs.arguments import FROM_SCENARIO, NODE_ARGUMENTS, _reward_in_file, check_reward, for_node
+from agent_sdk.envs.arguments import FROM_SCENARIO, _reward_in_file, check_reward, for_node
 from bridge.runtime.affinity import Affinity
 from eplus_node.config import read_config
 from topics.errors import InvalidConfig, UsageError
 from topics.messages import Aggregation
+from topics.scenario_fields import NODE_ARGUMENTS
 
 BASE: dict[str, Any] = {"building": "office-small", "weather": "USA_CO_Denver"}
 TEMPERATURE = ("Zone Air Temperature", "Core_ZN")
