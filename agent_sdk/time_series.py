@@ -30,39 +30,17 @@ from pydantic import (
     model_validator,
 )
 
+from topics.calendar import WEEKDAYS, Weekday, check_hours, hour_of_leap_year, in_hours
 from topics.errors import InvalidConfig, did_you_mean
 
 HOURS, LEAP_HOURS = 8760, 8784
 _FEBRUARY_28, _FEBRUARY_29 = 24 * (31 + 27), 24 * (31 + 28)
-_DAYS_BEFORE = (0, 31, 60, 91, 121, 152, 182, 213, 244, 274, 305, 335)
 _MAX_LISTED = 5
 
 Number = Annotated[float, Field(strict=True)]
 Unit = Annotated[str, Field(min_length=1)]
-Weekday = Literal["mon", "tue", "wed", "thu", "fri", "sat", "sun"]
-_WEEKDAYS = ("mon", "tue", "wed", "thu", "fri", "sat", "sun")
-
-
-def _check_hours(hours: tuple[int, int]) -> tuple[int, int]:
-    first, end = hours
-    if not (0 <= first <= 23 and 0 <= end <= 24 and first != end):
-        raise ValueError("a first hour from 0 to 23 and an end from 0 to 24 expected, as [9, 20] or [22, 6]")
-    return hours
-
-
-Hours = Annotated[tuple[int, int], AfterValidator(_check_hours)]
+Hours = Annotated[tuple[int, int], AfterValidator(check_hours)]
 """The first hour of a span within the day, and the hour after its last one; (22, 6) spans midnight."""
-
-
-def within(hours: tuple[int, int], hour: int) -> bool:
-    """Return whether an hour of the day (0 to 23) is in a span of hours."""
-    first, end = hours
-    return first <= hour < end if first < end else hour >= first or hour < end
-
-
-def hour_of_leap_year(moment: datetime) -> int:
-    """Return the hour of a leap year, 0 to 8783; 1 March at 0:00 is the same hour in each year."""
-    return (_DAYS_BEFORE[moment.month - 1] + moment.day - 1) * 24 + moment.hour
 
 
 class TimeSeries(BaseModel, ABC):
@@ -123,8 +101,8 @@ class Period(BaseModel):
     def holds(self, month: int, weekday: int, hour: int) -> bool:
         """Return whether the period contains this month (1 to 12), weekday (0 is Monday) and hour (0 to 23)."""
         return (
-            (self.hours is None or within(self.hours, hour))
-            and (self.weekdays is None or _WEEKDAYS[weekday] in self.weekdays)
+            (self.hours is None or in_hours(self.hours, hour))
+            and (self.weekdays is None or WEEKDAYS[weekday] in self.weekdays)
             and (self.months is None or month in self.months)
         )
 

@@ -17,12 +17,13 @@ from models.points import discovery, selection
 from models.points.discovery import PointCatalog
 from models.points.selection import Points
 from models.scenario.episode_weather import WeatherSource
-from models.scenario.run_period import Period, check_steps_per_hour, parse_day
+from models.scenario.run_period import Period, check_steps_per_hour
 from models.scenario.schema import ActuatorSpec, Scenario, dump
 from models.scenario.task import task_of
 from models.weather import design_days, epw, noise
 from models.weather.header import check_covers, read_header
 from topics import VERSION
+from topics.calendar import parse_day
 from topics.errors import ErrorCollector, InvalidConfig, UnknownName
 from topics.fault_plan import FaultPlan, Loss
 from topics.keys import check_name

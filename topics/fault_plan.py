@@ -5,8 +5,6 @@ Numbers without a unit in their name are in the unit of the affected point. `doc
 
 from __future__ import annotations
 
-import re
-from datetime import datetime
 from typing import Annotated, Any, Literal, TypeAlias, get_args
 
 from pydantic import (
@@ -19,43 +17,15 @@ from pydantic import (
     model_validator,
 )
 
+from topics.calendar import Weekday, check_hours, parse_moment
 from topics.errors import did_you_mean
 from topics.messages import Count, Finite, Message
 from topics.points import check_order
 
-Weekday = Literal["mon", "tue", "wed", "thu", "fri", "sat", "sun"]
-WEEKDAYS: tuple[Weekday, ...] = get_args(Weekday)
-
-_MOMENT = re.compile(r"(?:(\d{4})-)?(\d\d)-(\d\d)(?:[T ](\d\d):(\d\d)(?::(\d\d))?)?")
-_LEAP_YEAR = 2016
-
-
-def moment(text: str, year: int) -> datetime:
-    """Parse `2017-07-03T08:00`, or `07-03T08:00` in `year`; without a time of day, the time is 0:00.
-
-    Raises:
-        ValueError: the text has another form, or there is no such date or time.
-    """
-    match = _MOMENT.fullmatch(text.strip())
-    if not match:
-        raise ValueError("expected a date and time such as 2017-07-03T08:00, or 07-03T08:00 in the simulated year")
-    own_year, month, day, hour, minute, second = (int(part or 0) for part in match.groups())
-    try:
-        return datetime(own_year or year, month, day, hour, minute, second)
-    except ValueError as error:
-        raise ValueError(f"{text!r} is not a valid date and time: {error}") from None
-
 
 def _check_moment(text: str) -> str:
-    moment(text, _LEAP_YEAR)
+    parse_moment(text)
     return text
-
-
-def _check_hours(hours: tuple[float, float]) -> tuple[float, float]:
-    start, end = hours
-    if not (0 <= start < 24 and 0 <= end <= 24 and start != end):
-        raise ValueError("expected a start from 0 to below 24 h and a different end, such as [8.5, 17] or [22, 6]")
-    return hours
 
 
 def _as_tuple(value: Any) -> Any:
@@ -63,7 +33,7 @@ def _as_tuple(value: Any) -> Any:
 
 
 Moment = Annotated[str, AfterValidator(_check_moment)]
-Hours = Annotated[tuple[Finite, Finite], AfterValidator(_check_hours)]
+Hours = Annotated[tuple[Finite, Finite], AfterValidator(check_hours)]
 Probability = Annotated[float, Field(gt=0, le=1, strict=True)]
 Positive = Annotated[float, Field(gt=0, strict=True)]
 Steps = Annotated[int, Field(ge=1, lt=2**31, strict=True)]

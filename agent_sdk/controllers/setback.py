@@ -10,11 +10,10 @@ from agent_sdk.controllers.base import Controller, Values
 from agent_sdk.controllers.comfort_band import Band, comfort_bands, default_setback, inside
 from agent_sdk.controllers.fixed import DAYS, check_deadband, default_values
 from agent_sdk.controllers.parameters import ControllerMismatch, number
+from topics.calendar import parse_weekdays
 from topics.errors import InvalidConfig
 from topics.messages import Manifest
 from topics.points import contains, describe_bounds
-
-_DAYS = ("mon", "tue", "wed", "thu", "fri", "sat", "sun")
 
 
 class ScheduledSetback(Controller):
@@ -66,7 +65,7 @@ class ScheduledSetback(Controller):
             raise InvalidConfig(
                 f"opens = closes = {self._opens:g}; expected two different hours (0 and 24: always open)"
             )
-        self._days = weekdays(days)
+        self._days = parse_weekdays(days, "days")
         self._band = comfort_bands(manifest)
         has_counts = any(binding.people for binding in self._bindings)  # else zones may always be occupied
         self._setback_k = default_setback(manifest) if has_counts else 0.0
@@ -130,19 +129,3 @@ def _replace(fixed: tuple[float | None, float | None], default: Band) -> Band:
 def _describe_actions(manifest: Manifest) -> str:
     names = ", ".join(repr(action.name) for action in manifest.task.actions[:5])
     return f"those of node {manifest.node!r} are {names}" if names else f"node {manifest.node!r} has no actions"
-
-
-def weekdays(text: str) -> frozenset[int]:
-    """Parse `mon-fri` or `mon,wed,sat-sun` to weekdays from 0 (Monday).
-
-    Raises:
-        InvalidConfig: the text has another form.
-    """
-    selected: set[int] = set()
-    for part in str(text).casefold().replace(" ", "").split(","):
-        first, dash, last = part.partition("-")
-        if first not in _DAYS or (dash and last not in _DAYS):
-            raise InvalidConfig(f"days = {text!r}; expected weekdays, such as 'mon-fri' or 'mon,wed,sat-sun'")
-        begin, end = _DAYS.index(first), _DAYS.index(last or first)
-        selected |= {day % 7 for day in range(begin, end + 1 if end >= begin else end + 8)}
-    return frozenset(selected)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from datetime import date, datetime
+from datetime import datetime
 from typing import Annotated
 
 from pydantic import AfterValidator, model_validator
@@ -11,6 +11,7 @@ from agent_sdk.rewards.config import Names, RewardConfig
 from agent_sdk.rewards.seasons import Pair, Seasons
 from agent_sdk.rewards.selectors import temperatures
 from agent_sdk.rewards.terms import Band, DegreesOutside
+from topics.calendar import is_month_day
 from topics.messages import Manifest
 
 NORTH = ((6, 1), (9, 30))
@@ -19,10 +20,8 @@ SOUTH = ((12, 1), (3, 31))
 
 
 def _check_day(value: tuple[int, int]) -> tuple[int, int]:
-    try:
-        date(2000, *value)
-    except ValueError:
-        raise ValueError("a month and a day expected, such as [6, 1]") from None
+    if not is_month_day(*value):
+        raise ValueError("a month and a day expected, such as [6, 1]")
     return value
 
 

@@ -12,7 +12,8 @@ from pydantic import Field
 from agent_sdk.rewards.base import Begin, BoundReward
 from agent_sdk.rewards.linear import WeightedReward
 from agent_sdk.rewards.terms import Term, TermSum
-from agent_sdk.time_series import Hours, within
+from agent_sdk.time_series import Hours
+from topics.calendar import in_hours
 from topics.messages import Manifest
 from topics.typing_compat import override
 
@@ -38,7 +39,7 @@ class HourlyReward(WeightedReward):
 
     @override
     def bind(self, manifest: Manifest) -> BoundReward:
-        weights = [self.weight if within(self.hours, hour) else self.weight_outside for hour in range(24)]
+        weights = [self.weight if in_hours(self.hours, hour) else self.weight_outside for hour in range(24)]
         energy_factors = [-weight * self.lambda_energy for weight in weights]
         comfort_factors = [-(1.0 - weight) * self.lambda_temperature for weight in weights]
         energy = self._energy_term(manifest)._replace(factor=_by_hour(energy_factors))

@@ -12,6 +12,7 @@ from pydantic import ValidationError
 
 import topics
 from agent_sdk.testing.rc_zones import Zone
+from topics.calendar import parse_day
 from topics.codec import describe_validation_errors
 from topics.energyplus_names import COOLING_SETPOINT, HEATING_SETPOINT, THERMOSTAT
 from topics.errors import InvalidConfig, did_you_mean
@@ -69,10 +70,7 @@ class RunPeriod:
 
 
 def _day(name: str, text: str) -> datetime:
-    try:
-        return datetime.strptime(text if len(text) > 5 else f"{_YEAR}-{text}", "%Y-%m-%d")
-    except ValueError:
-        raise InvalidConfig(f"{name} = {text!r}; expected MM-DD or YYYY-MM-DD") from None
+    return datetime.combine(parse_day(text, name, _YEAR), datetime.min.time())
 
 
 def build_manifest(

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bridge.faults.random_streams import Distribution, EpisodeKeys, Key, RandomStream, fault_key
+from topics.calendar import WEEKDAYS, in_hours, parse_moment
 from topics.errors import ErrorCollector, InvalidConfig
-from topics.fault_plan import WEEKDAYS, AnyFault, FaultPlan, When, moment
+from topics.fault_plan import AnyFault, FaultPlan, When
 
 FOREVER = 2**62
 _DAY_S, _WEEK_S = 86_400, 7 * 86_400
@@ -73,13 +74,13 @@ def span(when: When, grid: StepGrid) -> tuple[int, int]:
     first = [0, when.from_step or 0, grid.ceil(when.from_s or 0.0)]
     end = [grid.last + 1]
     if when.from_time is not None:
-        first.append(grid.ceil((moment(when.from_time, year) - grid.begin).total_seconds()))
+        first.append(grid.ceil((parse_moment(when.from_time, year) - grid.begin).total_seconds()))
     if when.to_step is not None:
         end.append(when.to_step)
     if when.to_s is not None:
         end.append(grid.ceil(when.to_s))
     if when.to_time is not None:
-        end.append(grid.ceil((moment(when.to_time, year) - grid.begin).total_seconds()))
+        end.append(grid.ceil((parse_moment(when.to_time, year) - grid.begin).total_seconds()))
     return max(first), min(end)
 
 
@@ -92,9 +93,7 @@ def clock(when: When, grid: StepGrid) -> NDArray[np.bool_] | None:
     seconds = np.round(elapsed + np.arange(grid.week) * grid.step_s, 6) % _WEEK_S
     on = np.ones(grid.week, np.bool_)
     if when.hours is not None:
-        first, end = when.hours
-        hour = seconds % _DAY_S / 3600.0
-        on &= (first <= hour) & (hour < end) if first < end else (hour >= first) | (hour < end)
+        on &= in_hours(when.hours, seconds % _DAY_S / 3600.0)
     if when.weekdays is not None:
         on &= np.isin(seconds // _DAY_S, [WEEKDAYS.index(day) for day in when.weekdays])
     return on

@@ -14,7 +14,8 @@ from models.building import idf, schema, transition
 from models.building.edits import Edits, apply_edits
 from models.cache import cached_bytes, digest
 from models.catalog import Entry
-from models.scenario.run_period import Period, parse_day, year_of
+from models.scenario.run_period import Period, year_of
+from topics.calendar import parse_day
 from topics.errors import InvalidConfig
 
 Objects = dict[str, dict[str, Any]]

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import calendar
-import re
 from dataclasses import dataclass
 from datetime import date, datetime, timedelta
 
+from topics.calendar import LEAP_YEAR, WEEKDAY_NAMES
 from topics.errors import InvalidConfig
-
-_WEEKDAYS = ("Monday", "Tuesday", "Wednesday", "Thursday", "Friday", "Saturday", "Sunday")
-_LEAP_YEAR = 2016
-_DAY = re.compile(r"(?:(\d{4})-)?(\d{1,2})-(\d{1,2})")
 
 
 def year_of(begin_month: int, begin_day: int, weekday: str | None) -> int:
@@ -21,36 +17,14 @@ def year_of(begin_month: int, begin_day: int, weekday: str | None) -> int:
     and 2017 without either. For a run period that begins on 29 February it is the latest leap year.
     """
     leap = (begin_month, begin_day) == (2, 29)
-    if weekday not in _WEEKDAYS:
-        return 2016 if leap else 2017
+    if weekday not in WEEKDAY_NAMES:
+        return LEAP_YEAR if leap else 2017
     for year in range(2017, 1988, -1):
         if calendar.isleap(year) != leap:
             continue
-        if date(year, begin_month, begin_day).weekday() == _WEEKDAYS.index(weekday):
+        if date(year, begin_month, begin_day).weekday() == WEEKDAY_NAMES.index(weekday):
             return year
     raise AssertionError("each weekday occurs on that day within 28 years")
-
-
-def parse_day(text: str, what: str, year: int = _LEAP_YEAR) -> date:
-    """Parse `07-01` in the model's year, or `2018-07-01`; the default year is a leap year, which has every day.
-
-    Raises:
-        InvalidConfig: the text has another format, or there is no such day.
-    """
-    hint = "write it as MM-DD or YYYY-MM-DD, for example 07-01"
-    match = _DAY.fullmatch(text.strip())
-    if not match:
-        raise InvalidConfig(f"{what} {text!r} is not a date; {hint}")
-    month, day = int(match[2]), int(match[3])
-    if not 1 <= month <= 12 or not 1 <= day <= calendar.monthrange(_LEAP_YEAR, month)[1]:
-        raise InvalidConfig(f"{what} {text!r} is not a calendar date; {hint}")
-    try:
-        return date(int(match[1] or year), month, day)
-    except ValueError:
-        raise InvalidConfig(
-            f"{what} {text!r} does not exist in {match[1] or year}"
-            + ("" if match[1] else ", the model's year; give another year as YYYY-MM-DD")
-        ) from None
 
 
 def check_steps_per_hour(steps: int) -> None:

@@ -9,6 +9,7 @@ from datetime import date, timedelta
 from pathlib import Path
 
 from models.scenario.run_period import Period
+from topics.calendar import format_month_day
 from topics.errors import InvalidConfig
 
 HEADER_LINES = 8
@@ -175,8 +176,7 @@ def check_covers(header: Header, period: Period, name: str) -> None:
 
 
 def _span(header: Header) -> str:
-    first, last = header.first, header.last
-    return f"{first[0]:02}-{first[1]:02} to {last[0]:02}-{last[1]:02}"
+    return f"{format_month_day(*header.first)} to {format_month_day(*header.last)}"
 
 
 def _leap_days(period: Period) -> Iterator[date]:

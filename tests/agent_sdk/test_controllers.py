@@ -35,7 +35,6 @@ from agent_sdk.controllers import (
 )
 from agent_sdk.controllers.action_roles import Role, bind_actions
 from agent_sdk.controllers.loader import _importable
-from agent_sdk.controllers.setback import weekdays
 from agent_sdk.envs.spaces import action_space
 from topics.errors import InvalidAction, InvalidConfig, UnknownName
 from topics.messages import Action, Actuator, DiscreteAction, Manifest, Task
@@ -387,12 +386,6 @@ def test_setback_by_default_is_inside_the_band_and_at_night_outside_where_people
     assert ScheduledSetback(of, heating=22).act(view(of, night)) == {HEAT.name: 21.0, COOL.name: 24.5}
     uncounted = node()
     assert ScheduledSetback(uncounted).act(view(uncounted, night)) == {HEAT.name: 21.0, COOL.name: 22.5}
-
-
-def test_weekdays() -> None:
-    assert weekdays("mon-fri") == {0, 1, 2, 3, 4}
-    assert weekdays("Sat-Mon, wed") == {5, 6, 0, 2}
-    assert weekdays("sun") == {6}
 
 
 @pytest.mark.parametrize(

@@ -225,7 +225,7 @@ def test_a_heating_setpoint_above_the_cooling_setpoint_is_refused() -> None:
     [
         ({"zones": 0}, "zones: expected at least one"),
         ({"zones": [Zone("a"), Zone("A")]}, "names that differ"),
-        ({"begin": "13-01"}, "begin = '13-01'; expected MM-DD or YYYY-MM-DD"),
+        ({"begin": "13-01"}, "begin '13-01' is not a calendar date; write it as MM-DD or YYYY-MM-DD"),
         ({"begin": "07-02", "end": "07-01"}, "is before begin"),
         ({"steps_per_hour": 7}, "steps_per_hour = 7; expected a divisor of 60"),
         ({"control": "room"}, "control = 'room'; expected 'point', 'zone' or 'building'"),

@@ -25,11 +25,10 @@ from agent_sdk.time_series import (
     Signal,
     TimeOfUse,
     grams_per_kwh,
-    hour_of_leap_year,
     per_kwh,
-    within,
 )
 from topics import yaml12
+from topics.calendar import hour_of_leap_year, in_hours
 from topics.errors import InvalidConfig
 
 SIGNAL: TypeAdapter[Any] = TypeAdapter(Signal)
@@ -149,7 +148,7 @@ def test_the_first_period_that_holds(moment: datetime, value: float) -> None:
 def test_a_span_of_hours_and_its_other_half_are_a_day(first: int, end: int) -> None:
     if first == end or (first, end) == (0, 24):
         return
-    inside = [hour for hour in range(24) if within((first, end), hour)]
+    inside = [hour for hour in range(24) if in_hours((first, end), hour)]
     assert first in inside
     assert end % 24 not in inside or end % 24 == first
     assert len(inside) == (end - first) % 24

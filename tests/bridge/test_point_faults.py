@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from bridge.faults import FaultTransition, PointFaults, Transition, read_plan
 from topics import codec, yaml12
+from topics.calendar import WEEKDAYS
 from topics.errors import InvalidConfig
-from topics.fault_plan import KINDS, WEEKDAYS, FaultPlan
+from topics.fault_plan import KINDS, FaultPlan
 from topics.messages import Actuator
 
 ROOT = Path(__file__).parents[2]
@@ -570,7 +571,7 @@ WRONG = {
     "faults: [{kind: drop, points: a, when: {lasts_steps: 5}}]": ["lasts_steps requires a probability"],
     "faults: [{kind: drop, points: a, when: {from_time: noon}}]": ["expected a date and time such as 2017-07-03T08:00"],
     "faults: [{kind: drop, points: a, when: {from_time: 02-30}}]": ["'02-30' is not a valid date and time"],
-    "faults: [{kind: drop, points: a, when: {hours: [9, 9]}}]": ["such as [8.5, 17] or [22, 6]"],
+    "faults: [{kind: drop, points: a, when: {hours: [9, 9]}}]": ["such as [9, 20] or [22, 6]"],
     "faults: [{kind: drop, points: a, when: {weekdays: [Monday]}}]": ["Input should be 'mon', 'tue'"],
     "faults: [{kind: drop, points: a, name: x}, {kind: freeze, points: a, name: x}]": ["used more than once: 'x'"],
     "faults: [{kind: drop, points: a b}, {kind: gain, points: c}]": ["faults.0.drop.points.0", "faults.1.gain.factor"],

@@ -10,7 +10,7 @@ import pytest
 import agent_sdk  # noqa: F401  # registers the environments
 from eplus_node.config import read_config
 from eplus_node.plan import plan
-from models.scenario.run_period import parse_day
+from topics.calendar import parse_day
 from topics.errors import InvalidConfig
 
 MINE = """

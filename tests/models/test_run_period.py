@@ -11,8 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from models.building.model import Building
-from models.scenario.run_period import Period, parse_day, year_of
+from models.scenario.run_period import Period, year_of
 from models.weather.header import Header, check_covers
+from topics.calendar import parse_day
 from topics.errors import InvalidConfig
 
 WEEKDAYS = list(calendar.day_name)
