@@ -23,6 +23,7 @@ LEAP_YEAR = 2016
 
 _DAY = re.compile(r"(?:(\d{4})-)?(\d{1,2})-(\d{1,2})")
 _MOMENT = re.compile(r"(?:(\d{4})-)?(\d\d)-(\d\d)(?:[T ](\d\d):(\d\d)(?::(\d\d))?)?")
+_CLOCK_TIME = re.compile(r"(?:(\d\d)-(\d\d) )?(\d\d):(\d\d)")
 _DAYS_BEFORE = (0, 31, 60, 91, 121, 152, 182, 213, 244, 274, 305, 335)
 _Hour = TypeVar("_Hour", int, float)
 
@@ -63,6 +64,20 @@ def parse_moment(text: str, year: int = LEAP_YEAR) -> datetime:
         return datetime(own_year or year, month, day, hour, minute, second)
     except ValueError as error:
         raise ValueError(f"{text!r} is not a valid date and time: {error}") from None
+
+
+def parse_clock_time(text: str, what: str) -> tuple[int, ...]:
+    """Parse a time of each day, `07:30`, or of each year, `07-01 07:30`, to (month, day,) hour and minute.
+
+    Raises:
+        InvalidConfig: the text has another form, or there is no such time; `what` names the setting.
+    """
+    match = _CLOCK_TIME.fullmatch(text) if isinstance(text, str) else None
+    if match:
+        *month_day, hour, minute = (int(part) for part in match.groups() if part is not None)
+        if hour < 24 and minute < 60 and (not month_day or is_month_day(*month_day)):
+            return (*month_day, hour, minute)
+    raise InvalidConfig(f"{what}: {text!r} is not a time; write '07:30' or '07-01 07:30'")
 
 
 def parse_weekdays(text: str, what: str) -> frozenset[int]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
 from typing import Any
@@ -11,16 +12,45 @@ import numpy as np
 from agent_sdk.wrappers.adapters import BuildingWrapper
 from agent_sdk.wrappers.base import EnvView, ResetBatch, StepBatch, Values, WrapperLogic
 from agent_sdk.wrappers.rng import SlotRandomStreams
-from agent_sdk.wrappers.time_table import Table
+from topics.calendar import parse_clock_time
+from topics.errors import InvalidConfig
 
 Context = Mapping[str, float | None]
 Schedule = Callable[[datetime, np.random.Generator], Context]
 
 
+class _TimeTable:
+    """Values at times of the day (`07:30`) or of the year (`07-01 07:30`), each valid until the next.
+
+    Before the first time of a day or year, the last value is valid.
+
+    Args:
+        entries: values by time.
+        label: names the table in errors.
+
+    Raises:
+        InvalidConfig: there are no entries, a time is invalid, or the times are of both forms.
+    """
+
+    def __init__(self, entries: Mapping[str, Context], label: str) -> None:
+        read = sorted(
+            ((parse_clock_time(text, label), value) for text, value in entries.items()), key=lambda entry: entry[0]
+        )
+        self._keys, self._values = [key for key, _ in read], [value for _, value in read]
+        if len({len(key) for key in self._keys}) != 1:
+            raise InvalidConfig(f"{label}: the times of a table should all be like '07:30', or all like '07-01 07:30'")
+        self._daily = len(self._keys[0]) == 2
+
+    def at(self, time: datetime) -> Context:
+        """Return the value that is valid at that time."""
+        key = (time.hour, time.minute) if self._daily else (time.month, time.day, time.hour, time.minute)
+        return self._values[bisect_right(self._keys, key) - 1]
+
+
 class _Logic(WrapperLogic):
     def __init__(self, view: EnvView, schedule: Mapping[str, Context] | Schedule) -> None:
         super().__init__(view)
-        self._table = None if callable(schedule) else Table(schedule, view.wrapper_name)
+        self._table = None if callable(schedule) else _TimeTable(schedule, view.wrapper_name)
         self._schedule = schedule if callable(schedule) else None
         self._randoms = SlotRandomStreams(view.env, view.wrapper_name, view.slots)
         self._now: dict[int, datetime] = {}

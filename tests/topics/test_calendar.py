@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import calendar as standard
 from datetime import date, datetime, timedelta
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from topics.calendar import (
     hour_of_leap_year,
     in_hours,
     is_month_day,
+    parse_clock_time,
     parse_day,
     parse_moment,
     parse_weekdays,
@@ -101,6 +103,29 @@ def test_another_format_is_no_moment(text: str) -> None:
 def test_a_moment_that_does_not_exist_is_rejected(text: str) -> None:
     with pytest.raises(ValueError, match="is not a valid date and time"):
         parse_moment(text)
+
+
+# Times of each day or year
+
+
+@given(MOMENTS)
+def test_a_time_of_each_day_or_year_is_read_back(moment: datetime) -> None:
+    assert parse_clock_time(f"{moment:%H:%M}", "schedule") == (moment.hour, moment.minute)
+    expected = (moment.month, moment.day, moment.hour, moment.minute)
+    assert parse_clock_time(f"{moment:%m-%d %H:%M}", "schedule") == expected
+
+
+def test_each_year_may_have_29_february() -> None:
+    assert parse_clock_time("02-29 00:00", "schedule") == (2, 29, 0, 0)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "7:30", "07:5", "07:30:00", "24:00", "07:60", "02-30 07:30", "13-01 07:30", "07-01", "07-01T07:30", 7, None],
+)
+def test_another_text_is_no_clock_time(text: Any) -> None:
+    with pytest.raises(InvalidConfig, match=r"schedule: .* is not a time; write '07:30' or '07-01 07:30'"):
+        parse_clock_time(text, "schedule")
 
 
 # Days of the week
