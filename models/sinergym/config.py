@@ -12,9 +12,9 @@ from pydantic import ValidationError
 
 from models import catalog, data_packs
 from models.catalog import Entry
-from models.scenario.schema import ActionSpec, ActuatorSpec, DiscreteActionSpec, Scenario, SensorSpec, read_scenario
-from models.sinergym.choices import choice_specs
-from models.sinergym.literals import BoxSpec, Space, Table, read_space
+from models.scenario.schema import DiscreteActionSpec, Scenario, SensorSpec, read_scenario
+from models.sinergym.actions import ActionReader
+from models.sinergym.literals import Table
 from models.sinergym.rewards import RewardReader
 from models.sinergym.section_reader import SectionReader
 from models.weather.epw import find_column
@@ -23,7 +23,7 @@ from topics.codec import describe_validation_errors
 from topics.errors import InvalidConfig, did_you_mean
 from topics.keys import check_name
 from topics.messages import Aggregation, TimeField
-from topics.scenario_ids import CONTINUOUS, DISCRETE, PACK_IDS
+from topics.scenario_ids import CONTINUOUS, DISCRETE
 
 T = TypeVar("T")
 
@@ -100,7 +100,8 @@ class Reader(SectionReader):
         self._check_keys()
         base = self._id_base()
         weathers = self._weathers()
-        action_actuators = self._unless_overridden("actuators", self._action_actuators)
+        actions = ActionReader(self, self.tables, self.overridden, PACK)
+        action_actuators = self._unless_overridden("actuators", actions.actuators)
         fields = {
             "building": self._unless_overridden("building", self._building),
             "weather": next(iter(weathers.values()), ("none",)),
@@ -112,11 +113,11 @@ class Reader(SectionReader):
             "meters": self._unless_overridden("meters", self._meters),
             "aggregation": Aggregation.INSTANT,
             "control": "point",
-            **self._unless_overridden("actuators", lambda: self._with_context(action_actuators)),
+            **self._unless_overridden("actuators", lambda: actions.with_context(action_actuators)),
             "reward": self._unless_overridden("reward", self._reward),
         }
         noise = self._unless_overridden("weather_noise", self._variability)
-        choices, reason = self._unless_overridden("discrete", lambda: self._choices(base, action_actuators))
+        choices, reason = self._unless_overridden("discrete", lambda: actions.choices(base, action_actuators))
         self.kept_episodes()
         if self.errors:
             raise InvalidConfig("\n".join(f"{self.path}: {error}" for error in self.errors))
@@ -305,98 +306,6 @@ class Reader(SectionReader):
         if name in self.renamed.values():
             self.add_error(f"{setting}: two observations are called {name!r}")
         self.renamed[alias] = name
-
-    # Actions
-
-    def _action_actuators(self) -> dict[str, ActuatorSpec]:
-        """Return the actuators of the action, with its bounds."""
-        actuators = self._specs("actuators")
-        space = self.settings.get("action_space")
-        bounds = self._space("action_space") if space is not None else None
-        if bounds is not None and not isinstance(bounds, BoxSpec):
-            self.add_error(f"action_space: expected a Box, got {space!r}; a discrete one is action_space_discrete")
-        elif bounds is not None and len(bounds.low) != len(actuators):
-            self.add_error(f"action_space has {len(bounds.low)} dimensions, but there are {len(actuators)} actuators")
-        elif bounds is not None:
-            for (name, spec), low, high in zip(list(actuators.items()), bounds.low, bounds.high, strict=True):
-                actuators[name] = spec.model_copy(update={"low": low, "high": high})
-        return actuators
-
-    def _with_context(self, action_actuators: Mapping[str, ActuatorSpec]) -> dict[str, Any]:
-        """Return the actuators and, if some are not part of the action, the action's dimensions."""
-        context = self._specs("context")
-        for name in context:
-            if name in action_actuators:
-                self.add_error(f"context: {name!r} is an actuator of the action already")
-        fields: dict[str, Any] = {"actuators": {**action_actuators, **context}, **self._initial_context(list(context))}
-        actions = {name: ActionSpec(actuators=(name,)) for name in action_actuators}
-        return fields | ({"actions": actions} if context else {})
-
-    def _initial_context(self, names: list[str]) -> dict[str, Any]:
-        """Return a wrapper that sets the context's actuators at the beginning of an episode."""
-        value = self.settings.get("initial_context")
-        if not value or "actuators" in self.overridden:  # Sinergym treats an empty list as none
-            return {}
-        if not isinstance(value, list) or len(value) != len(names):
-            self.add_error(
-                f"initial_context: expected a number for each of {len(names)} actuators of context, got {value!r}"
-            )
-            return {}
-        values = {
-            name: self.number(n, f"initial_context.{i}") for i, (name, n) in enumerate(zip(names, value, strict=True))
-        }
-        return {"wrappers": ({"wrapper": "ChangingContext", "schedule": {"00:00": values}},)}
-
-    def _specs(self, section: str) -> dict[str, ActuatorSpec]:
-        specs: dict[str, ActuatorSpec] = {}
-        names = ("variable_name", "element_type", "value_type")
-        for key, spec in self.mapping(section).items():
-            setting = f"{section}.{key}"
-            if not isinstance(spec, Mapping) or not all(isinstance(spec.get(n), str) for n in names):
-                self.add_error(f"{setting}: expected {', '.join(names)}, got {spec!r}")
-                continue
-            self.check_names(spec, names, f"{setting}: ")
-            name = self.name(spec["variable_name"], setting)
-            if name in specs:
-                self.add_error(f"{setting}: two actuators are called {name!r}")
-            elif name is not None:
-                specs[name] = ActuatorSpec(
-                    component_type=spec["element_type"], control_type=spec["value_type"], key=str(key)
-                )
-        return specs
-
-    def _space(self, name: str) -> Space | None:
-        value = self.settings[name]
-        if not isinstance(value, str):
-            self.add_error(f"{name}: expected a space as a string, got {value!r}")
-            return None
-        return self.collect(lambda: read_space(value), name)
-
-    def _choices(
-        self, base: str, actuators: Mapping[str, ActuatorSpec]
-    ) -> tuple[tuple[DiscreteActionSpec, ...] | None, str]:
-        """Return the discrete dimensions of the actuators; None and the reason if their meaning is unknown."""
-        value = self.settings.get("action_space_discrete")
-        if not value or "discrete" in self.overridden or (discrete := self._space("action_space_discrete")) is None:
-            return (), ""
-        if isinstance(discrete, BoxSpec):
-            self.add_error(f"action_space_discrete: expected Discrete or MultiDiscrete, got {value!r}")
-            return (), ""
-        table = self.tables.get(base.lower())
-        if table is None:
-            return None, self._unknown_choices(base)
-        return self.collect(lambda: choice_specs(discrete, table, actuators), "action_space_discrete") or (), ""
-
-    def _unknown_choices(self, base: str) -> str:
-        if base in PACK_IDS and not data_packs.is_installed(PACK):
-            return (
-                f"the meaning of the discrete choices of {base!r} is in the data pack {PACK!r}: "
-                f"{data_packs.command(PACK)}"
-            )
-        return (
-            f"the meaning of the choices of {self.settings['action_space_discrete']} for {base!r} is defined in code, "
-            "which is not run; write them into a scenario file (its field `discrete`), or use the continuous scenarios"
-        )
 
     # Weather noise and reward
 
