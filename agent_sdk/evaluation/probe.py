@@ -27,7 +27,6 @@ from topics.errors import BusError, ErrorCollector, InvalidConfig, SimulatorErro
 from topics.messages import Actuator, CreateBranch, Manifest
 from topics.points import PointIndex, actuator_index, contains, describe_bounds, value_index
 from topics.scenario_fields import NODE_ARGUMENTS
-from topics.units import with_unit
 
 Progress = Callable[[int, int], None]
 """Callback for simulated timesteps: number done, total number."""
