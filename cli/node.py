@@ -15,6 +15,7 @@ from cli import node_options as options
 from cli.console import out, progress
 from cli.options import CertificateName, Keys
 from cli.statistics import statistics_table
+from topics.calendar import format_duration
 from topics.errors import AddressInUse, InvalidConfig, NodeNotFound
 from topics.messages import Mode, Policy, State
 
@@ -160,7 +161,7 @@ def _greeting(node: Node, listen: str) -> str:
     return (
         f"[bold]{manifest.node}[/bold] on {listen}: {manifest.building}{location}, "
         f"{run_period.begin:%Y-%m-%d} to {run_period.end - timedelta(seconds=run_period.step_s):%Y-%m-%d}, "
-        f"{manifest.steps} timesteps of {60 // manifest.steps_per_hour} min; "
+        f"{manifest.steps} timesteps of {format_duration(manifest.step_s)}; "
         f"{len(manifest.sensors)} sensors, {len(manifest.meters)} meters, {len(manifest.actuators)} actuators. "
         "Press Ctrl-C to stop."
     )

@@ -117,7 +117,7 @@ def _as_json(report: ProbeReport) -> dict[str, Any]:
         "weather": manifest.weather,
         "times": [time.isoformat() for time in report.times],
         "hours": report.hours,
-        "timestep_min": 60 / manifest.steps_per_hour,
+        "timestep_min": manifest.step_s / 60.0,
         "actuators": effects,
     }
 

@@ -132,3 +132,10 @@ def in_hours(hours: tuple[float, float], hour: Any) -> Any:
 def hour_of_leap_year(moment: datetime) -> int:
     """Return the hour of a leap year, 0 to 8783; 1 March at 0:00 is the same hour in each year."""
     return (_DAYS_BEFORE[moment.month - 1] + moment.day - 1) * 24 + moment.hour
+
+
+def format_duration(seconds: float) -> str:
+    """Return a duration with the unit that suits it: `15 min`, `1 h`, `30 s`."""
+    if seconds < 60.0 or seconds % 60.0:
+        return f"{seconds:g} s"
+    return f"{seconds / 60.0:g} min" if seconds < 3600.0 or seconds % 3600.0 else f"{seconds / 3600.0:g} h"

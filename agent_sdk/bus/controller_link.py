@@ -58,7 +58,7 @@ _BUSY = "another thread is in receive() or reset() of this controller; one threa
 
 def _interface(manifest: Manifest) -> tuple[Any, ...]:
     """Return the parts of a manifest that a controller relies on; weather and run period may differ after a restart."""
-    return manifest.slots, manifest.sensors, manifest.meters, manifest.actuators, manifest.task, manifest.steps_per_hour
+    return manifest.slots, manifest.sensors, manifest.meters, manifest.actuators, manifest.task, manifest.step_s
 
 
 def _is_after(new: Sample, old: Sample) -> bool:

@@ -79,7 +79,7 @@ class PIDController(Controller):
             raise InvalidConfig(
                 f"{', '.join(sorted(conflicts))}: the controller's own output cannot have a fixed value"
             )
-        self._dt_h = 1 / manifest.steps_per_hour
+        self._dt_h = manifest.step_s / 3600.0
         self._integral, self._previous = 0.0, math.nan
 
     def _default_bias(self, output: Action | Actuator) -> float:

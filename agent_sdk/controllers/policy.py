@@ -5,7 +5,6 @@ from __future__ import annotations
 import random
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
@@ -97,7 +96,7 @@ class PolicyController(Controller):
                 )
         self._normalization = normalization if normalization is not None else normalization_of(model)
         self._model, self._predictor = model, Predictor(model)
-        self._timestep = timedelta(hours=1 / manifest.steps_per_hour)
+        self._timestep = manifest.timestep
 
     def begin(self, sample: SampleView) -> None:  # noqa: ARG002
         """Reset the state of a recurrent model."""

@@ -63,7 +63,7 @@ class RuleBasedController(Controller):
                 f"the rule-based controller needs an action that sets a heating or cooling setpoint, a water "
                 f"temperature, an availability or a storage; node {manifest.node!r} has none"
             )
-        self._step = timedelta(hours=1 / manifest.steps_per_hour)
+        self._step = manifest.timestep
         self._plant = PlantRules(self._margin_k)
         self._arrivals: dict[tuple[int, ...], datetime] = {}
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, suppress
-from datetime import datetime, timedelta
+from datetime import datetime
 from pathlib import Path
 from typing import Any, Unpack
 
@@ -126,7 +126,7 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
                 self._connection.open_monitor()
             undo.pop_all()
         self.render_mode, self._priority = render_mode, priority
-        self._timestep = timedelta(hours=1 / manifest.steps_per_hour)
+        self._timestep = manifest.timestep
         self._time = manifest.task.time
 
         self._sample: SampleView | None = None

@@ -24,7 +24,7 @@ class TerminationLimits:
 
     def __init__(self, manifest: Manifest, slots: int | None = None) -> None:
         self._limits = manifest.task.terminate
-        self._step_s = 3600.0 / manifest.steps_per_hour
+        self._step_s = manifest.step_s
         index = value_index(manifest)
         self._points = [np.array([index[name] for name in limit.points]) for limit in self._limits]
         self._bounds = [bounds(limit) for limit in self._limits]

@@ -142,4 +142,4 @@ class VectorSample:
 
 def timestep(manifest: Manifest) -> timedelta:
     """Return the length of a timestep."""
-    return timedelta(hours=1 / manifest.steps_per_hour)
+    return manifest.timestep

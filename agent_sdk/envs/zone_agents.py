@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from datetime import datetime, timedelta
+from datetime import datetime
 from typing import Any, cast
 
 import numpy as np
@@ -95,7 +95,7 @@ class ZonesEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo has no types
         self.state_space = self.env.observation_space
         self.observation_spaces = {name: self._observation_space(agent) for name, agent in self._agents.items()}
         self.action_spaces = {name: self._action_space(agent) for name, agent in self._agents.items()}
-        self._timestep = timedelta(hours=1 / manifest.steps_per_hour)
+        self._timestep = manifest.timestep
         self._busy = False
         self._state: Observation = np.zeros(0, np.float32)
 

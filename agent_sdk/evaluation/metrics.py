@@ -107,7 +107,7 @@ class MetricsAccumulator:
     """
 
     def __init__(self, manifest: Manifest, reward: Reward | None = None) -> None:
-        self._step_h = 1.0 / manifest.steps_per_hour
+        self._step_h = manifest.step_s / 3600.0
         self._step = timedelta(hours=self._step_h)
         meters = _energy_sources(manifest)
         self._names = tuple(meters)
@@ -206,7 +206,7 @@ def _energy_sources(manifest: Manifest) -> dict[str, _EnergySource]:
             if name not in sources and sensor.variable.casefold() == variable.casefold() and sensor.unit == "W":
                 note = ", read at its end (an approximation)" if sensor.aggregation is Aggregation.INSTANT else ""
                 source = f"sensor {sensor.name}, W times the timestep{note}"
-                sources[name] = _EnergySource(index, 1e-3 / manifest.steps_per_hour, source)
+                sources[name] = _EnergySource(index, 1e-3 / (3600.0 / manifest.step_s), source)
     return sources
 
 

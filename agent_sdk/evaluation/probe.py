@@ -23,6 +23,7 @@ from agent_sdk.bus.sample import SampleView
 from agent_sdk.envs.arguments import of_scenario
 from agent_sdk.envs.building_env import BuildingEnv
 from agent_sdk.evaluation.probe_effects import Effect, HoldExperiment, Ranges, Side, effect_of
+from topics.calendar import format_duration
 from topics.errors import BusError, ErrorCollector, InvalidConfig, SimulatorError, did_you_mean
 from topics.messages import Actuator, CreateBranch, Manifest
 from topics.points import PointIndex, actuator_index, contains, describe_bounds, value_index
@@ -143,7 +144,7 @@ class ProbeRequest:
         if not manifest.actuators:
             raise InvalidConfig("the scenario has no actuators to probe")
         errors = ErrorCollector()
-        self.length = round(hours * manifest.steps_per_hour) if isfinite(hours) else 0
+        self.length = round(hours * 3600.0 / manifest.step_s) if isfinite(hours) else 0
         self.steps: list[int] = errors.collect(lambda: _steps(manifest, self.length, days, at)) or []
         self.compared = errors.collect(lambda: _matching(value_index(manifest), points)) or []
         known = actuator_index(manifest.actuators)
@@ -191,10 +192,10 @@ def _steps(manifest: Manifest, length: int, days: int, at: Sequence[float]) -> l
     """Return the steps at which branches start, in order: the given hours of days spread over the run period."""
     if length < 1 or days < 1 or not at or not all(0 <= hour < 24 for hour in at):
         raise InvalidConfig(
-            f"expected at least one timestep ({60 / manifest.steps_per_hour:g} minutes), one day and one hour from 0 "
+            f"expected at least one timestep ({format_duration(manifest.step_s)}), one day and one hour from 0 "
             f"to below 24, got {length} timesteps, days={days}, at={[*at]}"
         )
-    begin, step = datetime.fromisoformat(manifest.begin), timedelta(hours=1 / manifest.steps_per_hour)
+    begin, step = datetime.fromisoformat(manifest.begin), manifest.timestep
     period = ceil(manifest.steps * step / timedelta(days=1))
     candidates: set[int] = set()
     for number in range(days):

@@ -140,7 +140,7 @@ def effect_of(
         if i < len(manifest.sensors) and _passes_through(manifest.sensors[i], i, actuator, experiments)
     ]
     independent = [i for i in compared if i not in pass_through]
-    minutes = 60 / manifest.steps_per_hour
+    minutes = manifest.step_s / 60.0
     units = [point.unit for point in manifest.points]
     responses = [
         response

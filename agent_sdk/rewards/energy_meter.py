@@ -38,10 +38,10 @@ class EnergyMeter:
     def __init__(self, kind: str, names: Sequence[str] | None, manifest: Manifest) -> None:
         points = _default(kind, manifest) if names is None else [_index(kind, name, manifest) for name in names]
         units = [point.unit for point in manifest.points]
-        per_step = {"J": 1.0 / J_PER_KWH, "W": 1e-3 / manifest.steps_per_hour}
+        per_step = {"J": 1.0 / J_PER_KWH, "W": 1e-3 / (3600.0 / manifest.step_s)}
         self._indices = indices(points)
         self._kwh = np.array([per_step[units[i]] for i in points])
-        self.kw_per_kwh = float(manifest.steps_per_hour)
+        self.kw_per_kwh = 3600.0 / manifest.step_s
         """Mean power in kW of a timestep that used 1 kWh."""
 
     def kwh(self, values: NDArray[np.float64]) -> Any:

@@ -99,7 +99,7 @@ def build_manifest(
         location="nowhere",
         begin=run.begin.isoformat(),
         end=(run.begin + timedelta(hours=run.steps / run.steps_per_hour)).isoformat(),
-        steps_per_hour=run.steps_per_hour,
+        step_s=run.step_s,
         steps=run.steps,
         mode=Mode.LOCKSTEP,
         policy=Policy.WAIT,

@@ -40,7 +40,7 @@ def _column(point: Sensor | Meter, count: int, random: np.random.Generator) -> N
 def episode_starts(manifest: Manifest, count: int, shift_h: float = 0.0) -> list[datetime]:
     """Return the start times of `count` timesteps of an episode, moved by `shift_h` hours."""
     first = datetime.fromisoformat(manifest.begin) + timedelta(hours=shift_h)
-    return [first + timedelta(hours=k / manifest.steps_per_hour) for k in range(count)]
+    return [first + timedelta(seconds=k * manifest.step_s) for k in range(count)]
 
 
 def samples(manifest: Manifest, count: int, seed: int) -> list[SampleView]:
@@ -55,7 +55,7 @@ def samples(manifest: Manifest, count: int, seed: int) -> list[SampleView]:
             episode=[seed] * manifest.slots,
             step=[step] * manifest.slots,
             time=[time.isoformat()] * manifest.slots,
-            elapsed_s=[step * 3600.0 / manifest.steps_per_hour] * manifest.slots,
+            elapsed_s=[step * manifest.step_s] * manifest.slots,
             flags=[flag] * manifest.slots,
             values=row.astype("<f8").tobytes(),
             effective=effective.astype("<f8").tobytes(),

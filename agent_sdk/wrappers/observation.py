@@ -55,7 +55,7 @@ class _CyclicTimeLogic(ObservationLogic):
         super().__init__(view)
         indices_of(fields, FIELDS, view.wrapper_name, "field")
         manifest = view.manifest
-        self._timestep = timedelta(hours=1 / manifest.steps_per_hour)
+        self._timestep = manifest.timestep
         self._parts = [_PARTS[field] for field in fields]
         equivalent = {name for field in fields for name in _EQUIVALENT_FIELDS[field]}
         replaced = equivalent & set(manifest.task.time) if replace else set()

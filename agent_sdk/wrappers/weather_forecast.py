@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from datetime import datetime, timedelta
+from datetime import datetime
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -153,7 +153,7 @@ class _Logic(ObservationLogic):
         self._randoms = SlotRandomStreams(view.env, view.wrapper_name, view.slots)
         self._weather: list[list[_Column]] = [[] for _ in range(view.slots)]
         self._starts: dict[int, datetime] = {}
-        self._timestep = timedelta(hours=1 / view.manifest.steps_per_hour)
+        self._timestep = view.manifest.timestep
         low, high = np.repeat(self._bounds, n, axis=0).T
         self.extend([f"{column}_in_{hour:g}h" for column in columns for hour in self._horizons_h], low, high)
 

@@ -28,7 +28,7 @@ def node_manifest(settings: NodeSettings, plant: Plant, *, instance: str, cpu: i
         **site_fields(plant.site(0)),
         begin=run_period.begin.isoformat(),
         end=run_period.end.isoformat(),
-        steps_per_hour=round(3600.0 / run_period.step_s),
+        step_s=run_period.step_s,
         steps=run_period.steps,
         slots=settings.slots,
         baseline=settings.baseline,

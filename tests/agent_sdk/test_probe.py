@@ -185,7 +185,7 @@ def _manifest(**given: Any) -> Manifest:
     )  # fmt: skip
     whole: dict[str, Any] = {
         "node": "n", "instance": "1", "building": "b", "weather": "w", "location": "l", "begin": "2017-07-03T00:00:00",
-        "end": "2017-07-04T00:00:00", "steps_per_hour": 4, "steps": 96, "mode": Mode.LOCKSTEP, "policy": Policy.WAIT,
+        "end": "2017-07-04T00:00:00", "step_s": 900.0, "steps": 96, "mode": Mode.LOCKSTEP, "policy": Policy.WAIT,
         "sensors": sensors, "meters": (Meter(name="used", meter="Electricity:Facility", unit="J"),),
         "actuators": (actuator,), "versions": Versions(zenostat="1", energyplus="25.2"),
     }  # fmt: skip

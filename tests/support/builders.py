@@ -73,7 +73,7 @@ def manifest(
         location="Denver",
         begin="2017-07-01T00:00:00",
         end="2017-07-02T00:00:00",
-        steps_per_hour=4,
+        step_s=900.0,
         steps=96,
         slots=slots,
         mode=Mode.LOCKSTEP,

@@ -44,14 +44,14 @@ class FakeBuilding(gym.Env[NDArray[np.float32], Any]):
             task=Task(time=TIME, actions=actions),
         )
         steps = days * 24 * steps_per_hour
-        self.manifest = made.model_copy(update={"begin": begin, "steps_per_hour": steps_per_hour, "steps": steps})
+        self.manifest = made.model_copy(update={"begin": begin, "step_s": 3600.0 / steps_per_hour, "steps": steps})
         self.observation_space = spaces.observation_space(self.manifest)
         self._actions = Actions(self.manifest)
         self.action_space = self._actions.space
         self.observation_names, self.action_names = NAMES, ("heat", "cool")
         self._begin, self._timestep, self._days = (
             datetime.fromisoformat(begin),
-            timedelta(hours=1 / steps_per_hour),
+            timedelta(seconds=3600.0 / steps_per_hour),
             days,
         )
         self._step, self._core, self._context = 0, START, 0.0

@@ -158,7 +158,7 @@ def test_energy_follows_from_means(divided) -> None:
     manifest, got, _ = divided
     column = {name: i for i, name in enumerate(manifest.names)}
     energy_j = got[:, column["electricity_hvac"]]
-    seconds = 3600 / manifest.steps_per_hour
+    seconds = manifest.step_s
     np.testing.assert_allclose(got[:, column["hvac_electricity_power"]] * seconds, energy_j, rtol=1e-9, atol=1e-3)
     wrong_j = got[:, column["hvac_power_instant"]] * seconds
     assert (~np.isclose(wrong_j, energy_j, rtol=1e-6, atol=1e-3)).sum() > 50

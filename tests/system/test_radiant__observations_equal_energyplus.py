@@ -91,7 +91,7 @@ def _bare(manifest: Manifest, commands: np.ndarray, folder: Path) -> np.ndarray:
     """Variables, then meters, at the end of each timestep."""
     model = read_building(find_building(manifest.building))
     weather = find_weather(manifest.weather).path
-    period = model.period(*DAYS, manifest.steps_per_hour)
+    period = model.period(*DAYS, round(3600 / manifest.step_s))
     objects = design_days.apply(for_episode(model, period), design_days.site(weather, read_header(weather)))
     folder.mkdir()
     task = folder / "task.json"

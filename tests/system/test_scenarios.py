@@ -170,7 +170,7 @@ def test_what_forecasts_read_is_what_is_simulated(scratch: Path) -> None:
     """At whole hours EnergyPlus's outdoor air is the row of the disturbed file, and not of the original."""
     env = make(f"{SMALL}-continuous-stochastic-v1", aggregation="instant")
     rows, _ = play(env, 2)
-    at, hour = env.observation_names.index("outdoor_temperature"), env.manifest.steps_per_hour
+    at, hour = env.observation_names.index("outdoor_temperature"), round(3600 / env.manifest.step_s)
     simulated, told = rows[hour::hour, at], outdoors(env)[:24]
     np.testing.assert_allclose(simulated, told, atol=1e-5)
     file = read(find_weather("USA_CO_Denver").path)
@@ -238,7 +238,7 @@ def test_a_sinergym_configuration_of_a_users_own(scratch: Path) -> None:
     assert text != found.read_text()
     (scratch / "mine.yaml").write_text(text)
     env = make("zenostat/Sinergym-v1", config=scratch / "mine.yaml", variant="cool-discrete")
-    assert env.manifest.steps_per_hour == 2
+    assert env.manifest.step_s == 1800.0
     assert env.manifest.weather == "sinergym/USA_WA_Port.Angeles"
     assert env.action_space == gym.spaces.Discrete(10)
     env.reset(seed=0)

@@ -17,6 +17,7 @@ from topics.calendar import (
     WEEKDAY_NAMES,
     WEEKDAYS,
     check_hours,
+    format_duration,
     format_month_day,
     hour_of_leap_year,
     in_hours,
@@ -218,3 +219,10 @@ def test_faults_and_tables_reject_the_same_hours(hours: list[int]) -> None:
 def test_the_hour_of_a_leap_year_is_the_same_in_each_year(moment: datetime) -> None:
     in_leap_year = moment.replace(year=LEAP_YEAR)
     assert hour_of_leap_year(moment) == (in_leap_year - datetime(LEAP_YEAR, 1, 1)) // timedelta(hours=1)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"), [(1, "1 s"), (90, "90 s"), (0.5, "0.5 s"), (60, "1 min"), (900, "15 min"), (3600, "1 h")]
+)
+def test_format_duration__unit_without_remainder(seconds: float, text: str) -> None:
+    assert format_duration(seconds) == text

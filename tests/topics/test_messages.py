@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from datetime import timedelta
 
 import numpy as np
 import pytest
@@ -120,11 +121,16 @@ def test_a_manifest_names_the_sensors_and_then_the_meters() -> None:
     assert made.names == ("b", "a", "0")
 
 
-@pytest.mark.parametrize("steps", [0, 61])
-def test_the_hour_has_one_to_sixty_timesteps(steps: int) -> None:
+@pytest.mark.parametrize("step_s", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_timestep_is_positive_and_finite(step_s: float) -> None:
     fields = manifest().model_dump()
     with pytest.raises(ValidationError):
-        Manifest.model_validate(fields | {"steps_per_hour": steps})
+        Manifest.model_validate(fields | {"step_s": step_s})
+
+
+def test_a_timestep_may_have_any_length() -> None:
+    made = manifest().model_copy(update={"step_s": 0.5})
+    assert made.timestep == timedelta(milliseconds=500)
 
 
 def test_kinds_and_flags_travel_as_plain_text_and_numbers() -> None:

@@ -68,10 +68,10 @@ def test_a_function_keeps_its_own_parameters() -> None:
 @pytest.mark.parametrize("function", [BuildingEnv, BuildingVectorEnv, make, make_vec])
 def test_an_unknown_argument_is_named_with_a_near_one(function: Any) -> None:
     with pytest.raises(
-        UnknownArgument, match="unexpected keyword argument 'wheather'; near names: 'weather'"
+        UnknownArgument, match="unexpected keyword argument 'wheather'; did you mean 'weather'"
     ) as raised:
         function(building="office-small", wheather="USA_CO_Denver", sizng="model")
-    assert "'sizng'; near names: 'sizing'" in str(raised.value)
+    assert "'sizng'; did you mean 'sizing'" in str(raised.value)
 
 
 def _settings(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import timedelta
 from typing import Annotated, Any
 
 from pydantic import Field
@@ -12,34 +13,38 @@ from topics.messages.status import Statistics
 
 
 class Sensor(Message):
-    """An EnergyPlus output variable, under a name that the user chose."""
+    """A measured point; of EnergyPlus, the output variable `variable` of the object `key`."""
 
     name: SafeName
-    variable: str
-    key: str
+    variable: str = ""
+    key: str = ""
     unit: str
-    aggregation: Aggregation
+    aggregation: Aggregation = Aggregation.INSTANT
     low: float | None = None
     high: float | None = None
 
 
 class Meter(Message):
-    """An EnergyPlus meter: the consumption in the timestep (J for energy)."""
+    """A meter: the consumption in the timestep (J for energy); of EnergyPlus, the meter `meter`."""
 
     name: SafeName
-    meter: str
+    meter: str = ""
     unit: str
     low: float | None = None
     high: float | None = None
 
 
 class Actuator(Message):
-    """An EnergyPlus actuator. `feedback` is the output variable that reports its effective value."""
+    """A point that can be commanded.
+
+    Of EnergyPlus, `component_type`, `control_type` and `key` name the actuator, and `feedback` the output variable that
+    reports its effective value. `default` is its value while nobody commands it, where that is known.
+    """
 
     name: SafeName
-    component_type: str
-    control_type: str
-    key: str
+    component_type: str = ""
+    control_type: str = ""
+    key: str = ""
     unit: str
     low: float | None = None
     high: float | None = None
@@ -91,34 +96,36 @@ class Task(Message):
 
 
 class Versions(Message):
-    """Versions of a node's software and of its message schema."""
+    """Versions of a node's software and of its message schema; `energyplus` is empty for other plants."""
 
     zenostat: str
-    energyplus: str
+    energyplus: str = ""
     schema_version: int = SCHEMA_VERSION
 
 
 class Manifest(Message):
     """Everything that a client needs to read a node's samples and to command the node.
 
-    `slots`: number of engines that step together, each with its own episode. `branch_of`: the node that this one
-    branched from. `baseline`: whether samples include the building under baseline control. `speed`: simulated seconds
-    per second of wall time, in paced mode. `grace_s`: how long a controller may be disconnected before the fallback
-    policy applies. `deadline_s`: how long each step waits for commands. `faults_injected`: whether samples contain
-    injected faults. `statistics`: only in replies to queries.
+    `building`: name of the building or plant. `begin`, `end`: simulated time of the first and the last sample.
+    `step_s`: length of a timestep in seconds. `steps`: number of timesteps of an episode. `slots`: number of copies
+    that step together, each with its own episode. `branch_of`: the node that this one branched from. `baseline`:
+    whether samples include the building under baseline control. `speed`: simulated seconds per second of wall time,
+    in paced mode. `grace_s`: how long a controller may be disconnected before the fallback policy applies.
+    `deadline_s`: how long each step waits for commands. `faults_injected`: whether samples contain injected faults.
+    `statistics`: only in replies to queries.
     """
 
     node: SafeName
     instance: str
     branch_of: str = ""
     building: str
-    weather: str
-    location: str
+    weather: str = ""
+    location: str = ""
     latitude_deg: float | None = None
     longitude_deg: float | None = None
     begin: str
     end: str
-    steps_per_hour: Annotated[int, Field(ge=1, le=60)]
+    step_s: Annotated[float, Field(gt=0, le=86400)]
     steps: Count
     slots: Annotated[int, Field(ge=1)] = 1
     baseline: bool = False
@@ -142,6 +149,11 @@ class Manifest(Message):
     def points(self) -> tuple[Sensor | Meter, ...]:
         """The points of `Sample.values`: the sensors, then the meters."""
         return (*self.sensors, *self.meters)
+
+    @property
+    def timestep(self) -> timedelta:
+        """Length of a timestep."""
+        return timedelta(seconds=self.step_s)
 
     @property
     def names(self) -> tuple[str, ...]:
