@@ -8,7 +8,7 @@ from topics.scenario_ids import bundled_ids, pack_ids
 
 _ENTRY, _VECTOR = "agent_sdk.env_factory:make", "agent_sdk.env_factory:make_vec"
 _FAKE, _FAKE_VECTOR = "agent_sdk.testing.fake_env:FakeEnv", "agent_sdk.testing.fake_vector_env:FakeVectorEnv"
-_GENERAL = ("Building-v1", "Scenario-v1", "Sinergym-v1")
+_GENERAL = ("Building-v1", "Scenario-v1", "Sinergym-v1", "Plant-v1")
 
 
 def register() -> None:

@@ -1,4 +1,4 @@
-"""`zenostat node`: simulate a building on the bus."""
+"""`zenostat node`: simulate a building, or a plant of your own, on the bus."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
     from bridge.node.node import Node
-    from bridge.node.server import NodeServer, Observer
-    from eplus_node.config import NodeConfig
+    from bridge.node.server import NodeServer
+    from bridge.node.settings import NodeSettings
 
 
 def node(
@@ -55,37 +55,41 @@ def node(
     output_dir: options.OutputDir = None,
     keep_last: options.KeepLast = None,
     affinity: options.Affinity = Affinity.SEPARATE_CORES,
+    plant: options.Plant = None,
+    plant_argument: options.PlantArgument = None,
 ) -> None:
-    """Simulate a building and put it on the bus, until Ctrl-C or `zenostat stop`.
+    """Simulate a building, or a plant of your own, and put it on the bus, until Ctrl-C or `zenostat stop`.
 
     Example: `zenostat node --building office-medium --weather USA_CO_Denver --begin 07-01 --end 07-07 --name office`
+
+    Example: `zenostat node --plant tank.py:Tank --name tank`
     """
     settings = dict(locals())
     if no_listen and listen:
         raise InvalidConfig(f"--listen {listen} conflicts with --no-listen; use one of them")
     if speed is not None and mode is not Mode.PACED:
         raise InvalidConfig(f"--speed {speed:g} needs --mode paced; {mode} mode has no speed")
-    del settings["no_listen"], settings["no_shrink_caches"]
+    del settings["no_listen"], settings["no_shrink_caches"], settings["plant_argument"]
     if speed is None:
         del settings["speed"]
     settings |= {
         "weather": weather or None,
         "connect": connect or [],
         "listen": [] if no_listen else [listen or default_endpoint(keys)],
-        "shrink_caches": not no_shrink_caches,
+        "shrink_caches": None if plant and not no_shrink_caches else not no_shrink_caches,
+        "plant_arguments": options.parse_arguments(plant_argument or []) or None,
     }
     _run(settings, is_endpoint_explicit=listen is not None)
 
 
 def _run(settings: dict[str, Any], *, is_endpoint_explicit: bool) -> None:
     """Run the node until it ends, with a progress bar, and print its statistics."""
-    from eplus_node.config import read_config
-
-    config = read_config(settings)
+    config, create = _read(settings)
     with progress() as bars, ExitStack() as stack:
         observer = _ProgressBar(bars, config.name)
         print_line = partial(bars.console.print, markup=False, soft_wrap=True)
-        running = _start(stack, config, observer, is_endpoint_explicit=is_endpoint_explicit, print_line=print_line)
+        create = partial(create, observer=observer, program=True)
+        running = _start(stack, config, create, is_endpoint_explicit=is_endpoint_explicit, print_line=print_line)
         bars.console.print(_greeting(running, ", ".join(running.settings.listen or running.settings.connect)))
         for warning in filter(None, (*running.manifest.warnings, exposure(running.settings.listen, config.keys))):
             bars.console.print(f"warning: {warning}", style="yellow", markup=False, soft_wrap=True)
@@ -95,10 +99,25 @@ def _run(settings: dict[str, Any], *, is_endpoint_explicit: bool) -> None:
     out.print(f"{config.name}: ended")
 
 
+def _read(settings: dict[str, Any]) -> tuple[NodeSettings, Callable[..., Node]]:
+    """Validate settings; return them and the function that creates the node."""
+    if settings["plant"] is not None:
+        from bridge.python_plant.node import plant_node, read_settings
+
+        return read_settings(settings), plant_node
+    from eplus_node.config import read_config
+    from eplus_node.node import energyplus_node
+
+    if settings.pop("plant_arguments") is not None:
+        raise InvalidConfig("--plant-argument needs --plant FILE.py:CLASS")
+    del settings["plant"]
+    return read_config(settings), energyplus_node
+
+
 def _start(
     stack: ExitStack,
-    config: NodeConfig,
-    observer: Observer,
+    config: NodeSettings,
+    create: Callable[..., Node],
     *,
     is_endpoint_explicit: bool,
     print_line: Callable[[str], None],
@@ -107,25 +126,23 @@ def _start(
 
     Args:
         stack: closes the node.
-        config: configuration of the node.
-        observer: called with the node at each state change and step.
+        config: settings of the node.
+        create: creates the node from its settings.
         is_endpoint_explicit: whether the user named the endpoint to listen on.
         print_line: prints one line.
 
     Raises:
         AddressInUse: the user named an endpoint that is in use, or the program at the default endpoint is no node.
     """
-    from eplus_node.node import energyplus_node
-
     try:
-        return stack.enter_context(energyplus_node(config, observer, program=True))
+        return stack.enter_context(create(config))
     except AddressInUse as error:
         if is_endpoint_explicit:
             raise
         endpoints = config.connect or config.listen
         joined = config.model_copy(update={"listen": [], "connect": endpoints})
         try:
-            running = stack.enter_context(energyplus_node(joined, observer, program=True))
+            running = stack.enter_context(create(joined))
         except NodeNotFound:
             raise error from None
     print_line(

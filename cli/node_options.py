@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,6 +12,7 @@ import typer
 from bridge.runtime import affinity
 from bridge.transport.session import DEFAULT_ENDPOINT
 from topics import messages
+from topics.errors import InvalidConfig
 from topics.scenario_fields import MEANING
 
 
@@ -63,3 +66,26 @@ NoShrinkCaches = Annotated[bool, argument("shrink_caches", "--no-shrink-caches",
 OutputDir = Annotated[Path | None, argument("output_dir")]
 KeepLast = Annotated[int | None, argument("keep_last", min=1, note=" Default: all.")]
 Affinity = Annotated[affinity.Affinity, typer.Option(help="Assignment to CPU cores; see docs/architecture.md.")]
+Plant = Annotated[str | None, argument("plant")]
+PlantArgument = Annotated[
+    list[str] | None,
+    typer.Option("--plant-argument", metavar="NAME=VALUE", help="Argument of the plant's class; repeatable."),
+]
+
+
+def parse_arguments(pairs: Sequence[str]) -> dict[str, Any]:
+    """Return the arguments of a class from `name=value` texts; a value is a Python literal, or else a text.
+
+    Raises:
+        InvalidConfig: a text has another form.
+    """
+    arguments = {}
+    for pair in pairs:
+        name, separator, text = pair.partition("=")
+        if not separator or not name.isidentifier():
+            raise InvalidConfig(f"--plant-argument {pair!r}: write it as NAME=VALUE, for example power_w=2000")
+        try:
+            arguments[name] = ast.literal_eval(text)
+        except (ValueError, SyntaxError):
+            arguments[name] = text
+    return arguments

@@ -11,8 +11,9 @@
     │   ├── RequestRejected     a request or command that the node rejected
     │   ├── EpisodeChanged      somebody else reset or stopped the episode
     │   └── EpisodeAborted      the fallback policy ended the episode: a controller sent no command
-    ├── SimulatorError          EnergyPlus failed
+    ├── SimulatorError          EnergyPlus, or another plant, failed
     │   ├── ModelError          EnergyPlus rejected the model or stopped with an error
+    │   ├── PlantFailed         the code of a plant's class raised an error or returned invalid values
     │   ├── EngineDied          the engine process ended unexpectedly
     │   │   └── EngineUnresponsive  it neither answered nor used processor time, and was killed
     │   └── ForkFailed          the system could not fork an engine: too little memory, too many processes
@@ -80,11 +81,15 @@ class EpisodeAborted(PeerError):
 
 
 class SimulatorError(ZenostatError):
-    """EnergyPlus failed."""
+    """The simulator failed: EnergyPlus, or another plant."""
 
 
 class ModelError(SimulatorError):
     """EnergyPlus rejected the model or stopped with an error; the text has the relevant lines of eplusout.err."""
+
+
+class PlantFailed(SimulatorError):
+    """The code of a plant's class raised an error, with its traceback, or returned values that are not valid."""
 
 
 class EngineDied(SimulatorError):

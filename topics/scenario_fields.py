@@ -126,7 +126,21 @@ class ScenarioArguments(TypedDict, total=False):
     faults: Annotated[str | Path | None, Doc("Plan of faults to inject (YAML); see docs/faults.md.")]
 
 
-class NodeArguments(ModelArguments, ScenarioArguments, total=False):
+class PlantArguments(TypedDict, total=False):
+    """A plant that is a Python class, in place of a building."""
+
+    plant: Annotated[
+        str | None,
+        Doc("Python class in place of a building, `FILE.py:CLASS` or `MODULE:CLASS`; see docs/own-plants.md."),
+    ]
+    plant_arguments: Annotated[Mapping[str, Any] | None, Doc("Arguments of that class, by name.")]
+
+
+class OtherArguments(ScenarioArguments, PlantArguments, total=False):
+    """All arguments but building and weather."""
+
+
+class NodeArguments(ModelArguments, OtherArguments, total=False):
     """The arguments of an environment that become settings of its node."""
 
 

@@ -34,7 +34,8 @@ class LocalNode:
     """A node process that ends on `close()`, or when this process ends for any reason.
 
     Args:
-        settings: Fields of `eplus_node.config.NodeConfig`, without endpoint, folder and core.
+        settings: Fields of `eplus_node.config.NodeConfig`, or with `plant` those of
+            `bridge.python_plant.node.PlantSettings`, without endpoint, folder and core.
         placement: See `bridge.runtime.affinity`.
 
     Attributes:
@@ -68,7 +69,7 @@ class LocalNode:
             # A process group of its own: Ctrl-C in the terminal is for the owner, which then ends the node. Not a
             # session of its own: Linux schedules sessions against each other, which costs about 20 us per step.
             process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "eplus_node"],
+                [sys.executable, "-P", "-m", "bridge.python_plant" if "plant" in settings else "eplus_node"],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 process_group=0,

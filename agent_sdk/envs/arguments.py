@@ -47,26 +47,39 @@ def for_node(arguments: Mapping[str, Any], name: str, slots: int = 1) -> dict[st
         InvalidConfig: No simulation or several are named; or a point is not a tuple of names.
     """
     settings = {key: _to_json(value) for key, value in arguments.items()}
-    sources = [key for key in ("scenario", "file", "config") if key in settings]
+    sources = [key for key in ("scenario", "file", "config", "plant") if key in settings]
     if len(sources) > 1:
         raise InvalidConfig(f"{' and '.join(sources)} both define the simulation; use only one of them")
     if not sources and not {"building", "weather"} <= set(settings):
         raise InvalidConfig(
-            "name a building and a weather, a scenario, a file (file=), or the bus (connect=) and node of a running one"
+            "name a building and a weather, a scenario, a file (file=), a class of your own (plant=), or the bus "
+            "(connect=) and node of a running one"
         )
-    for key in ("sensors", "actuators"):
-        if not isinstance(settings.get(key, {}), dict):
-            raise InvalidConfig(f"{key}: a mapping from names to points expected, got {arguments[key]!r}")
-        for point, spec in settings.get(key, {}).items():
-            if isinstance(spec, str) or not isinstance(spec, list | dict):
-                raise InvalidConfig(f"{key} {point!r}: a tuple of EnergyPlus's names expected, got {spec!r}")
+    _check_points(settings, arguments)
     if "file" in settings:
         settings["scenario"] = settings.pop("file")
     # Relative paths refer to the caller's working directory, which may differ from the node's.
     for key in ("building", "config", "faults", "output_dir", "scenario", "weather"):
         if key in settings:
             settings[key] = _absolute(settings[key], always=key in ("config", "faults", "output_dir"))
+    if "plant" in settings:
+        settings["plant"] = _absolute_class(str(settings["plant"]))
     return settings | {"name": name} | ({"slots": slots} if slots > 1 else {})
+
+
+def _check_points(settings: Mapping[str, Any], arguments: Mapping[str, Any]) -> None:
+    for key in ("sensors", "actuators"):
+        if not isinstance(settings.get(key, {}), dict):
+            raise InvalidConfig(f"{key}: a mapping from names to points expected, got {arguments[key]!r}")
+        for point, spec in settings.get(key, {}).items():
+            if isinstance(spec, str) or not isinstance(spec, list | dict):
+                raise InvalidConfig(f"{key} {point!r}: a tuple of EnergyPlus's names expected, got {spec!r}")
+
+
+def _absolute_class(plant: str) -> str:
+    """Return `FILE.py:CLASS` with an absolute path; `MODULE:CLASS` as it is."""
+    place, _, class_name = plant.rpartition(":")
+    return f"{_absolute(place, always=place.endswith('.py'))}:{class_name}" if place else plant
 
 
 def _to_json(value: Any) -> Any:

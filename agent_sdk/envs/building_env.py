@@ -32,7 +32,7 @@ from agent_sdk.rewards import AnyReward, Reward
 from bridge.runtime.affinity import Affinity
 from topics.errors import BusError, EpisodeChanged, InvalidConfig, UsageError
 from topics.messages import CreateBranch, WeatherSeries
-from topics.scenario_fields import ScenarioArguments, expand_arguments
+from topics.scenario_fields import OtherArguments, expand_arguments
 from topics.seeds import check_seed
 
 Observation = NDArray[np.float32]
@@ -99,7 +99,7 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
         render_mode: str | None = None,
         keys: str | Path | None = None,
         link: Link | None = None,
-        **node_arguments: Unpack[ScenarioArguments],
+        **node_arguments: Unpack[OtherArguments],
     ) -> None:
         arguments.check_arguments(node_arguments, BuildingEnv)
         settings = {"building": building, "weather": weather, **node_arguments}

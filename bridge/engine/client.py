@@ -11,15 +11,16 @@ import struct
 import subprocess
 from collections.abc import Callable, Iterable
 from contextlib import suppress
+from pathlib import Path
 from time import monotonic
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import psutil
 from numpy.typing import NDArray
 
 from bridge.engine.forked_process import ForkedProcess, Process
-from bridge.engine.protocol import FrameKind, OrderKind
+from bridge.engine.protocol import PROCESS_ID, FrameKind, OrderKind
 from bridge.engine.registry import EngineRegistry
 from bridge.engine.sockets import SocketPair, fill, read_process_id, send_all, socket_pairs
 from bridge.engine.spec import EngineSpec
@@ -45,7 +46,7 @@ def _start(spec: EngineSpec) -> tuple[SocketPair, Process]:
             pass_fds=theirs.descriptors,
             env={**os.environ, **spec.program.environment},
             stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
+            stdout=2 if spec.program.prints else subprocess.DEVNULL,
             stderr=log,
         )
     return ours, process
@@ -76,7 +77,7 @@ class EngineClient:
     def __init__(
         self, spec: EngineSpec, forked: tuple[SocketPair, Process] | None = None, registry: EngineRegistry | None = None
     ) -> None:
-        self._spec, self._registry = spec, registry or EngineRegistry()
+        self._spec, self.registry = spec, registry or EngineRegistry()
         self._with_feedback, values = [*spec.feedback], spec.values
         self._frame_bytes = memoryview(bytearray(8 * (2 + values + len(self._with_feedback))))
         self._frame: NDArray[np.float64] = np.frombuffer(self._frame_bytes)
@@ -89,14 +90,14 @@ class EngineClient:
         self.last = False
         self._interrupted = False
         if forked is None:
-            self._registry.check_open()
+            self.registry.check_open()
         self._sockets, self._process = forked or _start(spec)
         self._orders, self._frames = self._sockets
         self._orders_descriptor, self._frames_descriptor = self._orders.fileno(), self._frames.fileno()
         self._frame_buffers = [self._frame_bytes]
         self._polling = Polling(enabled=spec.poll)
-        self._registry.add(self)
-        if self._registry.closing:
+        self.registry.add(self)
+        if self.registry.closing:
             self.interrupt()  # the node was told to end in the meantime
         if forked is None:
             self._send_spec()
@@ -132,13 +133,43 @@ class EngineClient:
         except BaseException:
             ours.close()
             raise
-        child = EngineClient(spec, (ours, ForkedProcess(pid)), self._registry)
+        child = EngineClient(spec, (ours, ForkedProcess(pid)), self.registry)
         try:
             self.receive()
         except BaseException:
             child.close()
             raise
         return child
+
+    def send_reset(self, seed: int) -> None:
+        """Order another episode; `receive` waits for its sample 0.
+
+        Raises:
+            EngineDied: the process has ended.
+        """
+        self._send_text(OrderKind.RESET, seed=seed)
+
+    def save(self, path: Path) -> None:
+        """Let the simulator write its state to a file.
+
+        Raises:
+            ForkFailed: it cannot; the text has its reason. The engine keeps waiting at its sample.
+            EngineDied: the process has ended.
+        """
+        self._send_text(OrderKind.SAVE, path=str(path))
+        raw = bytearray(PROCESS_ID.size)
+        if not fill(self._frames, memoryview(raw), self._watchdog()):
+            raise EngineDied(self._exit_report())
+        if PROCESS_ID.unpack(raw)[0] != 0:
+            raise ForkFailed(path.read_text(errors="replace"))
+
+    def _send_text(self, kind: OrderKind, **fields: Any) -> None:
+        text = json.dumps(fields).encode()
+        order = struct.pack("=dd", kind, len(text)) + bytes(self._order_bytes)
+        try:
+            send_all(self._orders, order + text, self._watchdog())
+        except ConnectionError:
+            raise EngineDied(self._exit_report()) from None
 
     def _forked_pid(self, frames: socket.socket) -> int:
         """Return the process id of the ordered fork, from this engine or from the fork; raise as `fork` does."""
@@ -248,7 +279,7 @@ class EngineClient:
         def check() -> None:
             if self._interrupted:
                 raise EngineDied("the engine process was killed because the node ends")
-            limit_s = self._registry.unresponsive_s
+            limit_s = self.registry.unresponsive_s
             if watch.look() < limit_s:
                 return
             process.kill()
@@ -297,7 +328,7 @@ class EngineClient:
         if self._process.poll() is None:
             self._process.kill()
         self._process.wait()
-        self._registry.remove(self)
+        self.registry.remove(self)
         if not self._spec.keep_output:
             shutil.rmtree(self._spec.folder, ignore_errors=True)
 

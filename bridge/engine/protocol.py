@@ -14,9 +14,16 @@ sockets. The engine replies with the child's process id (a native 64-bit integer
 the system cannot fork, and keeps waiting at its sample. The child sends its process id on its own socket as well, in
 case the engine ends before it can reply, and then continues as any other engine.
 
+A `RESET` order contains the length of a JSON text in place of the step, `{"seed": number}`, and the text follows. The
+engine begins another episode and replies with sample 0.
+
+A `SAVE` order likewise contains `{"path": text}`. The engine writes its state to that file and replies with 0 (a native
+64-bit integer), or writes the reason to it and replies with -1; it keeps waiting at its sample. EnergyPlus has neither
+order.
+
 A `FAILED` frame contains the length of a UTF-8 text in place of the step, and the text follows.
 
-Sample 0 is the state after warm-up. The last sample is sent once EnergyPlus has ended the run without an error.
+Sample 0 is the state after warm-up. EnergyPlus's last sample is sent once it has ended the run without an error.
 """
 
 from __future__ import annotations
@@ -42,3 +49,5 @@ class OrderKind(IntEnum):
     STEP = 1
     FINISH = 2
     FORK = 3
+    RESET = 4
+    SAVE = 5

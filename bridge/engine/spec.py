@@ -18,6 +18,7 @@ class EngineProgram:
     Attributes:
         command: starts it; the descriptors of its two sockets and the node's process id are appended.
         environment: variables that are added to those of the node.
+        prints: whether its standard output goes to the node's standard error.
         failure: returns the error for a text that the engine sent before it ended, and its folder.
         explain: returns the reason why an engine ended, from its folder and the end of its output.
     """
@@ -26,6 +27,7 @@ class EngineProgram:
     failure: Callable[[str, Path], SimulatorError]
     explain: Callable[[Path, str], str] = lambda _, output: output
     environment: Mapping[str, str] = field(default_factory=dict)
+    prints: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import errno
 import fcntl
 import os
 import shutil
@@ -34,7 +35,7 @@ def die_with_parent(parent: int) -> None:
             leave(0)
 
 
-_SYS_CLONE = 56  # on x86-64, the platform of EnergyPlus's wheel
+_SYS_CLONE = {"x86_64": 56, "aarch64": 220}.get(os.uname().machine)
 _CLONE_PARENT = 0x00008000
 
 
@@ -43,6 +44,8 @@ def clone() -> int:
 
     The node becomes the parent of the child, so that it can wait for the child's exit code.
     """
+    if _SYS_CLONE is None:
+        raise OSError(errno.ENOSYS, "the engine cannot be forked on this processor")
     child = ctypes.CDLL(None, use_errno=True).syscall(_SYS_CLONE, _CLONE_PARENT | signal.SIGCHLD, 0, 0, 0, 0)
     if child < 0:
         raise OSError(ctypes.get_errno(), "the engine cannot be forked")

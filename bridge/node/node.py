@@ -65,6 +65,10 @@ class Node:
         self._has_server = False
         self._close = ExitStack()
 
+    def check(self) -> None:
+        """Check the settings and what the plant simulates; start nothing."""
+        self._prepare()
+
     def __enter__(self) -> Node:
         with ExitStack() as undo:
             undo.callback(self.close)

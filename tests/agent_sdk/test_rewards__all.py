@@ -652,7 +652,7 @@ THERE: dict[str, tuple[RewardConfig, Manifest, str]] = {
     "no power": (ExponentialReward(), BARE, "the exponential reward needs a sensor of 'Facility Total HVAC"),
     "no zone": (PeakReward(energy="fans"), node_of(SENSORS[4]), "the peak reward needs .* 'Zone Air Temperature'"),
     "no energy": (PeakReward(), node_of(SENSORS[1]), "the peak reward needs the energy .*'Electricity:Facility' in m"),
-    "unknown energy": (PeakReward(energy="elec"), NODE, "'elec', which the node does not have; did you mean 'electricity'"),
+    "unknown energy": (PeakReward(energy="elec"), NODE, "'elec', .* not have; did you mean 'electricity'"),
     "no energy's unit": (PeakReward(energy="north"), NODE, r"power in W, which 'north' is not \(degC\); there are"),
     "water": (PeakReward(energy="water"), WARM, r"'water' is not \(m3\); did you mean 'power'"),
     "unknown temperature": (NormalizedReward(temperatures="nort"), NODE, "'nort'.*did you mean 'north'"),

@@ -215,8 +215,8 @@ def test_all_messages_are_fuzzed() -> None:
 
 def test_the_limits_in_the_documentation_are_those_of_the_code() -> None:
     from bridge.exchange import step_exchange
-    from bridge.transport import session
     from bridge.node import publications, subscriptions
+    from bridge.transport import session
 
     page = (Path(__file__).parents[2] / "docs" / "security.md").read_text()
     section = page.split("## Limits on incoming messages", 1)[1].split("\n## ", 1)[0]

@@ -16,6 +16,7 @@ import cli.node
 from agent_sdk.env_factory import make, make_vec
 from agent_sdk.envs.building_env import BuildingEnv
 from agent_sdk.envs.vector_env import BuildingVectorEnv
+from bridge.python_plant.node import PlantSettings
 from cli.commands import app
 from cli.scenarios import scenario_schema
 from eplus_node.config import NodeConfig, read_config
@@ -32,7 +33,7 @@ def test_the_fields_of_a_file_are_those_that_the_schema_validates() -> None:
 
 
 def test_each_argument_is_a_setting_of_a_node() -> None:
-    settings = {*NodeConfig.model_fields, *Scenario.model_fields}
+    settings = {*NodeConfig.model_fields, *Scenario.model_fields, *PlantSettings.model_fields}
     assert set(NODE_ARGUMENTS) - settings == {"file"}  # becomes `scenario`
 
 

@@ -58,7 +58,7 @@ class EngineStart(StrEnum):
 
     `REUSED`: it was already waiting at sample 0, unused. `FORKED`: it was forked from an engine that waits at sample 0.
     `PREFETCHED`: it was started while the previous episode ran. `STARTED`: it was newly started. `SNAPSHOT`: it was
-    forked from a snapshot, at the snapshot's sample.
+    forked from a snapshot, at the snapshot's sample. `RESET`: it was reset, which EnergyPlus cannot be.
     """
 
     NONE = ""
@@ -67,6 +67,7 @@ class EngineStart(StrEnum):
     PREFETCHED = "prefetched"
     STARTED = "started"
     SNAPSHOT = "snapshot"
+    RESET = "reset"
 
 
 class Flag(IntFlag):

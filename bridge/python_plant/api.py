@@ -1,0 +1,50 @@
+"""The interface of a Python class that can be a plant. It is a protocol: a plant need not import anything."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Protocol
+
+PointSpec = str | Sequence[str | float | None]
+"""A unit, or a unit with bounds: `"degC"`, `("degC", 0.0, 100.0)`; None is no bound."""
+
+
+class Plant(Protocol):
+    """What a class must have to be a plant. `None` as a bound means unbounded.
+
+    Further attributes are optional:
+
+    - `meters`, like `sensors`: consumption in the timestep (J for energy).
+    - `begin`: simulated time of sample 0, a `datetime` or `"2026-01-01T00:00"`; by default 2001-01-01, a Monday.
+    - `duration_s`: length of an episode in seconds, a multiple of `step_s`; by default a day.
+    - `time`: time features of the observation, such as `("hour",)`; see `topics.messages.TimeField`.
+    - `reward`: the reward of `gym.make`, a kind with its parameters.
+    - `forkable`: True if the process may be forked while it waits (no threads, no connections); snapshots and branches
+      then take milliseconds.
+    - `save()`, which returns a state that can be pickled, and `restore(state)`: for snapshots and branches of plants
+      that cannot be forked.
+
+    Attributes:
+        step_s: length of a timestep in seconds.
+        sensors: unit and bounds of each measured point, by name.
+        actuators: unit, low, high and optionally a default of each point that can be commanded, by name.
+    """
+
+    step_s: float
+    sensors: Mapping[str, PointSpec]
+    actuators: Mapping[str, PointSpec]
+
+    def reset(self, seed: int) -> Mapping[str, float]:
+        """Begin an episode; return the values of all sensors and meters at sample 0.
+
+        Args:
+            seed: from 0 to 2**64 - 1; equal seeds must give equal episodes.
+        """
+
+    def step(self, commands: Mapping[str, float]) -> Mapping[str, float]:
+        """Simulate a timestep; return the values of all sensors and meters at its end.
+
+        Args:
+            commands: values of the actuators, within their bounds. An actuator that nobody commands has its default,
+                or is missing if it has none.
+        """

@@ -1,0 +1,270 @@
+"""Run a plant's class in a process of its own.
+
+`python -m bridge.python_plant.host ORDERS FRAMES PARENT` serves a node over two sockets; see `bridge.engine.protocol`.
+`python -m bridge.python_plant.host describe`, with a JSON object of plant and arguments on standard input, prints its
+description, or the error.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import errno
+import json
+import os
+import pickle
+import signal
+import socket
+import struct
+import sys
+import traceback
+from array import array
+from collections.abc import Mapping
+from math import isfinite, nan
+from pathlib import Path
+from typing import Any, NoReturn
+
+from bridge.engine.protocol import PROCESS_ID, FrameKind, OrderKind
+from bridge.engine.system_calls import clone, die_with_parent, leave, reopen_files, set_up_process
+from bridge.python_plant.description import create, describe
+from bridge.runtime.polling import Polling
+from topics.errors import ZenostatError, did_you_mean, to_wire
+
+_SAMPLE, _LAST, _STEP = float(FrameKind.SAMPLE), float(FrameKind.LAST), float(OrderKind.STEP)
+_OWN_FILES = str(Path(__file__).parent)
+
+
+class PlantError(Exception):
+    """The plant's code raised an error, or returned values that are not valid; the text is for the user."""
+
+
+def users_traceback(error: BaseException) -> str:
+    """Return the traceback from the user's first frame on."""
+    frames = error.__traceback__
+    while frames is not None and frames.tb_frame.f_code.co_filename.startswith((_OWN_FILES, "<frozen importlib")):
+        frames = frames.tb_next
+    return "".join(traceback.format_exception(type(error), error, frames)).strip()
+
+
+class PlantHost:
+    """One instance of a plant's class and its exchange with the node.
+
+    Args:
+        orders: the socket on which the node's orders arrive.
+        frames: the socket to which frames are sent.
+        spec: the fields of an `EngineSpec`; its run has `plant`, `arguments`, the points, and `seed` or `state`.
+    """
+
+    def __init__(self, orders: socket.socket, frames: socket.socket, spec: dict[str, Any]) -> None:
+        self._spec = spec
+        self._values: list[str] = spec["values"]
+        self._known = frozenset(self._values)
+        self._actuators: list[tuple[str, float | None]] = [(name, default) for name, default in spec["actuators"]]
+        self._out = array("d", [0.0]) * (2 + len(self._values) + len(self._actuators))
+        self._order = array("d", [0.0]) * (2 + len(self._actuators))
+        self._order_bytes = memoryview(self._order).cast("B")
+        self._step = 0
+        self._use(orders, frames, poll=spec["poll"])
+        self._plant: Any = None
+
+    def _use(self, orders: socket.socket, frames: socket.socket, *, poll: bool) -> None:
+        self._orders, self._frames = orders, frames
+        self._polling = Polling(enabled=poll)
+
+    def run(self) -> NoReturn:
+        """Serve the node until it closes the sockets."""
+        try:
+            self._plant = self._call("__init__", create, self._spec["plant"], self._spec["arguments"])
+            if self._spec.get("state"):
+                self._restore(Path(self._spec["state"]))
+            else:
+                self._reset(self._spec["seed"])
+            self._send()
+            while True:
+                self._handle_order()
+        except PlantError as error:
+            self._fail(str(error))
+        except ConnectionError:
+            leave(0)  # the node has ended, or has closed this run
+
+    def _call(self, method: str, function: Any, *arguments: Any) -> Any:
+        try:
+            return function(*arguments)
+        except ZenostatError as error:
+            raise PlantError(str(error)) from None
+        except Exception as error:
+            raise PlantError(f"{self._name}.{method}() raised an error\n{users_traceback(error)}") from None
+
+    @property
+    def _name(self) -> str:
+        return str(self._spec["plant"]).rpartition(":")[2]
+
+    def _reset(self, seed: int) -> None:
+        self._step = 0
+        self._take("reset", self._call("reset", self._plant.reset, seed), {})
+
+    def _take(self, method: str, values: Any, commands: Mapping[str, float]) -> None:
+        """Take over the values that a method returned, and the commands that acted."""
+        if not isinstance(values, Mapping) or values.keys() != self._known:
+            raise PlantError(f"{self._name}.{method}() at step {self._step} {self._complaint(values)}")
+        numbers = []
+        for name in self._values:
+            try:
+                value = float(values[name])
+            except (TypeError, ValueError):
+                value = nan
+            if not isfinite(value):
+                raise PlantError(
+                    f"{self._name}.{method}() returned {values[name]!r} for {name!r} at step {self._step}; "
+                    "a finite number expected"
+                )
+            numbers.append(value)
+        numbers.extend(commands.get(name, nan if default is None else default) for name, default in self._actuators)
+        self._out[2:] = array("d", numbers)
+
+    def _complaint(self, values: Any) -> str:
+        if not isinstance(values, Mapping):
+            return f"returned {type(values).__name__}; a dict with the values of {', '.join(self._values)} expected"
+        missing = [name for name in self._values if name not in values]
+        if missing:
+            return f"returned no value for {', '.join(map(repr, missing))}"
+        unknown = next(name for name in values if name not in self._known)
+        return (
+            f"returned {unknown!r}, which is neither a sensor nor a meter; {did_you_mean(str(unknown), self._values)}"
+        )
+
+    def _send(self) -> None:
+        self._out[0] = _LAST if self._step >= self._spec["steps"] else _SAMPLE
+        self._out[1] = self._step
+        self._frames.sendall(self._out)
+
+    def _handle_order(self) -> None:
+        received = self._polling.wait(self._try_receive, self._receive)
+        while received < len(self._order_bytes):
+            more = self._orders.recv_into(self._order_bytes[received:]) if received else 0
+            if not more:
+                raise ConnectionResetError
+            received += more
+        kind = self._order[0]
+        if kind == _STEP:
+            self._simulate()
+        elif kind == OrderKind.FORK:
+            self._fork()
+        elif kind == OrderKind.RESET:
+            self._reset(json.loads(self._text())["seed"])
+        elif kind == OrderKind.SAVE:
+            self._save(Path(json.loads(self._text())["path"]))
+            return
+        else:
+            leave(0)
+        self._send()
+
+    def _try_receive(self) -> int | None:
+        try:
+            return self._orders.recv_into(self._order_bytes, 0, socket.MSG_DONTWAIT)
+        except BlockingIOError:
+            return None
+
+    def _receive(self) -> int:
+        return self._orders.recv_into(self._order_bytes)
+
+    def _text(self) -> bytes:
+        return self._orders.recv(int(self._order[1]), socket.MSG_WAITALL)
+
+    def _simulate(self) -> None:
+        commands = {}
+        for (name, default), value in zip(self._actuators, self._order[2:], strict=True):
+            if value == value:
+                commands[name] = value
+            elif default is not None:
+                commands[name] = default
+        self._step += 1
+        acted = commands.copy()
+        self._take("step", self._call("step", self._plant.step, commands), acted)
+
+    # Copies
+
+    def _save(self, path: Path) -> None:
+        reply = 0
+        try:
+            state = self._call("save", self._plant.save)
+            path.write_bytes(pickle.dumps((self._step, self._out.tolist()[2:], state)))
+        except Exception as error:
+            path.write_text(f"the state of {self._name} cannot be saved: {error}")
+            reply = -1
+        self._frames.sendall(PROCESS_ID.pack(reply))
+
+    def _restore(self, path: Path) -> None:
+        self._step, numbers, state = pickle.loads(path.read_bytes())  # noqa: S301  # written by `_save` of this node
+        self._call("restore", self._plant.restore, state)
+        self._out[2:] = array("d", numbers)
+
+    def _fork(self) -> None:
+        """Fork the process; the child continues with the sockets and the folder that the node sent."""
+        raw, descriptors, _, _ = socket.recv_fds(self._orders, int(self._order[1]), 2)
+        child_fields = json.loads(raw)
+        orders, frames = (socket.socket(fileno=descriptor) for descriptor in descriptors)
+        try:
+            child = clone() if len(os.listdir("/proc/self/task")) == 1 else -errno.EBUSY  # a fork loses threads
+        except OSError as error:
+            child = -(error.errno or 1)
+        if child:
+            orders.close()
+            frames.close()
+            self._frames.sendall(PROCESS_ID.pack(child))
+            return
+        die_with_parent(child_fields["parent"])
+        self._spec = self._spec | child_fields
+        self._orders.close()
+        self._frames.close()
+        self._use(orders, frames, poll=self._spec["poll"])
+        self._frames.sendall(PROCESS_ID.pack(os.getpid()))
+        set_up_process(self._spec)
+        reopen_files(self._spec["folder"])
+
+    def _fail(self, text: str) -> NoReturn:
+        """Send an error to the node and exit."""
+        raw = text.encode()
+        self._out[0], self._out[1] = FrameKind.FAILED, len(raw)
+        try:
+            self._frames.sendall(self._out)
+            self._frames.sendall(raw)
+        except OSError:
+            leave(0)
+        os._exit(1)  # the node reads the log and removes the folder
+
+
+def serve(orders_descriptor: int, frames_descriptor: int, parent: int) -> NoReturn:
+    """Read the specification from the socket and serve the node."""
+    die_with_parent(parent)
+    orders = socket.socket(fileno=orders_descriptor)
+    length = struct.unpack("<I", orders.recv(4, socket.MSG_WAITALL))[0]
+    spec = json.loads(orders.recv(length, socket.MSG_WAITALL))
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the node handles Ctrl-C
+    signal.signal(signal.SIGTERM, lambda *_: leave(0))
+    set_up_process(spec)
+    PlantHost(orders, socket.socket(fileno=frames_descriptor), spec).run()
+
+
+def print_description() -> int:
+    """Print the description of the plant that standard input names, as JSON; the exit code is 1 after an error."""
+    request = json.loads(sys.stdin.readline())
+    die_with_parent(request["parent"])
+    reply = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)  # what the user's module prints is no description
+    try:
+        fields = dataclasses.asdict(describe(create(request["plant"], request["arguments"])))
+        text, code = json.dumps(fields), 0
+    except ZenostatError as error:
+        text, code = json.dumps(to_wire(error)), 1
+    except Exception as error:
+        message = f"plant {request['plant']!r} cannot be created\n{users_traceback(error)}"
+        text, code = json.dumps({"error": "PlantFailed", "message": message}), 1
+    with reply:
+        reply.write(text)
+    return code
+
+
+if __name__ == "__main__":
+    if sys.argv[1:] == ["describe"]:
+        sys.exit(print_description())
+    serve(*map(int, sys.argv[1:4]))

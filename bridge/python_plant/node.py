@@ -1,0 +1,68 @@
+"""A node whose plant is a Python class."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
+from typing import Any
+
+from pydantic import Field, ValidationError
+
+from bridge.faults import read_plan
+from bridge.node.fault_injection import FaultInjection
+from bridge.node.node import Node
+from bridge.node.plant import PlantFactory
+from bridge.node.server import Observer
+from bridge.node.settings import NodeSettings
+from bridge.python_plant.plant import PythonPlant, plan_class
+from topics.codec import describe_validation_errors
+from topics.errors import InvalidConfig, did_you_mean
+
+
+class PlantSettings(NodeSettings):
+    """The settings of a node whose plant is a Python class.
+
+    Attributes:
+        plant: `FILE.py:CLASS` or `MODULE:CLASS`.
+        plant_arguments: arguments of the class.
+        own_reward: ignored; the environment has a reward of its own.
+    """
+
+    name: str = "plant"
+    plant: str
+    plant_arguments: dict[str, Any] = Field(default_factory=dict)
+    own_reward: bool = False
+
+
+def read_settings(settings: Mapping[str, Any]) -> PlantSettings:
+    """Validate settings; those that are None count as left out.
+
+    Raises:
+        InvalidConfig: lists all errors.
+    """
+    set_fields = {name: value for name, value in settings.items() if value is not None or name == "deadline_s"}
+    known = list(PlantSettings.model_fields)
+    if unknown := [name for name in set_fields if name not in known]:
+        raise InvalidConfig(
+            "\n".join(f"a plant of your own has no setting {name!r}; {did_you_mean(name, known)}" for name in unknown)
+        )
+    try:
+        return PlantSettings.model_validate(set_fields)
+    except ValidationError as error:
+        raise InvalidConfig(describe_validation_errors(error)) from None
+
+
+def plant_node(settings: PlantSettings, observer: Observer | None = None, *, program: bool = False) -> Node:
+    """Return a node that is not started yet; see `bridge.node.node.Node` for the arguments.
+
+    Raises (on entering the node):
+        UsageError, SimulatorError, BusError: see `topics.errors`; everything that was started is closed.
+    """
+
+    def prepare() -> PlantFactory:
+        plan = plan_class(settings.plant, settings.plant_arguments, settings.unresponsive_s)
+        if settings.faults is not None:  # so that its errors are reported before anything starts
+            FaultInjection(read_plan(settings.faults), plan.description, settings.slots)
+        return partial(PythonPlant, plan)
+
+    return Node(settings, prepare, observer, program=program)

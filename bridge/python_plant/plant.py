@@ -1,0 +1,334 @@
+"""A Python class as a plant: one process per slot, which is kept from episode to episode."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime
+from pathlib import Path
+from time import monotonic
+from typing import Any
+
+import numpy as np
+
+from bridge.engine.client import EngineClient, start_all
+from bridge.engine.group import EngineGroup
+from bridge.engine.spec import EngineProgram, EngineSpec
+from bridge.node.plant import (
+    PlantContext,
+    PlantDescription,
+    RunningPlant,
+    RunPeriod,
+    Site,
+    SlotPlacement,
+    WeatherTable,
+    without_weather,
+)
+from bridge.runtime.idle_watch import LOOK_S, IdleWatch
+from topics import VERSION, errors
+from topics.errors import EngineDied, EngineUnresponsive, ForkFailed, PlantFailed
+from topics.messages import (
+    Action,
+    Actuator,
+    EngineStart,
+    EpisodeStart,
+    Meter,
+    Sensor,
+    Task,
+    TimeField,
+    Versions,
+)
+from topics.seeds import MAX_SEED
+
+HOST = (sys.executable, "-P", "-m", "bridge.python_plant.host")
+
+PYTHON = EngineProgram(
+    command=HOST,
+    failure=lambda text, _: PlantFailed(text),
+    # A process with threads, such as those of linear algebra libraries, cannot be forked.
+    environment=dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1"),
+    prints=True,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class ClassPlan:
+    """A class that has been checked.
+
+    Attributes:
+        plant: file or module, and class.
+        arguments: of the class, JSON built-ins.
+        forkable, has_state: whether it can be copied by a fork, or by its state.
+    """
+
+    plant: str
+    arguments: Mapping[str, Any]
+    description: PlantDescription
+    forkable: bool
+    has_state: bool
+
+
+def plan_class(plant: str, arguments: Mapping[str, Any], unresponsive_s: float) -> ClassPlan:
+    """Check a plant's class and describe it, in a process of its own.
+
+    Args:
+        plant: `FILE.py:CLASS` or `MODULE:CLASS`.
+        arguments: of the class, JSON built-ins.
+        unresponsive_s: time after which a process that does not use processor time is killed.
+
+    Raises:
+        InvalidConfig: there is no such class, it does not take the arguments, or it lacks something; lists all errors.
+        PlantFailed: its code raised an error; the text has the traceback.
+        EngineDied, EngineUnresponsive: the process ended, or does not answer.
+    """
+    request = json.dumps({"plant": plant, "arguments": dict(arguments), "parent": os.getpid()})
+    environment = {**os.environ, **PYTHON.environment}
+    process = subprocess.Popen(
+        [*HOST, "describe"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment
+    )
+    with process:
+        try:
+            output = _communicate(process, request + "\n", plant, unresponsive_s)
+        except BaseException:
+            process.kill()
+            raise
+    try:
+        fields = json.loads(output)
+    except ValueError:
+        raise EngineDied(f"the process of plant {plant!r} ended with code {process.returncode}") from None
+    if "error" in fields:
+        raise errors.from_wire(fields)
+    return ClassPlan(plant, dict(arguments), _describe(fields), fields["forkable"], fields["has_state"])
+
+
+def _communicate(process: subprocess.Popen[str], request: str, plant: str, unresponsive_s: float) -> str:
+    watch, last_s = IdleWatch(process.pid), monotonic()
+    text: str | None = request
+    while True:
+        try:
+            return process.communicate(text, timeout=LOOK_S)[0]
+        except subprocess.TimeoutExpired:
+            text, waited_s, last_s = None, monotonic() - last_s, monotonic()
+        if watch.look(min(waited_s, 2.0 * LOOK_S)) >= unresponsive_s:
+            raise EngineUnresponsive(
+                f"plant {plant!r} could not be created: its process used no processor time for {unresponsive_s:g} s"
+            )
+
+
+def _describe(fields: Mapping[str, Any]) -> PlantDescription:
+    def measured(points: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+        return [{name: point[name] for name in ("name", "unit", "low", "high")} for point in points]
+
+    actuators = tuple(Actuator(**point) for point in fields["actuators"])
+    actions = tuple(Action(name=a.name, unit=a.unit, low=a.low, high=a.high, actuators=(a.name,)) for a in actuators)
+    return PlantDescription(
+        name=fields["name"],
+        run_period=RunPeriod(datetime.fromisoformat(fields["begin"]), fields["step_s"], fields["steps"]),
+        sensors=tuple(Sensor(**point) for point in measured(fields["sensors"])),
+        meters=tuple(Meter(**point) for point in measured(fields["meters"])),
+        actuators=actuators,
+        versions=Versions(zenostat=VERSION),
+        task=Task(
+            scenario=fields["name"],
+            time=tuple(TimeField(field) for field in fields["time"]),
+            actions=actions,
+            reward=fields["reward"],
+        ),
+    )
+
+
+class PythonEngines(EngineGroup):
+    """Running processes of a plant's class: of a node, a snapshot or a branch.
+
+    Args:
+        plan: the checked class.
+        cpus: cores on which copies may run; empty leaves them to the system.
+    """
+
+    def __init__(self, plan: ClassPlan, cpus: tuple[int, ...]) -> None:
+        self.description = plan.description
+        super().__init__(len(self.description.actuators))
+        self._plan, self._copy_cpus = plan, cpus
+        self._numbers = itertools.count(1)
+
+    def site(self, slot: int) -> Site:  # noqa: ARG002
+        """Return an empty site: the class has no weather that the node knows of."""
+        return Site()
+
+    def notes(self, slot: int) -> list[str]:  # noqa: ARG002
+        """Return no texts."""
+        return []
+
+    def weather(self, slot: int, columns: Sequence[str]) -> WeatherTable:  # noqa: ARG002
+        """Raise `RequestRejected`."""
+        raise without_weather()
+
+    def fork(self, slots: Sequence[int], folder: Path, *, baseline: bool = False) -> PythonEngines:
+        """Copy the processes of some slots; see `RunningPlant.fork`."""
+        parents = [self.clients[slot] for slot in slots]
+        parents += [self.baselines[slot] for slot in slots] if baseline and self.baselines else []
+        copies = self._copy_all(parents, folder)
+        copy = PythonEngines(self._plan, self._copy_cpus)
+        copy.clients, copy.baselines = copies[: len(slots)], copies[len(slots) :]
+        copy.copy_effective(self, slots)
+        return copy
+
+    def _copy_all(self, clients: Sequence[EngineClient], folder: Path) -> list[EngineClient]:
+        if not self._plan.forkable and not self._plan.has_state:
+            raise ForkFailed(
+                f"plant {self._plan.plant!r} cannot be copied: give its class save() and restore(state), or "
+                "forkable = True if its process has no threads and no connections"
+            )
+        return start_all(clients, lambda client: self._copy(client, folder / str(next(self._numbers))))
+
+    def _copy(self, client: EngineClient, folder: Path) -> EngineClient:
+        try:
+            folder.mkdir(parents=True)
+        except OSError as error:
+            raise ForkFailed(f"the node has no room for a copy's files: {error}") from None
+        spec = replace(client.spec, folder=folder, cpus=self._copy_cpus, poll=False)
+        if self._plan.forkable:
+            copy = client.fork(spec)
+        else:
+            state = folder / "state.pickle"
+            client.save(state)
+            copy = EngineClient(replace(spec, run={**spec.run, "state": str(state)}), registry=client.registry)
+        _receive(copy)
+        return copy
+
+
+def _receive(client: EngineClient) -> None:
+    try:
+        client.receive()
+    except BaseException:
+        client.close()
+        raise
+
+
+class PythonPlant(PythonEngines):
+    """The processes of a node; implements `bridge.node.plant.Plant`.
+
+    Args:
+        plan: the checked class.
+        context: folder, cores and registry of the node.
+    """
+
+    def __init__(self, plan: ClassPlan, context: PlantContext) -> None:
+        super().__init__(plan, context.cpus)
+        self._context = context
+        self._random = [np.random.default_rng() for _ in context.placement]
+        self._seeds = [self._draw(slot, None) for slot in range(context.slots)]
+        self._replaced: list[EngineClient] = []
+
+    def _draw(self, slot: int, seed: int | None) -> int:
+        """Return the seed of an episode; None draws the next one after the last seed."""
+        if seed is None:
+            return int(self._random[slot].integers(MAX_SEED, dtype=np.uint64, endpoint=True))
+        self._random[slot] = np.random.default_rng(seed)
+        return seed
+
+    def next_episode(
+        self,
+        slots: Sequence[int],
+        seeds: Sequence[int | None],
+        episode: Sequence[int],  # noqa: ARG002
+        untouched: Sequence[bool],  # noqa: ARG002
+    ) -> list[EpisodeStart]:
+        """Draw the seed of the next episode of some slots; see `Plant.next_episode`."""
+        for slot, seed in zip(slots, seeds, strict=True):
+            self._seeds[slot] = self._draw(slot, seed)
+        return [
+            EpisodeStart(engine_start=EngineStart.RESET if self._runs(slot) else EngineStart.STARTED, weather="")
+            for slot in slots
+        ]
+
+    def _runs(self, slot: int) -> bool:
+        return bool(self.clients) and self.clients[slot].alive
+
+    def start(self, slots: Sequence[int]) -> None:
+        """Reset the class of some slots, in new processes where the previous ones have ended; see `Plant.start`."""
+        if not self.clients:
+            self.clients = start_all(slots, self._start)
+            if self._context.baseline:
+                self.baselines = start_all(slots, self._start)
+            for client in self.all:
+                client.receive()
+        else:
+            for clients in (self.clients, self.baselines):
+                self._restart(clients, slots)
+        self.begin(slots)
+
+    def _restart(self, clients: list[EngineClient], slots: Sequence[int]) -> None:
+        slots = [slot for slot in slots if slot < len(clients)]
+        for slot in slots:
+            if clients[slot].alive:
+                clients[slot].send_reset(self._seeds[slot])
+            else:
+                clients[slot].close()
+                clients[slot] = self._start(slot)
+        for slot in slots:
+            clients[slot].receive()
+
+    def _start(self, slot: int) -> EngineClient:
+        placement: SlotPlacement = self._context.placement[slot]
+        folder = self._context.folder / f"plant-{next(self._numbers)}"
+        try:
+            folder.mkdir(parents=True)
+            return EngineClient(self._spec(folder, slot, placement), registry=self._context.registry)
+        except OSError as error:
+            raise EngineDied(f"cannot start the plant's process: {error}") from None
+
+    def _spec(self, folder: Path, slot: int, placement: SlotPlacement) -> EngineSpec:
+        description = self.description
+        values = [*(sensor.name for sensor in description.sensors), *(meter.name for meter in description.meters)]
+        return EngineSpec(
+            program=PYTHON,
+            folder=folder,
+            values=len(values),
+            actuators=len(description.actuators),
+            feedback=tuple(range(len(description.actuators))),
+            run={
+                "plant": self._plan.plant,
+                "arguments": dict(self._plan.arguments),
+                "values": values,
+                "actuators": [(a.name, a.default) for a in description.actuators],
+                "steps": description.run_period.steps,
+                "seed": self._seeds[slot],
+            },
+            cpus=placement.cpus,
+            poll=placement.poll,
+        )
+
+    def restore(self, saved: RunningPlant, episode: Sequence[int]) -> list[EpisodeStart]:  # noqa: ARG002
+        """Continue from a snapshot; see `Plant.restore`."""
+        assert isinstance(saved, PythonEngines)
+        copies = self._copy_all(saved.all, self._context.folder / f"restored-{next(self._numbers)}")
+        self._replaced = self.all
+        slots = len(self.clients)
+        self.clients, self.baselines = copies[:slots], copies[slots:]
+        self.copy_effective(saved, range(slots))
+        return [EpisodeStart(engine_start=EngineStart.SNAPSHOT, weather="") for _ in range(slots)]
+
+    def clean_up(self) -> None:
+        """End the processes that were replaced."""
+        replaced, self._replaced = self._replaced, []
+        for client in replaced:
+            client.close()
+
+    def drain_warnings(self) -> list[str]:
+        """Return no warnings."""
+        return []
+
+    def interrupt(self) -> None:
+        """Kill all processes, also those that are starting; thread-safe."""
+        self._context.registry.interrupt()
+
+    def close(self) -> None:
+        """End all processes; idempotent."""
+        self.clean_up()
+        self.end()
