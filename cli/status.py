@@ -11,7 +11,7 @@ from cli.statistics import milliseconds
 from cli.tables import show
 from topics.errors import NodeNotFound
 from topics.keys import Role
-from topics.messages import ControllerStatus, Mode, Status
+from topics.messages import Mode, Status
 
 
 def status(
@@ -92,7 +92,7 @@ def _print_controllers(nodes: list[Status]) -> None:
     for node in nodes:
         for c in node.controllers:
             required = "yes" if c.required else "no"
-            claims.append((c.controller, node.node, str(c.priority), str(c.actuators), required, _state(c)))
+            claims.append((c.controller, node.node, str(c.priority), str(c.actuators), required, c.state))
             counts = (c.accepted, c.late, c.rejected, c.duplicate, c.missed)
             statistics.append((c.controller, *map(str, counts), *milliseconds(c.response)))
     if not claims:
@@ -103,11 +103,3 @@ def _print_controllers(nodes: list[Status]) -> None:
     show("", columns, claims, right=("priority", "actuators"), wrap=("controller", "node", "state"))
     headings = ("accepted", "late", "rejected", "duplicate", "missed", "median\n(ms)", "p99\n(ms)", "max\n(ms)")
     show("", ("controller", *headings), statistics, right=headings, wrap=("controller",))
-
-
-def _state(controller: ControllerStatus) -> str:
-    if controller.bypassed:
-        return "bypassed"
-    if not controller.connected:
-        return "disconnected"
-    return "unresponsive" if controller.unresponsive else "connected"

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from bridge.exchange.latency import LatencyWindow
 from bridge.exchange.priority_array import PriorityArray
+from bridge.exchange.transitions import CONTROLLER_TRANSITIONS, ControllerTrigger, IllegalTransition
 from topics.errors import RequestRejected
-from topics.messages import Actuator, Claim
+from topics.messages import Actuator, Claim, ControllerState
 from topics.points import actuator_index
 
 MAX_CLAIMS = 1000
@@ -37,11 +38,10 @@ class ControllerStats:
 
 @dataclass(slots=True)
 class ClaimHolder:
-    """A controller's claim: its priority, its actuators and its statistics.
+    """A controller's claim: its priority, its actuators, its state and its statistics.
 
     `mask`: of each actuator, whether it is claimed. `covers_all`: whether all are. `source`: index of its name among
-    the sources. `bypassed`: it is disconnected, and the fallback policy applies. `unresponsive`: it missed the deadline
-    and has not answered since. `connected_at_s`, `disconnected_at_s`: wall times of its claim and its disconnection.
+    the sources. `connected_at_s`, `disconnected_at_s`: wall times of its claim and its disconnection.
     """
 
     name: str
@@ -51,11 +51,22 @@ class ClaimHolder:
     source: int
     covers_all: bool
     stats: ControllerStats
-    connected: bool = True
-    bypassed: bool = False
-    unresponsive: bool = False
+    state: ControllerState = ControllerState.CONNECTED
     connected_at_s: float = 0.0
     disconnected_at_s: float = 0.0
+
+    def transition(self, trigger: ControllerTrigger) -> bool:
+        """Change the state according to the table of transitions; return whether it is another one.
+
+        Raises:
+            IllegalTransition: the trigger is not allowed in the current state.
+        """
+        previous = self.state
+        try:
+            self.state = CONTROLLER_TRANSITIONS[previous, trigger]
+        except KeyError:
+            raise IllegalTransition(f"{trigger!r} is not allowed in state {previous!r} of {self.name!r}") from None
+        return self.state is not previous
 
 
 class Claims:
@@ -118,10 +129,10 @@ class Claims:
 
     def begin_episode(self) -> None:
         """Drop the claims of disconnected controllers; call it after the array was cleared."""
-        self.by_name = {name: c for name, c in self.by_name.items() if c.connected}
+        self.by_name = {name: c for name, c in self.by_name.items() if c.state.is_connected}
         for claimant in self.by_name.values():
             claimant.source = self._array.source(claimant.name)
-            claimant.unresponsive = False
+            claimant.transition(ControllerTrigger.RESET)
 
     def relinquish(self, claimant: ClaimHolder) -> None:
         """Relinquish the values that a controller has set; it keeps its claim."""
@@ -139,7 +150,7 @@ class Claims:
             if (
                 holder.name != claim.controller
                 and holder.priority == claim.priority
-                and holder.connected
+                and holder.state.is_connected
                 and overlap.any()
             ):
                 actuator = self._actuators[int(np.flatnonzero(overlap)[0])].name
@@ -151,9 +162,8 @@ class Claims:
     def _replaces(self, claim: Claim, mask: NDArray[np.bool_], holder: ClaimHolder) -> bool:
         # Without actuators there are no conflicts, but controllers still set the pace.
         overlaps = bool((holder.mask & mask).any()) or not self._actuators
-        return (
-            not holder.connected and holder.name != claim.controller and holder.priority == claim.priority and overlaps
-        )
+        is_other = holder.name != claim.controller
+        return is_other and not holder.state.is_connected and holder.priority == claim.priority and overlaps
 
     def _relinquish(self, claimant: ClaimHolder, except_for: NDArray[np.bool_]) -> None:
         """Relinquish the values that a controller has set, except for actuators that the next claim covers."""

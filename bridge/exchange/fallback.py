@@ -6,8 +6,11 @@ from dataclasses import dataclass
 
 from bridge.exchange.claims import ClaimHolder
 from bridge.exchange.state import ExchangeState
+from bridge.exchange.transitions import ControllerTrigger
 from topics.errors import EpisodeAborted
-from topics.messages import Event, EventKind, Mode, Policy, State
+from topics.messages import ControllerState, Event, EventKind, Mode, Policy, State
+
+_BYPASSED = ControllerState.BYPASSED
 
 
 @dataclass(slots=True)
@@ -17,9 +20,10 @@ class FallbackRules(ExchangeState):
     def on_disconnect(self, name: str) -> list[Event]:
         """Handle a controller's disconnection; it keeps its claim."""
         claimant = self.claims.by_name.get(name)
-        if claimant is None or not claimant.connected:
+        if claimant is None or not claimant.state.is_connected:
             return []
-        claimant.connected, claimant.disconnected_at_s = False, self.now_s
+        claimant.transition(ControllerTrigger.DISCONNECT)
+        claimant.disconnected_at_s = self.now_s
         waits = claimant.required and self.mode is Mode.LOCKSTEP and self.policy is Policy.WAIT
         text = f"{name} disconnected{'; the node waits for it' if waits else ''}"
         return [self.event(EventKind.DISCONNECTED, text, name)]
@@ -33,18 +37,20 @@ class FallbackRules(ExchangeState):
             EpisodeAborted: the policy is to abort.
         """
         claimant = self.claims.by_name.get(name)
-        if claimant is None or claimant.connected or claimant.bypassed or self.policy is Policy.WAIT:
+        if claimant is None or claimant.state.is_connected or claimant.state is _BYPASSED:
             return []
-        if self.now_s - claimant.disconnected_at_s < grace_s:
+        if self.policy is Policy.WAIT or self.now_s - claimant.disconnected_at_s < grace_s:
             return []
         is_active = self.state in (State.WAITING, State.RUNNING)
         if self.policy is Policy.ABORT and claimant.required and is_active:
             raise EpisodeAborted(f"{name} disconnected, and the policy is to abort the episode")
-        claimant.bypassed = True
+        claimant.transition(ControllerTrigger.BYPASS)
         self._needs_fallback = self._needs_fallback or claimant.required
         if self.policy is Policy.RELINQUISH:
             self._answered.discard(name)  # its answer to the current sample is relinquished as well
-        if self.deadline_s is None or any(c.required and not c.bypassed for c in self.claims.by_name.values()):
+        if self.deadline_s is None or any(
+            c.required and c.state is not _BYPASSED for c in self.claims.by_name.values()
+        ):
             self._pending.discard(name)
         event = self._fall_back(claimant, "disconnected")
         return [event] if is_active else []
@@ -68,8 +74,7 @@ class FallbackRules(ExchangeState):
         events = []
         for name in self.awaiting():
             claimant = self.claims.by_name[name]
-            if not claimant.unresponsive and not claimant.bypassed:
-                claimant.unresponsive = True
+            if claimant.transition(ControllerTrigger.DEADLINE):
                 events.append(self._fall_back(claimant, f"sent no command within {self.deadline_s:g} s"))
         self._pending.clear()
         self._answered_slots = set(self._all_slots)

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from bridge.exchange.claims import ClaimHolder
 from bridge.exchange.priority_array import MAX_SOURCES
 from bridge.exchange.state import ExchangeState
+from bridge.exchange.transitions import ControllerTrigger
 from topics import codec
 from topics.errors import BadMessage
-from topics.messages import ANONYMOUS, Command, Event, EventKind, State, Write
+from topics.messages import ANONYMOUS, Command, ControllerState, Event, EventKind, State, Write
 
 MAX_MESSAGES_PER_STEP = 100
 """Largest number of messages of one controller that are processed in one step, apart from fast-path commands."""
@@ -20,7 +21,7 @@ _UNKNOWN_CONTROLLERS = ""  # no controller can have this name
 _COMMAND_ENCODING = codec.encoding(Command)
 
 # Access to an enum's member raises and catches an error in Python 3.11.
-_WAITING = State.WAITING
+_WAITING, _CONNECTED = State.WAITING, ControllerState.CONNECTED
 
 
 @dataclass(slots=True)
@@ -28,7 +29,7 @@ class Intake(ExchangeState):
     """Accepts or rejects commands and writes."""
 
     def accept_fast(self, controller: str, payload: bytes, encoding: str = "") -> bool:
-        """Accept a command on the fast path: all actuators, for the current step of all slots.
+        """Accept a command on the fast path: of a connected controller, all actuators, the current step of all slots.
 
         Such a command is recognized by its first bytes and not decoded. For any other command, including one whose
         encoding names another class or version, return False; nothing is changed.
@@ -38,7 +39,7 @@ class Intake(ExchangeState):
         head, size = self._head, self.commands.size
         if head and controller in self._pending and len(payload) == len(head) + size and payload.startswith(head):
             claimant, raw = self.claims.by_name[controller], payload[len(head) :]
-            is_eligible = claimant.covers_all and not claimant.unresponsive and self.state is _WAITING
+            is_eligible = claimant.covers_all and claimant.state is _CONNECTED and self.state is _WAITING
             if is_eligible and self.commands.put_fast(claimant, raw):
                 self._record_answer(claimant, self._all_slots)
                 return True
@@ -100,8 +101,7 @@ class Intake(ExchangeState):
 
     def _delay_event(self, claimant: ClaimHolder) -> Event | None:
         """Return the event of an accepted command that came after the deadline, or is the first after a missed one."""
-        if claimant.unresponsive:
-            claimant.unresponsive = False
+        if claimant.transition(ControllerTrigger.ANSWER):
             return self.event(EventKind.CONNECTED, f"{claimant.name} answers again", claimant.name)
         if self._deadline_passed_s is not None and claimant.connected_at_s <= self._deadline_passed_s:
             self.counts.accepted_late += 1

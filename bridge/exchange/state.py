@@ -1,14 +1,14 @@
-"""State of the step exchange: transitions, fields and message counts."""
+"""State of the step exchange: its fields and message counts."""
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from enum import StrEnum
 
 from bridge.exchange.actuator_commands import ActuatorCommands
 from bridge.exchange.claims import Claims
+from bridge.exchange.transitions import TRANSITIONS, IllegalTransition, Trigger
 from topics.messages import Actuator, Event, EventKind, Mode, Policy, State
 
 MAX_EVENT_TEXT = 20_000
@@ -19,35 +19,6 @@ MAX_SOURCE_NAME = 128
 
 _STEP_TIMES_KEPT = 64
 """Number of latest timesteps whose start is recorded, to report how late a command is."""
-
-
-class Trigger(StrEnum):
-    """Inputs of the state machine."""
-
-    READY = "ready"
-    GO = "go"
-    SAMPLED = "sampled"
-    ENDED = "ended"
-    RESET = "reset"
-    FAIL = "fail"
-    STOP = "stop"
-
-
-TRANSITIONS: dict[tuple[State, Trigger], State] = {
-    (State.STARTING, Trigger.READY): State.WAITING,
-    (State.WAITING, Trigger.GO): State.RUNNING,
-    (State.RUNNING, Trigger.SAMPLED): State.WAITING,
-    (State.RUNNING, Trigger.ENDED): State.ENDED,
-    (State.WAITING, Trigger.RESET): State.STARTING,
-    (State.ENDED, Trigger.RESET): State.STARTING,
-    (State.FAILED, Trigger.RESET): State.STARTING,
-    **{(s, Trigger.FAIL): State.FAILED for s in (State.STARTING, State.WAITING, State.RUNNING)},
-    **{(s, Trigger.STOP): State.STOPPED for s in State if s is not State.STOPPED},
-}
-
-
-class IllegalTransition(RuntimeError):
-    """A trigger that is not allowed in the current state: a bug in the program, not a mistake of a peer."""
 
 
 @dataclass(slots=True)
@@ -136,7 +107,7 @@ class ExchangeState:
         return self.commands.array.names
 
     def transition(self, trigger: Trigger) -> None:
-        """Change the state according to the table of transitions.
+        """Change the episode's state according to the table of transitions.
 
         Raises:
             IllegalTransition: the trigger is not allowed in the current state.

@@ -29,9 +29,10 @@ from dataclasses import dataclass, replace
 from bridge.exchange.actuator_commands import CommandSnapshot
 from bridge.exchange.fallback import FallbackRules
 from bridge.exchange.intake import MAX_MESSAGES_PER_STEP, Intake
-from bridge.exchange.state import MAX_SOURCE_NAME, TRANSITIONS, IllegalTransition, Trigger
+from bridge.exchange.state import MAX_SOURCE_NAME
+from bridge.exchange.transitions import TRANSITIONS, IllegalTransition, Trigger
 from topics import codec
-from topics.messages import Claim, ControllerStatus, Event, EventKind, Mode, State
+from topics.messages import Claim, ControllerState, ControllerStatus, Event, EventKind, Mode, State
 
 __all__ = [
     "MAX_MESSAGES_PER_STEP",
@@ -44,6 +45,7 @@ __all__ = [
 
 # Used in each timestep: access to an enum's member raises and catches an error in Python 3.11.
 _GO, _SAMPLED, _OVER, _WAITING, _LOCKSTEP = Trigger.GO, Trigger.SAMPLED, Trigger.ENDED, State.WAITING, Mode.LOCKSTEP
+_BYPASSED = ControllerState.BYPASSED
 
 
 @dataclass(slots=True)
@@ -79,7 +81,7 @@ class StepExchange(Intake, FallbackRules):
         self._pending = set()
         for claimant in self.claims.by_name.values():
             if claimant.required:
-                (bypassed if claimant.bypassed else self._pending).add(claimant.name)
+                (bypassed if claimant.state is _BYPASSED else self._pending).add(claimant.name)
         self._needs_fallback = bool(bypassed)
         if bypassed and not self._pending and self.deadline_s is not None:
             self._pending = bypassed  # no required controller is connected: the deadline sets the pace
@@ -165,7 +167,7 @@ class StepExchange(Intake, FallbackRules):
         missed = [
             c
             for c in self.claims.by_name.values()
-            if c.required and (c.name not in self._answered if is_lockstep else c.bypassed)
+            if c.required and (c.name not in self._answered if is_lockstep else c.state is _BYPASSED)
         ]
         for claimant in missed:
             claimant.stats.missed += 1
@@ -187,7 +189,7 @@ class StepExchange(Intake, FallbackRules):
             self._answered.discard(name)
         if claim.required and self.state is State.WAITING:
             # Bypassed controllers were pending only so that the deadline set the pace.
-            self._pending -= {holder.name for holder in self.claims.by_name.values() if holder.bypassed}
+            self._pending -= {holder.name for holder in self.claims.by_name.values() if holder.state is _BYPASSED}
             self._pending.add(claim.controller)
         priority = "again" if is_renewal else f"at priority {claim.priority}"
         return [
@@ -206,14 +208,12 @@ class StepExchange(Intake, FallbackRules):
                 priority=c.priority,
                 actuators=int(c.mask.sum()),
                 required=c.required,
-                connected=c.connected,
+                state=c.state,
                 accepted=c.stats.accepted,
                 late=c.stats.late,
                 rejected=c.stats.rejected,
                 duplicate=c.stats.duplicate,
                 missed=c.stats.missed,
-                bypassed=c.bypassed,
-                unresponsive=c.unresponsive,
                 accepted_late=c.stats.accepted_late,
                 response=c.stats.response.summary(),
             )

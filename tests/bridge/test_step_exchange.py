@@ -15,7 +15,7 @@ from support.builders import NAN, actuator, advance, answer, claim, command, exc
 from bridge.exchange.step_exchange import TRANSITIONS, IllegalTransition, StepExchange, Trigger
 from topics import codec
 from topics.errors import RequestRejected
-from topics.messages import Command, CommandOp, Event, EventKind, Mode, State, Write
+from topics.messages import Command, CommandOp, ControllerState, Event, EventKind, Mode, State, Write
 
 KEEP, SET, RELEASE = CommandOp.KEEP, CommandOp.SET, CommandOp.RELINQUISH
 
@@ -521,10 +521,10 @@ def test_one_that_has_gone_is_waited_for_until_it_is_back() -> None:
     said(event, EventKind.DISCONNECTED, "agent", "waits")
     assert not at.ready_to_step()
     assert at.awaiting() == ["agent"]
-    assert [c.connected for c in at.controllers()] == [False]
+    assert [c.state for c in at.controllers()] == [ControllerState.DISCONNECTED]
     assert at.on_disconnect("agent") == []
     claim(at, "agent")
-    assert [(c.connected, c.accepted) for c in at.controllers()] == [(True, 1)]
+    assert [(c.state, c.accepted) for c in at.controllers()] == [(ControllerState.CONNECTED, 1)]
     assert not at.ready_to_step()
     answer(at, "agent", [21.0, 26.0])
     assert advance(at) == ([21.0, 26.0], ["agent", "agent"])
@@ -611,8 +611,11 @@ def test_one_that_joins_within_an_episode_is_waited_for_at_once() -> None:
 
 def test_the_status_tells_of_each_claim() -> None:
     at = running()
-    rows = [(c.controller, c.priority, c.actuators, c.required, c.connected, c.accepted) for c in at.controllers()]
-    assert rows == [("agent", 10, 2, True, True, 2), ("helper", 9, 1, False, True, 0)]
+    rows = [(c.controller, c.priority, c.actuators, c.required, c.state, c.accepted) for c in at.controllers()]
+    assert rows == [
+        ("agent", 10, 2, True, ControllerState.CONNECTED, 2),
+        ("helper", 9, 1, False, ControllerState.CONNECTED, 0),
+    ]
 
 
 # Writes

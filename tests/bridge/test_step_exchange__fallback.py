@@ -10,7 +10,7 @@ from support.builders import NAN, advance, answer, claim, command, exchange, wir
 
 from bridge.exchange.step_exchange import MAX_MESSAGES_PER_STEP, StepExchange, Trigger
 from topics.errors import EpisodeAborted
-from topics.messages import CommandOp, ControllerStatus, Event, EventKind, Mode, Policy, State
+from topics.messages import CommandOp, ControllerState, ControllerStatus, Event, EventKind, Mode, Policy, State
 
 KEEP, SET = CommandOp.KEEP, CommandOp.SET
 GO_ON = [Policy.HOLD, Policy.RELINQUISH]
@@ -56,6 +56,10 @@ def status(at: StepExchange, name: str) -> ControllerStatus:
     return next(c for c in at.controllers() if c.controller == name)
 
 
+def state(at: StepExchange, name: str) -> ControllerState:
+    return status(at, name).state
+
+
 def told(events: list[Event]) -> list[tuple[EventKind, str]]:
     return [(event.kind, event.source) for event in events]
 
@@ -91,11 +95,11 @@ def test_the_policy_begins_when_the_time_of_grace_is_over(policy: Policy) -> Non
         assert events == []
         assert not at.ready_to_step()
         assert at.awaiting() == ["agent"]
-        assert not status(at, "agent").bypassed
+        assert state(at, "agent") is ControllerState.DISCONNECTED
         return
     assert told(events) == [(EventKind.FALLBACK, "agent")]
     assert ("stay in effect" if policy is Policy.HOLD else "are relinquished") in events[0].text
-    assert (status(at, "agent").bypassed, status(at, "agent").connected) == (True, False)
+    assert state(at, "agent") is ControllerState.BYPASSED
     for _ in range(3):
         check_ruled(at, ruled(policy))
         assert at.fallback_active
@@ -162,7 +166,7 @@ def test_one_that_is_back_later_resumes_at_the_present_step(policy: Policy) -> N
         flags.append(at.fallback_active)
     claim(at, "agent")
     assert not at.ready_to_step()
-    assert not status(at, "agent").bypassed
+    assert state(at, "agent") is ControllerState.CONNECTED
     assert answer(at, "agent", [21.0, 26.0]) is None
     check_ruled(at, ([21.0, 26.0], ["agent", "agent"]))
     flags.append(at.fallback_active)
@@ -294,10 +298,10 @@ def test_a_new_episode_forgets_who_was_waived_and_who_was_silent() -> None:
     at.bypass("heater")
     at.on_deadline()
     advance(at)
-    assert status(at, "cooler").unresponsive
+    assert state(at, "cooler") is ControllerState.UNRESPONSIVE
     at.reset()
     at.ready()
-    assert [(c.controller, c.unresponsive, c.bypassed) for c in at.controllers()] == [("cooler", False, False)]
+    assert [(c.controller, c.state) for c in at.controllers()] == [("cooler", ControllerState.CONNECTED)]
     assert answer(at, "cooler", [0.0, 26.0], [KEEP, SET]) is None
     check_ruled(at, ([NAN, 26.0], ["", "cooler"]))
     assert not at.fallback_active
@@ -330,7 +334,7 @@ def test_one_that_is_silent_beyond_the_deadline(policy: Policy) -> None:
     events = at.on_deadline()
     assert told(events) == [(EventKind.FALLBACK, "agent")]
     assert "no command within 2 s" in events[0].text
-    assert status(at, "agent").unresponsive
+    assert state(at, "agent") is ControllerState.UNRESPONSIVE
     check_ruled(at, ruled(policy))
     assert at.fallback_active
     assert not at.ready_to_step()
@@ -354,7 +358,7 @@ def test_one_that_was_silent_and_answers_again(policy: Policy) -> None:
     assert (event.kind, event.source, event.late_s) == (EventKind.CONNECTED, "agent", None)
     check_ruled(at, ([21.0, 26.0], ["agent", "agent"]))
     assert not at.fallback_active
-    assert not status(at, "agent").unresponsive
+    assert state(at, "agent") is ControllerState.CONNECTED
     assert at.accept_fast("agent", wire(command([21.5, 26.5], step=3)))
 
 
@@ -415,9 +419,9 @@ def test_of_two_the_one_that_answered_is_not_blamed(policy: Policy) -> None:
     check_ruled(at, ([20.0 if held else NAN, 26.0], ["heater" if held else "", "cooler"]))
     assert at.fallback_active
     assert at.awaiting() == ["cooler", "heater"]
-    assert [(c.controller, c.unresponsive, c.missed) for c in at.controllers()] == [
-        ("heater", True, 1),
-        ("cooler", False, 0),
+    assert [(c.controller, c.state, c.missed) for c in at.controllers()] == [
+        ("heater", ControllerState.UNRESPONSIVE, 1),
+        ("cooler", ControllerState.CONNECTED, 0),
     ]
 
 
@@ -436,7 +440,8 @@ def test_a_late_command_says_how_late_and_rules_nothing() -> None:
     assert (event.kind, event.source, event.step, event.late_s) == (EventKind.LATE, "agent", 2, 4.5)
     assert "step [1]" in event.text
     assert at.awaiting() == ["agent"]  # it has not answered sample 2 by that
-    assert (at.counts.late, status(at, "agent").late, status(at, "agent").unresponsive) == (1, 1, True)
+    assert (at.counts.late, status(at, "agent").late) == (1, 1)
+    assert state(at, "agent") is ControllerState.UNRESPONSIVE
     at.on_deadline()
     check_ruled(at, ruled(Policy.HOLD))
 

@@ -299,7 +299,7 @@ class Chaos:
 
     def _all_answer(self, began_s: float) -> bool:
         self._attend(monotonic(), began_s)
-        there = {one.controller.partition("-")[0]: one for one in self._status().controllers if one.connected}
+        there = {one.controller.partition("-")[0]: one for one in self._status().controllers if one.state.is_connected}
         return set(there) == set(LEVELS) and all(one.accepted for one in there.values())
 
     def _settled(self) -> Status:

@@ -114,7 +114,7 @@ def test_ctrl_c_in_a_controller_leaves_the_node_waiting(scratch):
         _, said = run.communicate(timeout=60)
         assert run.returncode == 130
         assert "Traceback" not in said
-        until(lambda: [c.connected for c in bus.status("office").controllers] == [False], "the node misses it")
+        until(lambda: [c.state for c in bus.status("office").controllers] == ["disconnected"], "the node misses it")
         until(lambda: bus.status("office").state == "waiting", "its last command is simulated")
 
 

@@ -282,7 +282,7 @@ def test_nodes_controllers_and_status(bus: agent_sdk.Bus) -> None:
         assert status.time == [sample.time.isoformat()]
         (controller,) = [c for c in status.controllers if c.controller == link.name]
         assert (controller.priority, controller.actuators, controller.required) == (10, 10, True)
-        assert (controller.connected, controller.accepted) == (True, 1)
+        assert (controller.state, controller.accepted) == ("connected", 1)
         assert status.node_rss_bytes > 0
         assert status.engine_rss_bytes > 0
         assert bus.latest("office") == sample.message

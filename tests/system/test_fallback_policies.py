@@ -24,7 +24,7 @@ import agent_sdk
 from agent_sdk.bus.sample import SampleView
 from topics import codec, keys
 from topics.errors import EpisodeAborted, InvalidConfig, ZenostatError
-from topics.messages import ControllerStatus, Event, EventKind, Policy, State
+from topics.messages import ControllerState, ControllerStatus, Event, EventKind, Policy, State
 
 STEPS = 96
 POINT = "core_zn_cooling_setpoint"
@@ -126,7 +126,7 @@ def test_a_killed_controller_is_noticed_and_the_policy_follows(scratch: Path, po
                 assert "waits for it" in left.text
                 status = bus.status("office")
                 assert (status.state, status.step) == (State.WAITING, [2])
-                assert [(c.connected, c.bypassed) for c in status.controllers] == [(False, False)]
+                assert [c.state for c in status.controllers] == [ControllerState.DISCONNECTED]
                 return
             assert next_event(events, EventKind.FALLBACK).source == name
             rest = to_the_end(samples)
@@ -138,7 +138,7 @@ def test_a_killed_controller_is_noticed_and_the_policy_follows(scratch: Path, po
             assert {s.value_source[POINT] for s in rest} == {""}
             assert {effective(s) for s in rest} == {24.0, 26.7}  # the building's own: at work, and set back
         agent_ = status_of(bus, name)
-        assert (agent_.accepted, agent_.missed, agent_.bypassed) == (2, STEPS - 2, True)
+        assert (agent_.accepted, agent_.missed, agent_.state) == (2, STEPS - 2, ControllerState.BYPASSED)
         assert bus.status("office").statistics.missed == STEPS - 2
 
 
@@ -197,7 +197,7 @@ def test_a_frozen_controller_s_late_command_says_how_late_and_rules_nothing(scra
         frozen = [next(samples)]
         went_s = time.monotonic()
         frozen += [next(samples) for _ in range(2)]
-        assert status_of(bus, name).unresponsive
+        assert status_of(bus, name).state is ControllerState.UNRESPONSIVE
         woken_s = time.monotonic()
         os.kill(agent.pid, signal.SIGCONT)
         late = next_event(events, EventKind.LATE, EventKind.DISCONNECTED, EventKind.CONNECTED)

@@ -239,7 +239,7 @@ def test_a_monitor_s_attacks_leave_the_day_as_it_is(
         fence = 1  # after the day's end
         assert (after.rejected - fence, after.late, after.duplicate) == (before.rejected, before.late, before.duplicate)
         assert {event.kind for event in told} == {EventKind.STARTED, EventKind.ENDED}
-        assert [c.controller for c in after.controllers if c.connected] == [link.name]
+        assert [c.controller for c in after.controllers if c.state.is_connected] == [link.name]
 
 
 def test_the_same_attacks_work_with_a_controller_s_certificate(

@@ -151,7 +151,7 @@ def test_episode_gives_the_same_samples_as_over_zenoh_to_the_bit(node, gateway, 
     through = []
     with Peer(gateway, getattr(zmq, kind)) as peer:
         peer.listen("sample")
-        until(lambda: not any(c.connected for c in agent_status(node).controllers), "the direct one has gone")
+        until(lambda: not any(c.state.is_connected for c in agent_status(node).controllers), "the direct one has gone")
         while (last := peer.hear(Sample)).step != [96]:
             pass  # the gateway hears by itself
         manifest = Manifest(**peer.ask("manifest")[1])
@@ -336,7 +336,7 @@ def test_killed_gateway_breaks_nothing_of_the_node(node):
             assert peer.ask("command/c", **keeping(peer.after(None)))[0] == "Ack"
             gateway.process.kill()
             gateway.process.wait()
-            until(lambda: [c.connected for c in bus.status("office").controllers] == [False], "the node misses it")
+            until(lambda: [c.state for c in bus.status("office").controllers] == ["disconnected"], "the node misses it")
         with bus.controller("office") as link:
             assert [sample.step for sample in link][-1] == 96
 

@@ -23,6 +23,7 @@ from topics.messages.base import (
 from topics.messages.enums import (
     Aggregation,
     CommandOp,
+    ControllerState,
     EngineStart,
     Flag,
     Mode,
@@ -94,6 +95,7 @@ __all__ = [
     "Claim",
     "Command",
     "CommandOp",
+    "ControllerState",
     "ControllerStatus",
     "Count",
     "CreateBranch",

@@ -53,6 +53,27 @@ class State(StrEnum):
     STOPPED = "stopped"
 
 
+class ControllerState(StrEnum):
+    """State of a controller that has a claim.
+
+    `CONNECTED`: present on the bus. `UNRESPONSIVE`: present, but it missed the deadline and has not answered since.
+    `DISCONNECTED`: its process or its connection has ended; it keeps its claim. `ABSENT`: disconnected, and it missed
+    the deadline and has not answered since. `BYPASSED`: disconnected for longer than the grace period; the fallback
+    policy applies, and the node does not wait for it. Under the policy `WAIT`, a controller is not bypassed.
+    """
+
+    CONNECTED = "connected"
+    UNRESPONSIVE = "unresponsive"
+    DISCONNECTED = "disconnected"
+    ABSENT = "absent"
+    BYPASSED = "bypassed"
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether the controller is present on the bus."""
+        return self in (ControllerState.CONNECTED, ControllerState.UNRESPONSIVE)
+
+
 class EngineStart(StrEnum):
     """How an episode's engine reached its first sample.
 

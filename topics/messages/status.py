@@ -5,7 +5,7 @@ from __future__ import annotations
 from pydantic import Field
 
 from topics.messages.base import Count, Message, Priority, SafeName
-from topics.messages.enums import Mode, Policy, State
+from topics.messages.enums import ControllerState, Mode, Policy, State
 
 
 class LatencySummary(Message):
@@ -43,22 +43,19 @@ class ControllerStatus(Message):
 
     `actuators`: number of actuators that it has claimed. `accepted_late`: accepted commands that arrived after the
     deadline. `late`: commands rejected because their step was over. `missed`: timesteps simulated without its command.
-    `bypassed`: it is disconnected, and the fallback policy applies. `unresponsive`: it missed the deadline and has not
-    answered since. `response`: time from a sample to its answer.
+    `response`: time from a sample to its answer.
     """
 
     controller: str
     priority: Priority
     actuators: Count
     required: bool
-    connected: bool
+    state: ControllerState
     accepted: Count
     late: Count = 0
     rejected: Count = 0
     duplicate: Count = 0
     missed: Count = 0
-    bypassed: bool = False
-    unresponsive: bool = False
     accepted_late: Count = 0
     response: LatencySummary = LatencySummary()
 
