@@ -86,7 +86,7 @@ class Claims:
         self._array = array
         self._index = actuator_index(actuators, RequestRejected)
 
-    def claim(self, claim: Claim, now_s: float = 0.0) -> tuple[ClaimHolder, list[str]]:
+    def claim(self, claim: Claim, now_s: float) -> tuple[ClaimHolder, list[str]]:
         """Add or renew a claim; also return the disconnected controllers whose claims it replaces.
 
         Raises:
@@ -128,7 +128,7 @@ class Claims:
         return next((c for c in self.by_name.values() if c.priority == priority and c.mask[actuator]), None)
 
     def begin_episode(self) -> None:
-        """Drop the claims of disconnected controllers; call it after the array was cleared."""
+        """Drop the claims of disconnected controllers; those of the others have the sources of the present array."""
         self.by_name = {name: c for name, c in self.by_name.items() if c.state.is_connected}
         for claimant in self.by_name.values():
             claimant.source = self._array.source(claimant.name)

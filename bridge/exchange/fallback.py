@@ -17,18 +17,18 @@ _BYPASSED = ControllerState.BYPASSED
 class FallbackRules(ExchangeState):
     """Applies the fallback policy when controllers disconnect or miss the deadline."""
 
-    def on_disconnect(self, name: str) -> list[Event]:
+    def on_disconnect(self, name: str, now_s: float) -> list[Event]:
         """Handle a controller's disconnection; it keeps its claim."""
         claimant = self.claims.by_name.get(name)
         if claimant is None or not claimant.state.is_connected:
             return []
         claimant.transition(ControllerTrigger.DISCONNECT)
-        claimant.disconnected_at_s = self.now_s
+        claimant.disconnected_at_s = now_s
         waits = claimant.required and self.mode is Mode.LOCKSTEP and self.policy is Policy.WAIT
         text = f"{name} disconnected{'; the node waits for it' if waits else ''}"
         return [self.event(EventKind.DISCONNECTED, text, name)]
 
-    def bypass(self, name: str, grace_s: float = 0.0) -> list[Event]:
+    def bypass(self, name: str, now_s: float, grace_s: float = 0.0) -> list[Event]:
         """Apply the policy to a controller that has been disconnected for the grace period.
 
         Nothing happens if it has reconnected; another disconnection starts another grace period.
@@ -39,7 +39,7 @@ class FallbackRules(ExchangeState):
         claimant = self.claims.by_name.get(name)
         if claimant is None or claimant.state.is_connected or claimant.state is _BYPASSED:
             return []
-        if self.policy is Policy.WAIT or self.now_s - claimant.disconnected_at_s < grace_s:
+        if self.policy is Policy.WAIT or now_s - claimant.disconnected_at_s < grace_s:
             return []
         is_active = self.state in (State.WAITING, State.RUNNING)
         if self.policy is Policy.ABORT and claimant.required and is_active:
@@ -55,7 +55,7 @@ class FallbackRules(ExchangeState):
         event = self._fall_back(claimant, "disconnected")
         return [event] if is_active else []
 
-    def on_deadline(self) -> list[Event]:
+    def on_deadline(self, now_s: float) -> list[Event]:
         """Apply the policy to the controllers that have not answered by the deadline of the current step.
 
         Raises:
@@ -65,7 +65,7 @@ class FallbackRules(ExchangeState):
             return []
         self._head = b""
         if self._deadline_passed_s is None:
-            self._deadline_passed_s = self.now_s
+            self._deadline_passed_s = now_s
         if self.policy is Policy.WAIT:
             return []
         names = ", ".join(self.awaiting())

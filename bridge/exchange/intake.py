@@ -28,7 +28,7 @@ _WAITING, _CONNECTED = State.WAITING, ControllerState.CONNECTED
 class Intake(ExchangeState):
     """Accepts or rejects commands and writes."""
 
-    def accept_fast(self, controller: str, payload: bytes, encoding: str = "") -> bool:
+    def accept_fast(self, controller: str, payload: bytes, now_s: float, encoding: str = "") -> bool:
         """Accept a command on the fast path: of a connected controller, all actuators, the current step of all slots.
 
         Such a command is recognized by its first bytes and not decoded. For any other command, including one whose
@@ -41,11 +41,11 @@ class Intake(ExchangeState):
             claimant, raw = self.claims.by_name[controller], payload[len(head) :]
             is_eligible = claimant.covers_all and claimant.state is _CONNECTED and self.state is _WAITING
             if is_eligible and self.commands.put_fast(claimant, raw):
-                self._record_answer(claimant, self._all_slots)
+                self._record_answer(claimant, self._all_slots, now_s)
                 return True
         return False
 
-    def receive_command(self, controller: str, payload: bytes, encoding: str = "") -> Event | None:
+    def receive_command(self, controller: str, payload: bytes, now_s: float, encoding: str = "") -> Event | None:
         """Accept or reject the payload of any command; return an event unless it is a normal answer.
 
         Of each controller, only the first hundred such messages in a step are processed; the rest are counted as rate
@@ -57,28 +57,28 @@ class Intake(ExchangeState):
             self.counts.rate_limited += 1
             return None
         try:
-            return self.command(controller, codec.decode(Command, payload, encoding))
+            return self.command(controller, codec.decode(Command, payload, encoding), now_s)
         except BadMessage as error:
             return self.rejected(str(error), controller)
 
-    def _record_answer(self, claimant: ClaimHolder, answered: Sequence[int]) -> None:
+    def _record_answer(self, claimant: ClaimHolder, answered: Sequence[int], now_s: float) -> None:
         if claimant.required:
             self._answered_slots.update(answered)
         stats = claimant.stats
         stats.accepted += 1
-        stats.response.add(self.now_s - max(self._opened_s, claimant.connected_at_s))
+        stats.response.add(now_s - max(self._opened_s, claimant.connected_at_s))
         self.counts.accepted += 1
         self._pending.discard(claimant.name)
         self._answered.add(claimant.name)
 
-    def command(self, controller: str, command: Command) -> Event | None:
+    def command(self, controller: str, command: Command, now_s: float) -> Event | None:
         """Accept or reject a command; return an event unless it is a normal answer."""
         claimant = self.claims.by_name.get(controller)
         if claimant is None:
             return self.rejected(f"{controller!r} has claimed nothing; claim first", controller)
         answered = [slot for slot, step in enumerate(command.step) if step is not None]
         if not self._answers_current_step(command, answered):
-            return self._wrong_step(controller, command, answered)
+            return self._wrong_step(controller, command, answered, now_s)
         if self.state in (State.FAILED, State.STARTING):
             return self.rejected(f"the node is {self.state}", controller)
         if self.state is not State.WAITING or controller in self._answered:
@@ -96,10 +96,10 @@ class Intake(ExchangeState):
             self.commands.put(claimant, command, answered)
         except BadMessage as error:
             return self.rejected(str(error), controller)
-        self._record_answer(claimant, answered)
-        return self._delay_event(claimant)
+        self._record_answer(claimant, answered, now_s)
+        return self._delay_event(claimant, now_s)
 
-    def _delay_event(self, claimant: ClaimHolder) -> Event | None:
+    def _delay_event(self, claimant: ClaimHolder, now_s: float) -> Event | None:
         """Return the event of an accepted command that came after the deadline, or is the first after a missed one."""
         if claimant.transition(ControllerTrigger.ANSWER):
             return self.event(EventKind.CONNECTED, f"{claimant.name} answers again", claimant.name)
@@ -107,19 +107,19 @@ class Intake(ExchangeState):
             self.counts.accepted_late += 1
             claimant.stats.accepted_late += 1
             text = f"accepted after the deadline of {self.deadline_s:g} s"
-            return self._late_event(EventKind.ACCEPTED_LATE, text, claimant.name, self._deadline_passed_s)
+            return self._late_event(EventKind.ACCEPTED_LATE, text, claimant.name, now_s - self._deadline_passed_s)
         return None
 
-    def _late(self, text: str, source: str, since_s: float | None) -> Event:
+    def _late(self, text: str, source: str, late_s: float | None) -> Event:
         self.counts.late += 1
         claimant = self.claims.by_name.get(source)
         if claimant is not None:
             claimant.stats.late += 1
-        return self._late_event(EventKind.LATE, text, source, since_s)
+        return self._late_event(EventKind.LATE, text, source, late_s)
 
-    def _late_event(self, kind: EventKind, text: str, source: str, since_s: float | None) -> Event:
+    def _late_event(self, kind: EventKind, text: str, source: str, late_s: float | None) -> Event:
         event = self.event(kind, text, source)
-        return event if since_s is None else event.model_copy(update={"late_s": self.now_s - since_s})
+        return event if late_s is None else event.model_copy(update={"late_s": late_s})
 
     def _answers_current_step(self, command: Command, answered: Sequence[int]) -> bool:
         if command.step == self.step and command.episode == self.episode:
@@ -128,14 +128,15 @@ class Intake(ExchangeState):
             (command.episode[slot], command.step[slot]) == (self.episode[slot], self.step[slot]) for slot in answered
         )
 
-    def _wrong_step(self, controller: str, command: Command, answered: Sequence[int]) -> Event:
+    def _wrong_step(self, controller: str, command: Command, answered: Sequence[int], now_s: float) -> Event:
         text = f"it answers episode {command.episode} step {command.step}; "
         text += f"the current ones are episode {self.episode} step {self.step}"
         if len(command.step) == len(command.episode) == self.slots:
             received = [(command.episode[slot], command.step[slot] or 0) for slot in answered]
             current = [(self.episode[slot], self.step[slot]) for slot in answered]
             if all(old <= new for old, new in zip(received, current, strict=True)):
-                return self._late(text, controller, self._step_start(answered[0], received[0]) if received else None)
+                start_s = self._step_start(answered[0], received[0]) if received else None
+                return self._late(text, controller, None if start_s is None else now_s - start_s)
         return self.rejected(text, controller)
 
     def _step_start(self, slot: int, at: tuple[int, int]) -> float | None:

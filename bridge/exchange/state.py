@@ -38,13 +38,14 @@ class MessageCounts:
 class ExchangeState:
     """The state of one node's exchange.
 
+    Methods have no clock. Those that need the time have an argument `now_s`: wall time of any monotonic clock.
+
     Attributes:
         actuators: in manifest order.
         slots: number of engines in the node.
         mode: what determines the pace of simulated time.
         policy: the fallback policy.
         deadline_s: how long a step waits for commands; the node calls `on_deadline` then.
-        now_s: wall time of any monotonic clock; the node sets it before it calls a method.
         commands: the commanded values of the actuators.
         claims: the controllers' claims.
         modified: of each slot, whether it was commanded or has stepped since the start of its episode.
@@ -59,7 +60,6 @@ class ExchangeState:
     mode: Mode = Mode.LOCKSTEP
     policy: Policy = Policy.WAIT
     deadline_s: float | None = None
-    now_s: float = 0.0
     state: State = State.STARTING
     episode: list[int] = field(default_factory=list)
     step: list[int] = field(default_factory=list)

@@ -52,18 +52,35 @@ _BYPASSED = ControllerState.BYPASSED
 class StepExchange(Intake, FallbackRules):
     """The step exchange of one node; see the module and `ExchangeState` for its attributes."""
 
-    def ready(self, starts: Mapping[int, int] | None = None) -> None:
-        """Mark the engines as ready; `starts`: first step by slot with a new episode (None: all slots at 0)."""
+    def ready(
+        self, now_s: float, starts: Mapping[int, int] | None = None, commands: CommandSnapshot | None = None
+    ) -> None:
+        """Mark the engines as ready, and open the intake of answers to their samples.
+
+        Args:
+            now_s: wall time.
+            starts: first step by slot with a new episode (None: all slots at 0).
+            commands: captured commands to restore (None: the present ones stay).
+        """
         self.transition(Trigger.READY)
+        if commands is not None:
+            self.commands.restore(commands)
+            self.source_index = commands.source_index
+            self.claims.begin_episode()
         self.step, self.modified, self.done = [*self.step], [*self.modified], [*self.done]
         for slot, step in (starts if starts is not None else dict.fromkeys(self._all_slots, 0)).items():
             self.step[slot] = step
             self.modified[slot] = step > 0
             self.done[slot] = False
-        self.open_intake()
+        self._open_intake(now_s)
 
-    def finish_step(self, last: Sequence[bool]) -> None:
-        """Finish a timestep; `last`: of each active slot, whether it was its last. Publish, then call `open_intake`."""
+    def finish_step(self, last: Sequence[bool], now_s: float) -> None:
+        """Finish a timestep, and open the intake of answers to its sample.
+
+        Args:
+            last: of each active slot, whether it was its last timestep.
+            now_s: wall time, from which response times count.
+        """
         if self.active_slots is self._all_slots:
             steps, done = [step + 1 for step in self.step], [*last]
         else:
@@ -74,9 +91,10 @@ class StepExchange(Intake, FallbackRules):
         self.transition(_OVER if all(done) else _SAMPLED)
         self.step, self.done = steps, done
         self.commands.timesteps += 1
+        self._open_intake(now_s)
 
-    def open_intake(self) -> None:
-        """Prepare for answers to the current sample; separate from `finish_step`, so that the sample is sent first."""
+    def _open_intake(self, now_s: float) -> None:
+        """Prepare for answers to the current sample."""
         bypassed: set[str] = set()
         self._pending = set()
         for claimant in self.claims.by_name.values():
@@ -85,7 +103,7 @@ class StepExchange(Intake, FallbackRules):
         self._needs_fallback = bool(bypassed)
         if bypassed and not self._pending and self.deadline_s is not None:
             self._pending = bypassed  # no required controller is connected: the deadline sets the pace
-        self._opened_s, self._deadline_passed_s = self.now_s, None
+        self._opened_s, self._deadline_passed_s = now_s, None
         if self._message_counts:
             self._message_counts = {}
         self._answered = set()
@@ -112,12 +130,6 @@ class StepExchange(Intake, FallbackRules):
         """Return the commands in effect at the current sample."""
         return replace(self.commands.capture(), source_index=self.source_index)
 
-    def restore(self, snapshot: CommandSnapshot) -> None:
-        """Restore captured commands; only in STARTING."""
-        self.commands.restore(snapshot)
-        self.source_index = snapshot.source_index
-        self.claims.begin_episode()
-
     def ready_to_step(self) -> bool:
         """Return whether the next timestep may be simulated now."""
         if self.state is not _WAITING:
@@ -131,11 +143,11 @@ class StepExchange(Intake, FallbackRules):
                 return True
         return False
 
-    def begin_step(self) -> bytes:
+    def begin_step(self, now_s: float) -> bytes:
         """Begin a timestep; return its commands (float64, NaN: baseline control)."""
         self.transition(_GO)
         self.fallback_active = self._needs_fallback and self._count_missed()
-        self._step_starts.append((self.episode, self.step, self.now_s))
+        self._step_starts.append((self.episode, self.step, now_s))
         if not self._answered_slots or len(self._answered_slots) == self.slots or self.mode is not _LOCKSTEP:
             self.active_slots = self._all_slots
         else:
@@ -174,7 +186,7 @@ class StepExchange(Intake, FallbackRules):
         self.counts.missed += bool(missed)
         return bool(missed)
 
-    def claim(self, claim: Claim) -> list[Event]:
+    def claim(self, claim: Claim, now_s: float) -> list[Event]:
         """Add or renew a claim; after a renewal, the controller has to answer the current sample again.
 
         Raises:
@@ -182,7 +194,7 @@ class StepExchange(Intake, FallbackRules):
                 claims.
         """
         is_renewal = claim.controller in self.claims.by_name
-        claimant, replaced = self.claims.claim(claim, self.now_s)
+        claimant, replaced = self.claims.claim(claim, now_s)
         self.commands.drop_superseded_expiries(claimant)
         for name in (*replaced, claim.controller):
             self._pending.discard(name)

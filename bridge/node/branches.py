@@ -14,6 +14,7 @@ import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from time import monotonic
 
 from bridge.exchange.actuator_commands import CommandSnapshot
 from bridge.exchange.step_exchange import StepExchange
@@ -233,11 +234,10 @@ class BranchManager:
             slots=slots,
             episode=[origin.episode[request.slot]] * slots,
         )
+        commands = None
         if not request.relinquished:
-            exchange.restore(
-                (snapshot.commands if snapshot else parent.exchange.capture()).of_slot(request.slot, slots)
-            )
-        exchange.ready(dict.fromkeys(range(slots), origin.step[request.slot]))
+            commands = (snapshot.commands if snapshot else parent.exchange.capture()).of_slot(request.slot, slots)
+        exchange.ready(monotonic(), dict.fromkeys(range(slots), origin.step[request.slot]), commands)
         manifest = self._branch_manifest(name, slots, plant)
         server = NodeServer(parent.session, plant, manifest, exchange)
         present = parent.injection.state() if parent.injection is not None else None
@@ -250,7 +250,8 @@ class BranchManager:
             for topic, kind in _NODE_REQUESTS:
                 server.subscriptions.request(topic, kind, self._reject)
             server.subscriptions.watch_presence(
-                keys.CONTROLLER_TOKEN, lambda controller: server.publish_events(exchange.on_disconnect(controller))
+                keys.CONTROLLER_TOKEN,
+                lambda controller: server.publish_events(exchange.on_disconnect(controller, monotonic())),
             )
             server.publish()
             server.announce()

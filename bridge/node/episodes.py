@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from time import monotonic
+
+from bridge.exchange.actuator_commands import CommandSnapshot
 from bridge.exchange.step_exchange import StepExchange
 from bridge.node.branches import BranchManager
 from bridge.node.fault_injection import NO_FAULTS, FaultState
@@ -54,7 +57,7 @@ class EpisodeManager:
 
     def begin_first(self) -> None:
         """Begin the first episodes; the plant is at sample 0. The caller publishes it."""
-        self._exchange.ready()
+        self._exchange.ready(monotonic())
         self._server.begin_episodes([*range(self._slots)], [None] * self._slots)
         self._publish_start("")
 
@@ -93,7 +96,12 @@ class EpisodeManager:
         self._plant.clean_up()
 
     def _begin(
-        self, steps: dict[int, int], source: str, seeds: list[int | None], faults: FaultState | None = None
+        self,
+        steps: dict[int, int],
+        source: str,
+        seeds: list[int | None],
+        faults: FaultState | None = None,
+        commands: CommandSnapshot | None = None,
     ) -> None:
         """Begin episodes whose first samples the plant has reached, and publish these.
 
@@ -102,9 +110,10 @@ class EpisodeManager:
             source: the controller that asked for the reset.
             seeds: by slot, for injected faults.
             faults: those of a snapshot.
+            commands: those of a snapshot.
         """
         server = self._server
-        server.exchange.ready(steps)
+        server.exchange.ready(monotonic(), steps, commands)
         server.begin_episodes([*steps], seeds)
         previous = server.manifest
         if faults is not None:
@@ -152,9 +161,8 @@ class EpisodeManager:
         snapshot = self._branches.find(reset.snapshot)
         starts = self._plant.restore(snapshot.plant, [number + 1 for number in exchange.episode])
         exchange.reset()
-        exchange.restore(snapshot.commands)
         steps = dict(enumerate(snapshot.step))
-        self._begin(steps, reset.controller, [None] * len(slots), snapshot.faults or NO_FAULTS)
+        self._begin(steps, reset.controller, [None] * len(slots), snapshot.faults or NO_FAULTS, snapshot.commands)
         self._plant.clean_up()
         return Ack(episode=exchange.episode, episode_starts=starts)
 

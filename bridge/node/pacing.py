@@ -105,11 +105,11 @@ class Pacing:
 
     def _on_deadline(self) -> None:
         # The task may run after its step has ended; the present step then has a later deadline.
-        server = self._server
-        if self._is_stopped or server.exchange.mode is not Mode.LOCKSTEP or monotonic() < self._deadline_at_s:
+        server, now_s = self._server, monotonic()
+        if self._is_stopped or server.exchange.mode is not Mode.LOCKSTEP or now_s < self._deadline_at_s:
             return
         try:
-            server.publish_events(server.exchange.on_deadline())
+            server.publish_events(server.exchange.on_deadline(now_s))
         except EpisodeAborted as error:
             server.fail(error)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from time import monotonic
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -54,12 +55,12 @@ class RequestHandlers:
         subscriptions.request(keys.FAULTS, FaultPlan, self._set_faults)
 
     def _claim(self, claim: Claim) -> Message:
-        server, exchange = self._server, self._server.exchange
+        server, exchange, now_s = self._server, self._server.exchange, monotonic()
         # A controller that joins within a step has the whole deadline; one that replaces another has the rest of it.
         awaited, controllers = exchange.awaiting(), len(exchange.claims.by_name)
-        server.publish_events(exchange.claim(claim))
+        server.publish_events(exchange.claim(claim, now_s))
         if claim.required and (not awaited or len(exchange.claims.by_name) > controllers):
-            server.pacing.wait(exchange.now_s)
+            server.pacing.wait(now_s)
         return Ack(episode=exchange.episode)
 
     def _write(self, name: str, payload: bytes, encoding: str) -> None:

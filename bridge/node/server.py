@@ -141,15 +141,14 @@ class NodeServer:
             return False
         controller, message = received
         payload, encoding = message.payload.to_bytes(), str(message.encoding)
-        self.exchange.now_s = monotonic()
         if self.injection is not None and self.injection.link.disturbs_commands:
             self._receive_with_faults(controller, payload, encoding)
-        elif not self.exchange.accept_fast(controller, payload, encoding):
+        elif not self.exchange.accept_fast(controller, payload, monotonic(), encoding):
             self._receive_command(controller, payload, encoding)
         return True
 
     def _receive_command(self, controller: str, payload: bytes, encoding: str) -> None:
-        event = self.exchange.receive_command(controller, payload, encoding)
+        event = self.exchange.receive_command(controller, payload, monotonic(), encoding)
         if event is not None:
             self.event(event)
 
@@ -159,7 +158,7 @@ class NodeServer:
         if controller not in self.exchange.claims.by_name:
             self._receive_command(controller, payload, encoding)
             return
-        now_s = self.exchange.now_s
+        now_s = monotonic()
         for delay_s in self.injection.link.incoming(controller, now_s):
             self._run_after(now_s, delay_s, lambda: self._receive_command(controller, payload, encoding))
 
@@ -170,7 +169,6 @@ class NodeServer:
             self.timer.at(now_s + delay_s, lambda: self.subscriptions.post(task))
 
     def _run_tasks(self) -> None:
-        self.exchange.now_s = monotonic()
         self.subscriptions.run_pending()
         if self.exchange.state is _WAITING and not self.stopping:
             try:
@@ -182,10 +180,10 @@ class NodeServer:
         """Simulate a timestep: send the commands to the plant, publish the sample."""
         exchange = self.exchange
         self.pacing.step_started()
-        began_s = exchange.now_s = monotonic()
+        began_s = monotonic()
         if exchange.commands.has_expiries:
             self.publish_events(exchange.expire(self.elapsed_s))
-        commands = exchange.begin_step()
+        commands = exchange.begin_step(began_s)
         if self.injection is not None:
             commands = self.injection.apply_to_commands(commands, exchange.step)
         self._last_commands = commands
@@ -196,15 +194,15 @@ class NodeServer:
                 self.subscriptions.run_pending(limit=MAX_PENDING)
             self.fail(error)
             return
-        exchange.finish_step(last)
+        exchange.finish_step(last, monotonic())
         self.publish()
-        self._step_latency.add(exchange.now_s - began_s)
-        self.pacing.record_sample(exchange.now_s)
+        self._step_latency.add(self._sampled_s - began_s)
+        self.pacing.record_sample(self._sampled_s)
         if exchange.state is _ENDED:
             self.event(exchange.event(EventKind.ENDED, f"the run period is over after {exchange.step[0]} timesteps"))
 
     def publish(self) -> None:
-        """Publish the present sample and open the intake of commands for the next step."""
+        """Publish the present sample."""
         exchange, counts, plant = self.exchange, self.exchange.counts, self.plant
         steps, fallback = exchange.step, _FALLBACK if exchange.fallback_active else _NO_FLAG
         now, times, elapsed_s = self._clock(steps)
@@ -238,11 +236,10 @@ class NodeServer:
             self.publications.sample(self.latest_sample)
         else:
             self._publish_with_faults(injection)
-        now_s = exchange.now_s = monotonic()
+        now_s = monotonic()
         if self._sampled_s:
             self._cycle.add(now_s - self._sampled_s)
         self._sampled_s = now_s
-        exchange.open_intake()
         self.pacing.wait(now_s)
         self.publications.points(values, exchange.episode[0], steps[0], now)
         if self._observer is not None:
@@ -288,7 +285,7 @@ class NodeServer:
 
     def on_disconnect(self, controller: str) -> None:
         """Record that a controller has left; the fallback policy applies after the grace period."""
-        events = self.exchange.on_disconnect(controller)
+        events = self.exchange.on_disconnect(controller, monotonic())
         self.publish_events(events)
         if events:
             grace_s = self.manifest.grace_s
@@ -296,7 +293,7 @@ class NodeServer:
 
     def _bypass(self, controller: str) -> None:
         try:
-            self.publish_events(self.exchange.bypass(controller, self.manifest.grace_s))
+            self.publish_events(self.exchange.bypass(controller, monotonic(), self.manifest.grace_s))
         except EpisodeAborted as error:
             self.fail(error)
 

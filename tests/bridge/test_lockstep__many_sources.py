@@ -28,7 +28,7 @@ def test_300_controllers_of_300_actuators_are_each_told_by_name() -> None:
         claim(at, f"c{number}", 10, actuators=[f"a{number}"])
     for number in range(IDLE):
         mask = [CommandOp.SET if i == number else CommandOp.KEEP for i in range(IDLE)]
-        assert at.command(f"c{number}", command(np.full(IDLE, float(number)), operations=mask)) is None
+        assert at.command(f"c{number}", command(np.full(IDLE, float(number)), operations=mask), 0.0) is None
     assert at.write("a7", Write(value=70.0, source="panel"), 0.0).kind is EventKind.WRITTEN
     values, sources = advance(at)
     expected = [f"c{number}" for number in range(IDLE)]
@@ -45,7 +45,7 @@ def test_too_many_claims_are_refused_until_some_have_gone() -> None:
         claim(at, "another", actuators=[f"a{MAX_CLAIMS}"])
     assert "another" not in at.claims.by_name
     claim(at, "c5", actuators=["a5"])  # again
-    at.on_disconnect("c6")
+    at.on_disconnect("c6", 0.0)
     at.reset()
     claim(at, "another", actuators=[f"a{MAX_CLAIMS}"])
 

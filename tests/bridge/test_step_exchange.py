@@ -93,15 +93,18 @@ def test_the_table_is_that_of_the_drawing() -> None:
 
 
 def test_an_illegal_call_changes_nothing() -> None:
-    at = exchange()
-    for call in (lambda: at.finish_step([False]), at.ready):
+    at, other = exchange(), exchange()
+    other.write("heat", Write(value=20.0), 0.0)
+    captured = other.capture()
+    for call in (lambda: at.finish_step([False], 0.0), lambda: at.ready(0.0), lambda: at.ready(0.0, commands=captured)):
         with pytest.raises(IllegalTransition):
             call()
     assert (at.state, at.step) == (State.WAITING, [0])
+    assert same(ruling(at)[0], [NAN, NAN])
     claim(at, "a")
     answer(at, "a", [20.0, 25.0])
-    at.begin_step()
-    for call in (at.begin_step, at.reset, at.ready):
+    at.begin_step(0.0)
+    for call in (lambda: at.begin_step(0.0), at.reset, lambda: at.ready(0.0)):
         with pytest.raises(IllegalTransition):
             call()
     assert (at.state, at.step, at.episode) == (State.RUNNING, [0], [0])
@@ -197,11 +200,13 @@ def test_what_a_mask_does_not_set_is_not_looked_at() -> None:
 def test_slots_are_commanded_apart() -> None:
     at = exchange(slots=2)
     claim(at, "agent")
-    assert at.command("agent", command([16.0, 23.0, 17.0, 24.0], step=[0, 0], episode=[0, 0])) is None
+    assert at.command("agent", command([16.0, 23.0, 17.0, 24.0], step=[0, 0], episode=[0, 0]), 0.0) is None
     assert advance(at) == ([16.0, 23.0, 17.0, 24.0], ["agent"] * 4)
     assert at.step == [1, 1]
     operations = [KEEP, KEEP, RELEASE, SET]
-    assert at.command("agent", command([0, 0, 0, 28.0], step=[1, 1], episode=[0, 0], operations=operations)) is None
+    assert (
+        at.command("agent", command([0, 0, 0, 28.0], step=[1, 1], episode=[0, 0], operations=operations), 0.0) is None
+    )
     values, sources = advance(at)
     assert same(values, [16.0, 23.0, NAN, 28.0])
     assert sources == ["agent", "agent", "", "agent"]
@@ -233,7 +238,7 @@ def running() -> StepExchange:
 @pytest.mark.parametrize("step", [0, 1])
 def test_an_answer_to_a_step_that_is_over_is_late(step: int) -> None:
     at = running()
-    event = unchanged(at, lambda: at.command("agent", command([21.0, 26.0], step=step)), count="late")
+    event = unchanged(at, lambda: at.command("agent", command([21.0, 26.0], step=step), 0.0), count="late")
     said(event, EventKind.LATE, f"[{step}]", "[2]")
     assert (event.source, event.episode, event.step) == ("agent", 0, 2)
 
@@ -241,8 +246,8 @@ def test_an_answer_to_a_step_that_is_over_is_late(step: int) -> None:
 def test_an_answer_to_an_episode_that_is_over_is_late() -> None:
     at = running()
     at.reset()
-    at.ready()
-    event = unchanged(at, lambda: at.command("agent", command([21.0, 26.0], step=2, episode=0)), count="late")
+    at.ready(0.0)
+    event = unchanged(at, lambda: at.command("agent", command([21.0, 26.0], step=2, episode=0), 0.0), count="late")
     said(event, EventKind.LATE, "episode [0] step [2]", "episode [1] step [0]")
 
 
@@ -301,7 +306,7 @@ WRONG = {
 @pytest.mark.parametrize(("controller", "sent", "words"), WRONG.values(), ids=WRONG)
 def test_a_wrong_command_is_rejected_in_words(controller: str, sent: Command, words: list[str]) -> None:
     at = running()
-    event = unchanged(at, lambda: at.command(controller, sent), count="rejected")
+    event = unchanged(at, lambda: at.command(controller, sent, 0.0), count="rejected")
     said(event, EventKind.REJECTED, *words)
     assert event.source == controller
     assert answer(at, "agent", [20.0, 25.0]) is None  # the right answer is still taken
@@ -311,15 +316,15 @@ def test_a_wrong_command_is_rejected_in_words(controller: str, sent: Command, wo
 @pytest.mark.parametrize("payload", [b"", b"\xc1", b"\x80", wire(command([20.0, 25.0], step=2))[:-1]])
 def test_bytes_that_are_no_command_are_rejected(payload: bytes) -> None:
     at = running()
-    assert unchanged(at, lambda: at.accept_fast("agent", payload), count="") is False
-    said(unchanged(at, lambda: at.receive_command("agent", payload), count="rejected"), EventKind.REJECTED)
+    assert unchanged(at, lambda: at.accept_fast("agent", payload, 0.0), count="") is False
+    said(unchanged(at, lambda: at.receive_command("agent", payload, 0.0), count="rejected"), EventKind.REJECTED)
 
 
 def test_a_command_of_another_version_is_rejected_by_name() -> None:
     at = running()
     payload, other = wire(command([20.0, 25.0], step=2)), "application/msgpack;zenostat/1.Command"
-    assert unchanged(at, lambda: at.accept_fast("agent", payload, other), count="") is False
-    event = unchanged(at, lambda: at.receive_command("agent", payload, other), count="rejected")
+    assert unchanged(at, lambda: at.accept_fast("agent", payload, 0.0, other), count="") is False
+    event = unchanged(at, lambda: at.receive_command("agent", payload, 0.0, other), count="rejected")
     said(event, EventKind.REJECTED, "zenostat/1.Command", "zenostat/2.Command")
 
 
@@ -330,7 +335,7 @@ def test_every_message_is_counted_once() -> None:
     sent = [*([command([20.0, 25.0], step=2)] * 3), *([command([20.0, 25.0], step=1)] * 2)]
     sent += [command([20.0, NAN], step=2)] * 4
     for one in sent:
-        at.command("agent", one)
+        at.command("agent", one, 0.0)
     counts = at.counts
     # After its answer, whatever else the agent says of this step is a duplicate, right or wrong.
     assert (counts.accepted - before, counts.duplicate, counts.late, counts.rejected) == (1, 6, 2, 0)
@@ -372,12 +377,12 @@ def both_paths_agree(bounds: str, controller: str, sent: Command, *, times: int)
     advance(at)
     payload, slow, before = wire(sent), copy.deepcopy(at), told(at)
     for _ in range(times):
-        expected = slow.receive_command(controller, payload)
-        if at.accept_fast(controller, payload):
+        expected = slow.receive_command(controller, payload, 0.0)
+        if at.accept_fast(controller, payload, 0.0):
             event = None
         else:
             assert told(at) == before  # a no of the fast path changes nothing
-            event = at.receive_command(controller, payload)
+            event = at.receive_command(controller, payload, 0.0)
         assert event == expected
         assert told(at) == told(slow)
         before = told(at)
@@ -428,7 +433,7 @@ def test_a_usual_command_takes_the_fast_path(count: int) -> None:
         payload = (
             codec.command_head(at.episode, at.step, 8 * count * at.slots) + np.full(count * at.slots, 0.5).tobytes()
         )
-        assert at.accept_fast("agent", payload)
+        assert at.accept_fast("agent", payload, 0.0)
         values, sources = advance(at)
         assert values == [0.5] * count * at.slots
         assert sources == ["agent"] * count * at.slots
@@ -438,7 +443,7 @@ def test_a_usual_command_takes_the_fast_path(count: int) -> None:
 def test_the_fast_path_sets_the_level_that_was_claimed() -> None:
     at = exchange()
     claim(at, "agent", 10)
-    assert at.accept_fast("agent", wire(command([20.0, 25.0])))
+    assert at.accept_fast("agent", wire(command([20.0, 25.0])), 0.0)
     at.write("cool", Write(value=28.0, priority=11, source="below"), 0.0)
     at.write("heat", Write(value=16.0, priority=9, source="above"), 0.0)
     assert advance(at) == ([16.0, 25.0], ["above", "agent"])
@@ -447,7 +452,7 @@ def test_the_fast_path_sets_the_level_that_was_claimed() -> None:
 def bare() -> StepExchange:
     """A building without actuators."""
     at = StepExchange(())
-    at.ready()
+    at.ready(0.0)
     return at
 
 
@@ -459,15 +464,29 @@ def test_a_building_without_actuators_is_stepped_all_the_same() -> None:
     assert advance(at) == ([], [])
 
 
-def test_the_fast_path_is_closed_before_the_sample_is_published() -> None:
-    # node@1 is computed but not yet published: an answer to it cannot be there.
+def test_the_fast_path_is_closed_during_a_timestep_and_open_at_its_end() -> None:
+    # agent@0 -> node@1 is computed -> the intake is open for answers to it, and for no others
     at = exchange()
     claim(at, "agent")
     answer(at, "agent", [20.0, 25.0])
-    at.begin_step()
-    at.finish_step([False])
-    assert not at.accept_fast("agent", wire(command([20.0, 25.0], step=1)))
-    assert not at.accept_fast("agent", wire(command([20.0, 25.0], step=0)))
+    at.begin_step(0.0)
+    assert not any(at.accept_fast("agent", wire(command([20.0, 25.0], step=step)), 0.0) for step in (0, 1))
+    at.finish_step([False], 0.0)
+    assert not any(at.accept_fast("agent", wire(command([20.0, 25.0], step=step)), 0.0) for step in (0, 2))
+    assert at.accept_fast("agent", wire(command([20.0, 25.0], step=1)), 0.0)
+    assert at.ready_to_step()
+
+
+def test_a_sample_is_awaited_and_open_for_answers_from_the_end_of_its_timestep() -> None:
+    # No other call is needed before the node may wait, tell whom it waits for, or hear an answer.
+    at = running()
+    assert (at.awaiting(), at.ready_to_step()) == (["agent"], False)
+    assert answer(at, "agent", [20.0, 25.0]) is None
+    at.begin_step(1.0)
+    at.finish_step([False], 2.0)
+    assert (at.awaiting(), at.ready_to_step()) == (["agent"], False)
+    assert at.accept_fast("agent", wire(command([20.0, 25.0], step=3)), 2.5)
+    assert at.controllers()[0].response.max_ms == 500.0
 
 
 # Claims
@@ -517,12 +536,12 @@ def test_one_that_has_gone_is_waited_for_until_it_is_back() -> None:
     claim(at, "agent")
     answer(at, "agent", [20.0, 25.0])
     advance(at)
-    (event,) = at.on_disconnect("agent")
+    (event,) = at.on_disconnect("agent", 0.0)
     said(event, EventKind.DISCONNECTED, "agent", "waits")
     assert not at.ready_to_step()
     assert at.awaiting() == ["agent"]
     assert [c.state for c in at.controllers()] == [ControllerState.DISCONNECTED]
-    assert at.on_disconnect("agent") == []
+    assert at.on_disconnect("agent", 0.0) == []
     claim(at, "agent")
     assert [(c.state, c.accepted) for c in at.controllers()] == [(ControllerState.CONNECTED, 1)]
     assert not at.ready_to_step()
@@ -532,7 +551,7 @@ def test_one_that_has_gone_is_waited_for_until_it_is_back() -> None:
 
 def test_one_that_was_never_there_cannot_leave() -> None:
     at = exchange()
-    assert at.on_disconnect("nobody") == []
+    assert at.on_disconnect("nobody", 0.0) == []
 
 
 def test_one_that_has_gone_is_replaced_at_its_level() -> None:
@@ -541,7 +560,7 @@ def test_one_that_has_gone_is_replaced_at_its_level() -> None:
     claim(at, "agent")
     answer(at, "agent", [20.0, 25.0])
     advance(at)
-    at.on_disconnect("agent")
+    at.on_disconnect("agent", 0.0)
     gone, joined = claim(at, "other")
     said(gone, EventKind.DISCONNECTED, "other takes over from agent")
     said(joined, EventKind.CONNECTED, "other")
@@ -556,7 +575,7 @@ def test_one_that_has_gone_is_replaced_at_its_level() -> None:
 def test_one_that_has_gone_at_another_level_is_not_replaced() -> None:
     at = exchange()
     claim(at, "agent", 10)
-    at.on_disconnect("agent")
+    at.on_disconnect("agent", 0.0)
     claim(at, "other", 11)
     answer(at, "other", [16.0, 29.0])
     assert at.awaiting() == ["agent"]
@@ -569,7 +588,7 @@ def test_what_one_set_that_was_replaced_does_not_outlive_it() -> None:
     claim(at, "agent")
     answer(at, "agent", [20.0, 25.0])
     advance(at)
-    at.on_disconnect("agent")
+    at.on_disconnect("agent", 0.0)
     claim(at, "other", actuators=["heat"])
     answer(at, "other", [16.0, 0.0], [SET, KEEP])
     values, sources = advance(at)
@@ -675,13 +694,13 @@ def test_a_write_for_1800_s_rules_two_timesteps_of_900_s(priority: int) -> None:
 
 def test_a_write_once_the_episode_is_over_is_refused() -> None:
     at = exchange(mode=Mode.FREE)
-    at.begin_step()
-    at.finish_step([True])
+    at.begin_step(0.0)
+    at.finish_step([True], 0.0)
     event = at.write("cool", Write(value=28.0, source="wall"), 900.0)
     assert (event.kind, event.source) == (EventKind.REJECTED, "wall")
     assert "the episode is over" in event.text
     at.reset()
-    at.ready()
+    at.ready(0.0)
     assert advance(at)[1] == ["", ""]
 
 
@@ -767,7 +786,7 @@ def test_in_free_mode_nobody_is_waited_for() -> None:
     assert answer(at, "agent", [20.0, 25.0]) is None
     assert advance(at) == ([20.0, 25.0], ["agent", "agent"])
     assert advance(at) == ([20.0, 25.0], ["agent", "agent"])  # held
-    said(at.command("agent", command([21.0, 26.0], step=1)), EventKind.LATE)
+    said(at.command("agent", command([21.0, 26.0], step=1), 0.0), EventKind.LATE)
     assert advance(at) == ([20.0, 25.0], ["agent", "agent"])
 
 
@@ -790,7 +809,7 @@ def test_a_reset_releases_everything_and_keeps_the_claims(ended: bool) -> None:
     at.reset()
     assert (at.state, at.episode) == (State.STARTING, [1])
     assert not at.ready_to_step()
-    at.ready()
+    at.ready(0.0)
     assert (at.state, at.step) == (State.WAITING, [0])
     assert not at.commands.has_expiries
     values, sources = ruling(at)
@@ -807,7 +826,7 @@ def test_the_names_are_right_after_a_reset() -> None:
     claim(at, "agent", 10)
     claim(at, "guard", 5)
     at.reset()
-    at.ready()
+    at.ready(0.0)
     answer(at, "guard", [16.0, 0.0], [SET, KEEP])
     answer(at, "agent", [20.0, 25.0])
     assert advance(at) == ([16.0, 25.0], ["guard", "agent"])
@@ -815,10 +834,10 @@ def test_the_names_are_right_after_a_reset() -> None:
 
 def test_counts_are_of_the_nodes_life() -> None:
     at = running()
-    at.command("agent", command([20.0, 25.0], step=0))
-    at.command("agent", command([20.0, NAN], step=2))
+    at.command("agent", command([20.0, 25.0], step=0), 0.0)
+    at.command("agent", command([20.0, NAN], step=2), 0.0)
     at.reset()
-    at.ready()
+    at.ready(0.0)
     assert (at.counts.accepted, at.counts.late, at.counts.rejected) == (2, 1, 1)
 
 
@@ -830,7 +849,7 @@ def test_touched_tells_whether_sample_0_is_still_that_of_a_fresh_start() -> None
     advance(at)
     assert at.modified == [True]
     at.reset()
-    at.ready()
+    at.ready(0.0)
     assert at.modified == [False]
 
 

@@ -20,17 +20,18 @@ def answers(at: StepExchange, controller: str, slots: dict[int, tuple[float, flo
     values = [v for slot in range(at.slots) for v in slots.get(slot, (0.0, 0.0))]
     steps = [step if slot in slots else None for slot, step in enumerate(at.step)]
     return at.command(
-        controller, Command(episode=at.episode, step=steps, operations=None, values=np.array(values, "<f8").tobytes())
+        controller,
+        Command(episode=at.episode, step=steps, operations=None, values=np.array(values, "<f8").tobytes()),
+        0.0,
     )
 
 
 def go(at: StepExchange, last: tuple[int, ...] = ()) -> tuple[list[int], np.ndarray]:
     """One timestep: who moved, and what ruled, shape (slots, actuators)."""
     assert at.ready_to_step(), at.awaiting()
-    values = at.begin_step()
+    values = at.begin_step(0.0)
     moving = [*at.active_slots]
-    at.finish_step([slot in last for slot in moving])
-    at.open_intake()
+    at.finish_step([slot in last for slot in moving], 0.0)
     return moving, np.frombuffer(values).reshape(at.shape)
 
 
@@ -61,7 +62,7 @@ def test_a_value_for_a_slot_that_stands_still_is_not_looked_at() -> None:
     """Not even whether it is within its bounds; in a slot that moves it is."""
     at = three()
     steps, values = [0, None, 0], np.array([20.0, 25.0, 1e9, NAN, 20.0, 25.0])
-    assert at.command("agent", Command(episode=[0] * 3, step=steps, values=values.astype("<f8").tobytes())) is None
+    assert at.command("agent", Command(episode=[0] * 3, step=steps, values=values.astype("<f8").tobytes()), 0.0) is None
     assert go(at)[0] == [0, 2]
     event = answers(at, "agent", {1: (20.0, 99.0)})
     assert event is not None
@@ -88,12 +89,14 @@ def test_the_slots_that_any_required_controller_answers_move() -> None:
     operations = bytes([KEEP, KEEP, SET, KEEP, SET, KEEP])
     both = np.array([0.0, 0.0, 21.0, 0.0, 22.0, 0.0]).tobytes()
     assert (
-        at.command("second", Command(episode=[0] * 3, step=[None, 0, None], operations=operations, values=both)) is None
+        at.command("second", Command(episode=[0] * 3, step=[None, 0, None], operations=operations, values=both), 0.0)
+        is None
     )
     at2 = at.ready_to_step()
     assert at2
     assert (
-        at.command("helper", Command(episode=[0] * 3, step=[None, None, 0], operations=operations, values=both)) is None
+        at.command("helper", Command(episode=[0] * 3, step=[None, None, 0], operations=operations, values=both), 0.0)
+        is None
     )
     moving, values = go(at)
     assert moving == [0, 1]
@@ -108,10 +111,10 @@ def test_only_the_slots_that_are_answered_are_compared_with_the_present(wrong: t
     go(at)
     step, episode = wrong
     told = Command(episode=[0, 7, 0], step=[1, None, 0], values=np.array([20.0, 25.0] * 3).tobytes())
-    assert at.command("agent", told) is None
+    assert at.command("agent", told, 0.0) is None
     go(at)
     told = Command(episode=[0, episode, 0], step=[None, step, 1], values=np.array([20.0, 25.0] * 3).tobytes())
-    event = at.command("agent", told)
+    event = at.command("agent", told, 0.0)
     assert event is not None
     assert event.kind is EventKind.REJECTED
     assert at.step == [2, 0, 1]
@@ -123,10 +126,10 @@ def test_a_slot_that_was_left_behind_is_late_only_where_all_are() -> None:
     go(at)
     answers(at, "agent", {0: (20.0, 25.0)})
     go(at)
-    late = at.command("agent", command([20.0, 25.0] * 3, step=[1, 1, 1], episode=[0] * 3))
+    late = at.command("agent", command([20.0, 25.0] * 3, step=[1, 1, 1], episode=[0] * 3), 0.0)
     assert late is not None
     assert late.kind is EventKind.LATE
-    mixed = at.command("agent", command([20.0, 25.0] * 3, step=[1, 2, 1], episode=[0] * 3))
+    mixed = at.command("agent", command([20.0, 25.0] * 3, step=[1, 2, 1], episode=[0] * 3), 0.0)
     assert mixed is not None
     assert mixed.kind is EventKind.REJECTED
     assert (at.counts.late, at.counts.rejected) == (1, 1)
@@ -164,7 +167,7 @@ def test_a_slot_begins_anew_while_the_others_stand() -> None:
     go(at, last=(1,))
     at.reset([1])
     assert at.state is State.STARTING
-    at.ready({1: 0})
+    at.ready(0.0, {1: 0})
     assert (at.episode, at.step, at.done) == ([0, 1, 0], [1, 0, 1], [False] * 3)
     assert at.modified == [True, False, True]
     assert at.awaiting() == ["agent"]
@@ -182,9 +185,9 @@ def test_an_answer_from_before_another_slot_began_anew_is_given_again() -> None:
     assert answers(at, "agent", {0: (20.0, 25.0)}) is None
     assert at.ready_to_step()
     at.reset([1])
-    at.ready({1: 0})
+    at.ready(0.0, {1: 0})
     assert not at.ready_to_step()
-    event = at.command("agent", command([20.0, 25.0] * 3, step=[0, 0, 0], episode=[0, 0, 0]))
+    event = at.command("agent", command([20.0, 25.0] * 3, step=[0, 0, 0], episode=[0, 0, 0]), 0.0)
     assert event is not None
     assert at.awaiting() == ["agent"]
     assert answers(at, "agent", {2: (20.0, 25.0)}) is None
@@ -197,7 +200,7 @@ def test_when_all_are_over_one_may_begin_anew() -> None:
     go(at, last=(0, 1, 2))
     assert at.state is State.ENDED
     at.reset([2])
-    at.ready({2: 0})
+    at.ready(0.0, {2: 0})
     assert (at.state, at.done, at.step) == (State.WAITING, [True, True, False], [1, 1, 0])
     assert answers(at, "agent", {2: (20.0, 25.0)}) is None
     assert go(at, last=(2,))[0] == [2]
@@ -210,9 +213,9 @@ def test_all_slots_begin_anew_by_any_name_of_them(slots: list[int] | None) -> No
     answer(at, "agent", [20.0, 25.0] * 3)
     at.write("heat", Write(value=18.0, priority=8, duration_s=1e6), 0.0)
     go(at)
-    at.on_disconnect("agent")
+    at.on_disconnect("agent", 0.0)
     at.reset(slots)
-    at.ready()
+    at.ready(0.0)
     assert (at.episode, at.step, at.commands.has_expiries, at.controllers()) == ([1] * 3, [0] * 3, False, [])
     assert ruling(at)[1] == [""] * 6
 
@@ -222,7 +225,7 @@ def test_a_written_value_outlives_the_beginning_of_one_slot_elsewhere() -> None:
     claim(at, "agent")
     at.write("heat", Write(value=18.0, priority=8), 0.0)
     at.reset([0])
-    at.ready({0: 0})
+    at.ready(0.0, {0: 0})
     np.testing.assert_array_equal(ruling(at)[0], [NAN, NAN, 18.0, NAN])
 
 
@@ -250,8 +253,7 @@ def test_what_held_holds_again_and_what_came_later_does_not() -> None:
     assert not at.commands.has_expiries
     for _ in range(2):
         at.reset()
-        at.restore(kept)
-        at.ready({0: 1, 1: 2, 2: 1})
+        at.ready(0.0, {0: 1, 1: 2, 2: 1}, kept)
         assert str(ruling(at)) == str(before)
         assert at.commands.has_expiries
         assert at.modified == [True] * 3
@@ -270,8 +272,7 @@ def test_whoever_claimed_since_keeps_its_claim_and_rules_under_its_own_name() ->
         answer(at, who, [22.0, 30.0] * 3)
     go(at)
     at.reset()
-    at.restore(kept)
-    at.ready()
+    at.ready(0.0, commands=kept)
     assert at.awaiting() == ["agent", "newcomer"]
     answer(at, "newcomer", [16.0, 24.0] * 3, [SET, KEEP] * 3)
     answer(at, "agent", [0.0, 0.0] * 3, [KEEP, KEEP] * 3)
@@ -283,8 +284,7 @@ def test_what_held_in_one_slot_goes_along_to_as_many_as_are_wanted() -> None:
     for slot, expected in enumerate([[20.0, 29.0], [21.0, 29.0], [20.0, 29.0]]):
         branch = exchange(slots=2)
         branch.reset()
-        branch.restore(at.capture().of_slot(slot, 2))
-        branch.ready({0: 2, 1: 2})
+        branch.ready(0.0, {0: 2, 1: 2}, at.capture().of_slot(slot, 2))
         assert ruling(branch) == (expected * 2, ["agent", "person"] * 2)
         claim(branch, "other")
         answer(branch, "other", [15.5, 22.5] * 2)
@@ -301,7 +301,7 @@ def test_what_is_written_for_a_time_holds_so_long_whichever_slot_begins_anew_or_
         go(at)
     at.write("cool", Write(value=29.0, priority=8, duration_s=1800.0, source="person"), 900.0 * at.commands.timesteps)
     at.reset([0])
-    at.ready({0: 0})
+    at.ready(0.0, {0: 0})
     kept = at.capture()
     for _ in range(2):
         assert at.expire(900.0 * at.commands.timesteps) == []
@@ -309,7 +309,8 @@ def test_what_is_written_for_a_time_holds_so_long_whichever_slot_begins_anew_or_
         go(at)
     assert [event.kind for event in at.expire(900.0 * at.commands.timesteps)] == [EventKind.EXPIRED]
     for branch, slot in ((exchange(slots=3), None), (exchange(slots=1), 1)):
-        branch.restore(kept if slot is None else kept.of_slot(slot, 1))
+        branch.reset()
+        branch.ready(0.0, commands=kept if slot is None else kept.of_slot(slot, 1))
         assert branch.expire(900.0 * branch.commands.timesteps) == []
         assert branch.commands.has_expiries
         assert [event.kind for event in branch.expire(900.0 * (branch.commands.timesteps + 2))] == [EventKind.EXPIRED]

@@ -91,15 +91,21 @@ def exchange(*actuators: Actuator, mode: Mode = Mode.LOCKSTEP, slots: int = 1) -
     made = StepExchange(
         actuators or (actuator("heat", 15.0, 22.5), actuator("cool", 22.5, 30.0)), slots=slots, mode=mode
     )
-    made.ready()
+    made.ready(0.0)
     return made
 
 
 def claim(
-    at: StepExchange, controller: str, priority: int = 10, *, actuators: list[str] | None = None, required: bool = True
+    at: StepExchange,
+    controller: str,
+    priority: int = 10,
+    *,
+    actuators: list[str] | None = None,
+    required: bool = True,
+    now_s: float = 0.0,
 ) -> list[Event]:
     """A controller claims actuators."""
-    return at.claim(Claim(controller=controller, priority=priority, actuators=actuators, required=required))
+    return at.claim(Claim(controller=controller, priority=priority, actuators=actuators, required=required), now_s)
 
 
 def command(
@@ -119,18 +125,22 @@ def command(
 
 
 def answer(
-    at: StepExchange, controller: str, values: Sequence[float], operations: Sequence[CommandOp] | None = None
+    at: StepExchange,
+    controller: str,
+    values: Sequence[float],
+    operations: Sequence[CommandOp] | None = None,
+    *,
+    now_s: float = 0.0,
 ) -> Event | None:
     """The controller answers the present sample."""
-    return at.command(controller, command(values, step=at.step, episode=at.episode, operations=operations))
+    return at.command(controller, command(values, step=at.step, episode=at.episode, operations=operations), now_s)
 
 
-def advance(at: StepExchange, *, last: bool = False) -> tuple[list[float], list[str]]:
+def advance(at: StepExchange, *, last: bool = False, now_s: float = 0.0) -> tuple[list[float], list[str]]:
     """One timestep: the values that ruled it (NaN: the building's own) and who set them."""
     assert at.ready_to_step(), f"waits for {at.awaiting()}"
-    values = at.begin_step()
-    at.finish_step([last] * len(at.active_slots))
-    at.open_intake()
+    values = at.begin_step(now_s)
+    at.finish_step([last] * len(at.active_slots), now_s)
     sources = [at.source_names[i] for i in np.frombuffer(at.source_index, "<u2")]
     return np.frombuffer(values, "<f8").tolist(), sources
 
@@ -140,7 +150,7 @@ def ruling(at: StepExchange) -> tuple[list[float], list[str]]:
     import copy
 
     ahead = copy.deepcopy(at)
-    values = ahead.begin_step()
+    values = ahead.begin_step(0.0)
     sources = [ahead.source_names[i] for i in np.frombuffer(ahead.source_index, "<u2")]
     return np.frombuffer(values, "<f8").tolist(), sources
 

@@ -43,7 +43,7 @@ class ControllerStatus(Message):
 
     `actuators`: number of actuators that it has claimed. `accepted_late`: accepted commands that arrived after the
     deadline. `late`: commands rejected because their step was over. `missed`: timesteps simulated without its command.
-    `response`: time from a sample to its answer.
+    `response`: time from the end of a timestep, just before its sample is published, to the accepted answer.
     """
 
     controller: str
