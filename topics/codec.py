@@ -72,10 +72,21 @@ def pack(**fields: Any) -> bytes:
     return packed
 
 
-def command_head(episode: list[int], step: list[int], size: int) -> bytes:
-    """Return the head of a `Command` without `operations`; `size` bytes of values follow it."""
-    blank = bytes(size)
-    return pack(episode=episode, step=step, operations=None, values=blank)[: -size or None]
+class CommandHead:
+    """The head of each `Command` of an episode, without `operations`; `size` bytes of values follow it."""
+
+    __slots__ = ("_begin", "_end")
+
+    def __init__(self, episode: list[int], size: int) -> None:
+        self._begin: bytes = (
+            b"\x84" + _packer.pack("episode") + _packer.pack(episode) + _packer.pack("step")
+        )  # 4 fields
+        self._end = pack(operations=None, values=bytes(size))[1 : -size or None]
+
+    def at(self, step: list[int]) -> bytes:
+        """Return the head of the commands that answer this step."""
+        packed: bytes = _packer.pack(step)
+        return self._begin + packed + self._end
 
 
 def decode(message: type[M], payload: bytes, declared: str = "") -> M:

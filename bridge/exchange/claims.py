@@ -78,10 +78,12 @@ class Claims:
 
     Attributes:
         by_name: the claims by controller.
+        required: those of the controllers that the node waits for in lockstep.
     """
 
     def __init__(self, actuators: tuple[Actuator, ...], array: PriorityArray) -> None:
         self.by_name: dict[str, ClaimHolder] = {}
+        self.required: list[ClaimHolder] = []
         self._actuators = actuators
         self._array = array
         self._index = actuator_index(actuators, RequestRejected)
@@ -116,6 +118,7 @@ class Claims:
             stats=old.stats if old else ControllerStats(),
             connected_at_s=now_s,
         )
+        self._list_required()
         return holder, replaced
 
     @property
@@ -130,9 +133,13 @@ class Claims:
     def begin_episode(self) -> None:
         """Drop the claims of disconnected controllers; those of the others have the sources of the present array."""
         self.by_name = {name: c for name, c in self.by_name.items() if c.state.is_connected}
+        self._list_required()
         for claimant in self.by_name.values():
             claimant.source = self._array.source(claimant.name)
             claimant.transition(ControllerTrigger.RESET)
+
+    def _list_required(self) -> None:
+        self.required = [claimant for claimant in self.by_name.values() if claimant.required]
 
     def relinquish(self, claimant: ClaimHolder) -> None:
         """Relinquish the values that a controller has set; it keeps its claim."""

@@ -48,9 +48,7 @@ class FallbackRules(ExchangeState):
         self._needs_fallback = self._needs_fallback or claimant.required
         if self.policy is Policy.RELINQUISH:
             self._answered.discard(name)  # its answer to the current sample is relinquished as well
-        if self.deadline_s is None or any(
-            c.required and c.state is not _BYPASSED for c in self.claims.by_name.values()
-        ):
+        if self.deadline_s is None or any(c.state is not _BYPASSED for c in self.claims.required):
             self._pending.discard(name)
         event = self._fall_back(claimant, "disconnected")
         return [event] if is_active else []

@@ -66,7 +66,8 @@ class Intake(ExchangeState):
             self._answered_slots.update(answered)
         stats = claimant.stats
         stats.accepted += 1
-        stats.response.add(now_s - max(self._opened_s, claimant.connected_at_s))
+        began_s = self._opened_s if self._opened_s > claimant.connected_at_s else claimant.connected_at_s
+        stats.response.add(now_s - began_s)
         self.counts.accepted += 1
         self._pending.discard(claimant.name)
         self._answered.add(claimant.name)

@@ -30,11 +30,14 @@ FEW_SOURCES = 256
 
 @dataclass(slots=True)
 class _Row:
-    """One occupied priority: values (float64, NaN where relinquished) and sources (uint16) as raw bytes."""
+    """One occupied priority: values (float64, NaN where relinquished) and sources (uint16) as raw bytes.
+
+    `only_source`: index of the source that has set all values; None if several have, or not all are set.
+    """
 
     values: bytes
     sources: bytes
-    full: bool
+    only_source: int | None
 
 
 class PriorityArray:
@@ -78,7 +81,7 @@ class PriorityArray:
             values = row.values[8 * width * slot : 8 * width * (slot + 1)] * slots
             sources = row.sources[2 * width * slot : 2 * width * (slot + 1)] * slots
             if not np.isnan(np.frombuffer(values)).all():
-                result._rows[priority] = _Row(values, sources, row.full)
+                result._rows[priority] = _Row(values, sources, row.only_source)
         return result
 
     def source(self, name: str, keeping: Collection[int] = ()) -> int:
@@ -109,11 +112,10 @@ class PriorityArray:
     def put_all(self, priority: int, source: int, values: bytes) -> None:
         """Set all actuators at a priority to finite values."""
         row = self._rows.get(priority)
-        index = source.to_bytes(2, "little")
-        if row is not None and row.full and row.sources[:2] == index:
+        if row is not None and row.only_source == source:
             row.values = values
         else:
-            self._rows[priority] = _Row(values, index * self._size, full=True)
+            self._rows[priority] = _Row(values, source.to_bytes(2, "little") * self._size, source)
 
     def put(self, priority: int, source: int, values: NDArray[np.float64], where: NDArray[np.bool_]) -> None:
         """Set the actuators selected by `where` at a priority; NaN relinquishes."""
@@ -123,7 +125,7 @@ class PriorityArray:
         new_sources = np.frombuffer(sources, INDEX).reshape(self.shape).copy()
         new_values[where] = values[where]
         new_sources[where] = source
-        self._rows[priority] = _Row(new_values.tobytes(), new_sources.tobytes(), full=False)
+        self._rows[priority] = _Row(new_values.tobytes(), new_sources.tobytes(), None)
         if np.isnan(new_values).all():
             del self._rows[priority]
 
@@ -143,7 +145,7 @@ class PriorityArray:
         rows = self._rows
         if len(rows) == 1:
             (row,) = rows.values()
-            if row.full:
+            if row.only_source is not None:
                 return row.values, row.sources
         if not rows:
             return self._relinquished

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from bridge.exchange.actuator_commands import ActuatorCommands
 from bridge.exchange.claims import Claims
 from bridge.exchange.transitions import TRANSITIONS, IllegalTransition, Trigger
+from topics import codec
 from topics.messages import Actuator, Event, EventKind, Mode, Policy, State
 
 MAX_EVENT_TEXT = 20_000
@@ -81,7 +82,8 @@ class ExchangeState:
     _answered_slots: set[int] = field(default_factory=set)
     _pending: set[str] = field(default_factory=set)
     _answered: set[str] = field(default_factory=set)
-    _head: bytes = field(init=False, default=b"")
+    _head: bytes = b""
+    _heads: codec.CommandHead = field(init=False)
     _all_slots: range = field(init=False)
     _all_modified: list[bool] = field(init=False)
 

@@ -72,10 +72,14 @@ class StepExchange(Intake, FallbackRules):
             self.step[slot] = step
             self.modified[slot] = step > 0
             self.done[slot] = False
+        self._heads = codec.CommandHead(self.episode, self.commands.size)
         self._open_intake(now_s)
 
     def finish_step(self, last: Sequence[bool], now_s: float) -> None:
         """Finish a timestep, and open the intake of answers to its sample.
+
+        The sample is published after this call. To open the intake only then would publish it a microsecond earlier,
+        but would need a second call after the publication.
 
         Args:
             last: of each active slot, whether it was its last timestep.
@@ -88,27 +92,25 @@ class StepExchange(Intake, FallbackRules):
             for slot, is_last in zip(self.active_slots, last, strict=True):
                 steps[slot] += 1
                 done[slot] = is_last
-        self.transition(_OVER if all(done) else _SAMPLED)
+        self.transition(_SAMPLED if False in done else _OVER)
         self.step, self.done = steps, done
         self.commands.timesteps += 1
         self._open_intake(now_s)
 
     def _open_intake(self, now_s: float) -> None:
         """Prepare for answers to the current sample."""
-        bypassed: set[str] = set()
-        self._pending = set()
-        for claimant in self.claims.by_name.values():
-            if claimant.required:
-                (bypassed if claimant.state is _BYPASSED else self._pending).add(claimant.name)
-        self._needs_fallback = bool(bypassed)
-        if bypassed and not self._pending and self.deadline_s is not None:
-            self._pending = bypassed  # no required controller is connected: the deadline sets the pace
+        required = self.claims.required
+        self._pending = {claimant.name for claimant in required if claimant.state is not _BYPASSED}
+        self._needs_fallback = len(self._pending) < len(required)
+        if not self._pending and self.deadline_s is not None:
+            # No required controller is connected: the deadline sets the pace.
+            self._pending = {claimant.name for claimant in required}
         self._opened_s, self._deadline_passed_s = now_s, None
         if self._message_counts:
             self._message_counts = {}
         self._answered = set()
         self._answered_slots = set()
-        self._head = b"" if any(self.done) else codec.command_head(self.episode, self.step, self.commands.size)
+        self._head = b"" if True in self.done else self._heads.at(self.step)
 
     def reset(self, slots: Sequence[int] | None = None) -> None:
         """Begin a new episode in all slots or in some, and relinquish everything there.
@@ -136,12 +138,7 @@ class StepExchange(Intake, FallbackRules):
             return False
         if self.mode is not _LOCKSTEP:
             return True
-        if self._pending:
-            return False
-        for claimant in self.claims.by_name.values():  # noqa: SIM110  # a generator is slower
-            if claimant.required:
-                return True
-        return False
+        return not self._pending and bool(self.claims.required)
 
     def begin_step(self, now_s: float) -> bytes:
         """Begin a timestep; return its commands (float64, NaN: baseline control)."""
@@ -152,7 +149,7 @@ class StepExchange(Intake, FallbackRules):
             self.active_slots = self._all_slots
         else:
             self.active_slots = sorted(self._answered_slots)
-        if any(self.done):
+        if True in self.done:
             self.active_slots = [slot for slot in self.active_slots if not self.done[slot]]
         if self.active_slots is self._all_slots:
             self.modified = self._all_modified
@@ -177,9 +174,7 @@ class StepExchange(Intake, FallbackRules):
         """Count the required controllers without a command for this timestep; return whether there are any."""
         is_lockstep = self.mode is _LOCKSTEP
         missed = [
-            c
-            for c in self.claims.by_name.values()
-            if c.required and (c.name not in self._answered if is_lockstep else c.state is _BYPASSED)
+            c for c in self.claims.required if (c.name not in self._answered if is_lockstep else c.state is _BYPASSED)
         ]
         for claimant in missed:
             claimant.stats.missed += 1

@@ -352,6 +352,11 @@ BOUNDS = {
     "minus zero": (actuator("heat", -0.0, 1.0), actuator("cool", -1.0, -0.0)),
     "none": (actuator("heat"), actuator("cool")),
     "one": (actuator("heat", 15.0, None), actuator("cool", None, 30.0)),
+    "many": (
+        actuator("heat", 0.0, 1.0),
+        actuator("cool", None, 0.0),
+        *(actuator(f"a{k}", 0.0, 1.0) for k in range(40)),
+    ),
 }
 
 
@@ -372,8 +377,9 @@ def both_paths_agree(bounds: str, controller: str, sent: Command, *, times: int)
     claim(at, "agent", 10)
     claim(at, "helper", 11, required=False)
     claim(at, "part", 9, actuators=["cool"])
-    answer(at, "agent", [0.0, 0.0], [KEEP, KEEP])
-    answer(at, "part", [0.0, 0.0], [KEEP, KEEP])
+    count = len(BOUNDS[bounds])
+    answer(at, "agent", [0.0] * count, [KEEP] * count)
+    answer(at, "part", [0.0] * count, [KEEP] * count)
     advance(at)
     payload, slow, before = wire(sent), copy.deepcopy(at), told(at)
     for _ in range(times):
@@ -431,7 +437,7 @@ def test_a_usual_command_takes_the_fast_path(count: int) -> None:
     claim(at, "agent")
     for k in (0, 1, 2):
         payload = (
-            codec.command_head(at.episode, at.step, 8 * count * at.slots) + np.full(count * at.slots, 0.5).tobytes()
+            codec.CommandHead(at.episode, 8 * count * at.slots).at(at.step) + np.full(count * at.slots, 0.5).tobytes()
         )
         assert at.accept_fast("agent", payload, 0.0)
         values, sources = advance(at)

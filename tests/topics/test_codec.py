@@ -20,6 +20,7 @@ from topics.messages import (
     Ack,
     Claim,
     Command,
+    ControllerState,
     ControllerStatus,
     CreateBranch,
     EngineStart,
@@ -94,7 +95,7 @@ whatever = st.one_of(
         controllers=st.lists(
             st.builds(
                 ControllerStatus, controller=texts, priority=priorities, actuators=counts, required=st.booleans(),
-                connected=st.booleans(), accepted=counts,
+                state=st.sampled_from(ControllerState), accepted=counts,
             ),
             max_size=2,
         ),
@@ -151,7 +152,7 @@ def test_the_hot_path_packs_what_encode_packs(message: Message) -> None:
 @given(lists, lists, st.binary(max_size=300))
 def test_a_command_is_its_head_and_its_values(episode: list[int], step: list[int], values: bytes) -> None:
     whole = codec.encode(Command(episode=episode, step=step, values=values))
-    assert codec.command_head(episode, step, len(values)) + values == whole
+    assert codec.CommandHead(episode, len(values)).at(step) + values == whole
 
 
 def test_the_values_stand_in_the_payload_as_little_endian_float64() -> None:

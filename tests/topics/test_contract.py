@@ -352,7 +352,7 @@ def test_the_bytes_on_the_page_are_these_messages() -> None:
 
 
 def test_the_command_on_the_page_is_one_that_a_node_knows_by_its_first_bytes() -> None:
-    head = codec.command_head([0], [3], 16)
+    head = codec.CommandHead([0], 16).at([3])
     assert _bytes_on_the_page("command") == head + COMMAND.values
 
 

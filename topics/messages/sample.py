@@ -43,7 +43,7 @@ class Command(Message):
 
     `values` has all actuators of all slots. `operations` (one `CommandOp` byte per value) selects which of them are
     set, kept or relinquished; without it, all are set. `values` is the last field, so that a command's bytes are a
-    predictable head followed by the values, and the node need not decode it (`codec.command_head`).
+    predictable head followed by the values, and the node need not decode it (`codec.CommandHead`).
     """
 
     episode: list[Count]
