@@ -1,4 +1,4 @@
-"""Measure the costs of steps, resets, branches, vector steps and monitors.
+"""Measure the costs of steps (wall and processor time), resets, branches, vector steps and monitors.
 
 The results are printed as tables and written as JSON to `bench/results/`.
 
@@ -22,11 +22,12 @@ from typing import Any
 
 from rich.console import Console
 
-from bench import branches, growth, monitors, resets, steps, vector
+from bench import branches, growth, monitors, processor, resets, steps, vector
 from topics import VERSION
 
 PARTS: Mapping[str, Any] = {
     "steps": steps,
+    "processor": processor,
     "resets": resets,
     "branches": branches,
     "vector": vector,

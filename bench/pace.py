@@ -21,7 +21,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from bench.machine import OtherLoad
+from bench.machine import OtherLoad, ProcessorTime
 
 _TIMEOUT_S = 300.0
 _LEAD_S = 0.05
@@ -44,15 +44,21 @@ class Burst:
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """Counted steps of a burst, and their duration in seconds."""
+    """Counted steps of a burst, their duration, and the processor time of the worker and all that it started."""
 
     steps: int
     seconds: float
+    cpu_seconds: float
 
     @property
     def us(self) -> float:
         """Microseconds per step."""
         return 1e6 * self.seconds / self.steps
+
+    @property
+    def cpu_us(self) -> float:
+        """Microseconds of processor time per step."""
+        return 1e6 * self.cpu_seconds / self.steps
 
 
 class Pace:
@@ -61,6 +67,7 @@ class Pace:
     def __init__(self) -> None:
         self._burst, self._count = Burst(), 0
         self._from: float | None = None
+        self._cpu_from = 0.0
         self._output = os.dup(1)
         os.dup2(2, 1)  # other output of the program goes to standard error
 
@@ -75,9 +82,9 @@ class Pace:
         self._count += 1
         if self._from is None:
             if self._count >= SKIPPED and now >= self._burst.after:
-                self._from, self._count = now, 0
+                self._from, self._count, self._cpu_from = now, 0, self._cpu.seconds()
         elif self._count >= self._burst.steps or now >= self._burst.until:
-            self._write(asdict(Measurement(self._count, now - self._from)))
+            self._write(asdict(Measurement(self._count, now - self._from, self._cpu.seconds() - self._cpu_from)))
             self._wait()
 
     def _write(self, fields: dict[str, Any]) -> None:
@@ -88,7 +95,7 @@ class Pace:
         if not line:
             raise EndOfBursts
         self._burst, self._count = Burst(**json.loads(line)), 0
-        self._from = None
+        self._from, self._cpu = None, ProcessorTime()
 
 
 class Worker:
@@ -96,7 +103,10 @@ class Worker:
 
     Attributes:
         about: fields that the worker reported when it was ready.
+        latest: its latest measurement.
     """
+
+    latest: Measurement
 
     def __init__(self, kind: str, scene: str, env: Mapping[str, str] | None = None, **options: Any) -> None:
         self.title = f"{kind} {scene} {options}"
@@ -152,7 +162,8 @@ class Worker:
 
     def measurement(self) -> Measurement:
         """Return the measurement of the burst."""
-        return Measurement(**self._read())
+        self.latest = Measurement(**self._read())
+        return self.latest
 
     def run(self, burst: Burst) -> Measurement:
         """Run a burst and return its measurement."""
@@ -181,13 +192,20 @@ class Round:
     other_load: float
 
 
-def rounds(kinds: Mapping[str, Callable[[], float]], count: int, *, settle_s: float = 0.0) -> list[Round]:
+def rounds(
+    kinds: Mapping[str, Callable[[], float]],
+    count: int,
+    *,
+    settle_s: float = 0.0,
+    also: Callable[[], Mapping[str, float]] = dict,
+) -> list[Round]:
     """Measure each kind once per round, starting with a different one each time.
 
     Args:
         kinds: measurements by title.
         count: number of rounds.
         settle_s: pause after each measurement, for processes that have work left.
+        also: returns further figures by title at the end of each round.
     """
     results, titles = [], [*kinds]
     for number in range(count):
@@ -195,7 +213,7 @@ def rounds(kinds: Mapping[str, Callable[[], float]], count: int, *, settle_s: fl
         for title in titles[number % len(titles) :] + titles[: number % len(titles)]:
             figures[title] = kinds[title]()
             time.sleep(settle_s)
-        results.append(Round(figures, load.share()))
+        results.append(Round({**figures, **also()}, load.share()))
     return results
 
 
@@ -210,9 +228,9 @@ def figures(results: Sequence[Round], title: str, reference: str | None = None) 
     return spread([one.figures[title] / (one.figures[reference] if reference else 1.0) for one in kept])
 
 
-def steps_of(worker: Worker, steps: int) -> Callable[[], float]:
-    """Return a measurement of microseconds per step."""
-    return lambda: worker.run(Burst(steps=steps)).us
+def steps_of(worker: Worker, steps: int, *, less_us: float = 0.0) -> Callable[[], float]:
+    """Return a measurement of microseconds per step, less a part of the step that does not count."""
+    return lambda: worker.run(Burst(steps=steps)).us - less_us
 
 
 def other_load(results: Sequence[Round]) -> dict[str, float]:

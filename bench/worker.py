@@ -8,6 +8,7 @@ import queue
 import sys
 import tempfile
 import threading
+import time
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from dataclasses import replace
@@ -124,7 +125,15 @@ def callback(run: InProcess, pace: Pace) -> None:
     run.run(exchange, _FirstTick(pace))
 
 
-def queues(run: InProcess, pace: Pace) -> None:
+def _compute(seconds: float) -> None:
+    """Use that much processor time."""
+    if seconds:
+        until = time.thread_time() + seconds
+        while time.thread_time() < until:
+            pass
+
+
+def queues(run: InProcess, pace: Pace, *, compute_s: float = 0.0) -> None:
     """Run EnergyPlus in a thread with two queues of one entry, as similar projects build an environment."""
     observations: queue.Queue[list[float]] = queue.Queue(maxsize=1)
     actions: queue.Queue[Any] = queue.Queue(maxsize=1)
@@ -138,6 +147,7 @@ def queues(run: InProcess, pace: Pace) -> None:
     try:
         pace.begin()
         while True:
+            _compute(compute_s)
             actions.put(run.action)
             np.array(observations.get(), np.float32)
             pace.tick()
@@ -155,7 +165,9 @@ def _run(step: Callable[[], Any], pace: Pace, **about: Any) -> None:
         pace.tick()
 
 
-def environment(node_settings: dict[str, Any], pace: Pace, *, monitors: int = 0, **arguments: Any) -> None:
+def environment(
+    node_settings: dict[str, Any], pace: Pace, *, monitors: int = 0, compute_s: float = 0.0, **arguments: Any
+) -> None:
     """Call `env.step`, across processes over Zenoh."""
     import gymnasium as gym
 
@@ -170,7 +182,12 @@ def environment(node_settings: dict[str, Any], pace: Pace, *, monitors: int = 0,
         action = scenes.setpoints(env.unwrapped.manifest.actuators)[: env.action_space.shape[0]].astype(np.float32)
         status = env.unwrapped.link.bus.status(env.unwrapped.manifest.node)
         memory_mb = (status.node_rss_bytes + status.engine_rss_bytes) / 1e6
-        _run(lambda: env.step(action), pace, memory_mb=memory_mb)
+
+        def step() -> None:
+            _compute(compute_s)
+            env.step(action)
+
+        _run(step, pace, memory_mb=memory_mb)
 
 
 def engines(node_settings: dict[str, Any], pace: Pace, *, count: int) -> None:
