@@ -116,6 +116,7 @@ def test_it_polls_for_up_to_twice_its_typical_wait(monkeypatch: pytest.MonkeyPat
 def test_it_never_polls_for_longer_than_the_limit(monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
     # Short cycles are the most likely, so that it polls; each tenth wait is up to fifty times as long as the limit.
     rng, machine = random.Random(seed), Machine(monkeypatch)
+    machine.attempt_s = LIMIT_S / 64
     polled = 0
     for _ in range(2000):
         machine.wait(rng.uniform(0.0, LONG_S if rng.random() < 0.1 else 1.2 * LIMIT_S))
