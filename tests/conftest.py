@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 from hypothesis import settings
-from support.nodes import SMALL, NodeProgram, nothing_left
+from support.nodes import SMALL, NodeProgram, begin_new_episode, nothing_left
 
 import agent_sdk
 
@@ -82,6 +82,25 @@ def node(scratch: Path) -> Iterator[NodeProgram]:
 def bus(node: NodeProgram) -> Iterator[agent_sdk.Bus]:
     """The bus of `node`."""
     with agent_sdk.connect(node.endpoint, affinity="off") as connected:
+        yield connected
+
+
+@pytest.fixture(scope="module")
+def shared_node(module_folder: Path) -> Iterator[NodeProgram]:
+    """A node `office` with the small building for all tests of a module; in the end nothing of it may be left."""
+    with nothing_left(module_folder):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setenv("TMPDIR", str(module_folder))
+            program = NodeProgram(module_folder / "node", **SMALL)
+        with program:
+            yield program
+
+
+@pytest.fixture
+def shared_bus(shared_node: NodeProgram) -> Iterator[agent_sdk.Bus]:
+    """The bus of `shared_node`, which waits at the first sample of a new episode."""
+    with agent_sdk.connect(shared_node.endpoint, affinity="off") as connected:
+        begin_new_episode(connected)
         yield connected
 
 

@@ -18,7 +18,9 @@ from typing import Any
 
 import psutil
 
+import agent_sdk
 from topics.errors import from_wire
+from topics.messages import Mode, Reset, State
 
 PATIENCE_S = 60.0
 """How long `until` waits before it says what did not happen; no test depends on its length."""
@@ -134,6 +136,20 @@ class NodeProgram:
             self.process.wait(timeout=PATIENCE_S)
         finally:
             self.process.kill()
+
+
+def begin_new_episode(bus: agent_sdk.Bus, node: str = "office") -> list[int]:
+    """Give a shared node the state of a new one, but for its counts and its episode's number, which is returned."""
+    until(lambda: not any(c.connected for c in bus.status(node).controllers), "all controllers have left")
+    bus.pause(node)
+    bus.pace(node, 1.0)
+    bus.pace(node, mode=Mode.LOCKSTEP)
+    bus.faults(node, None)
+    episode = bus.reset(node, Reset(controller="")).episode
+    bus.resume(node)
+    until(lambda: (s := bus.status(node)).state is State.WAITING and s.episode == episode, "a new episode begins")
+    bus.weather(node, ["dry_bulb"])  # by the node's own thread, which has published all that came before
+    return episode
 
 
 def engines_of(node_pid: int) -> list[psutil.Process]:

@@ -185,17 +185,10 @@ def test_zenostat_run_with_parameters_seeds_and_classes_of_anybodys(scratch: Pat
         (["--controller", "mine.py:Mine"], "there is no file"),
     ],
 )
-def test_mistakes_are_one_sentence_and_claim_nothing(unhurried: NodeProgram, arguments: list[str], says: str) -> None:
-    done = run(unhurried, *arguments)
+def test_mistakes_are_one_sentence_and_claim_nothing(shared_node: NodeProgram, arguments: list[str], says: str) -> None:
+    done = run(shared_node, *arguments)
     assert done.returncode == 2
     assert says in " ".join(done.stderr.split())
     assert "Traceback" not in done.stderr
-    with agent_sdk.connect(unhurried.endpoint, affinity="off") as bus:
+    with agent_sdk.connect(shared_node.endpoint, affinity="off") as bus:
         assert bus.status("office").controllers == []
-
-
-@pytest.fixture(scope="module")
-def unhurried(module_folder: Path) -> Any:
-    """A node that waits at sample 0 for whoever comes."""
-    with NodeProgram(module_folder / "node", **SMALL) as node:
-        yield node

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.nodes import SMALL, NodeProgram, free_port, until
+from support.nodes import SMALL, NodeProgram, begin_new_episode, free_port, until
 
 import agent_sdk
 from agent_sdk import Bus
@@ -170,10 +170,33 @@ def rest(samples: Iterator[SampleView]) -> list[Sample]:
     raise AssertionError("the node is gone")
 
 
+@pytest.fixture
+def bus(shared_bus: Bus) -> Bus:
+    """The bus of a node that the tests of this module share."""
+    return shared_bus
+
+
 @pytest.fixture(scope="module")
-def reference(module_folder: Path) -> list[Sample]:
+def year(module_folder: Path) -> Iterator[NodeProgram]:
+    """A node whose episodes outlast all that the tests do."""
+    with NodeProgram(module_folder / "year", **YEAR) as node:
+        yield node
+
+
+@pytest.fixture
+def year_bus(year: NodeProgram) -> Iterator[Bus]:
+    """The bus of `year`, which waits at the first sample of a new episode; paused in the end."""
+    with agent_sdk.connect(year.endpoint, affinity="off") as bus:
+        begin_new_episode(bus)
+        yield bus
+        bus.pause("office")
+
+
+@pytest.fixture(scope="module")
+def reference(shared_node: NodeProgram) -> list[Sample]:
     """Samples 1 to the last of a day in lockstep, with one setpoint held."""
-    with NodeProgram(module_folder / "n", **SMALL) as node, agent_sdk.connect(node.endpoint, affinity="off") as bus:
+    with agent_sdk.connect(shared_node.endpoint, affinity="off") as bus:
+        begin_new_episode(bus)
         found = []
         for sample in bus.controller("office"):
             found.append(sample.message)
@@ -215,39 +238,42 @@ def test_what_was_commanded_holds_when_paced(bus: Bus, reference: list[Sample]) 
     assert trajectory(came) == trajectory(reference[1:])
 
 
-def test_an_impossible_speed_is_counted_and_loses_nothing(bus: Bus, reference: list[Sample]) -> None:
-    with bus.controller("office") as link:
-        held(link)
-        with bus.listen("office") as samples:
-            bus.pace("office", 1e9)  # 0.9 us a timestep
-            came = rest(samples)
-    assert trajectory(came) == trajectory(reference[1:])
-    until(lambda: bus.status("office").state == "ended", "the episode has ended")
-    round_trips(bus, 1)  # by the node's own thread, which has counted by then
-    told = bus.status("office").statistics
-    assert told.overruns == DAY_STEPS - 1
-    assert told.max_lag_s > 0
-    assert told.step.count == DAY_STEPS
-    assert bus.manifest("office").statistics.overruns == told.overruns
+def test_an_impossible_speed_is_counted_and_loses_nothing(scratch: Path, reference: list[Sample]) -> None:
+    with NodeProgram(scratch / "n", **SMALL) as node, agent_sdk.connect(node.endpoint, affinity="off") as bus:
+        with bus.controller("office") as link:
+            held(link)
+            with bus.listen("office") as samples:
+                bus.pace("office", 1e9)  # 0.9 us a timestep
+                came = rest(samples)
+        assert trajectory(came) == trajectory(reference[1:])
+        until(lambda: bus.status("office").state == "ended", "the episode has ended")
+        round_trips(bus, 1)  # by the node's own thread, which has counted by then
+        counts = bus.status("office").statistics
+        assert counts.overruns == DAY_STEPS - 1
+        assert counts.max_lag_s > 0
+        assert counts.step.count == DAY_STEPS
+        assert bus.manifest("office").statistics.overruns == counts.overruns
 
 
 def test_free_goes_as_lockstep_does(bus: Bus, reference: list[Sample]) -> None:
+    overruns = bus.status("office").statistics.overruns
     with bus.controller("office") as link:
         held(link)
         with bus.listen("office") as samples:
             bus.pace("office", mode="free")
             came = rest(samples)
     assert trajectory(came) == trajectory(reference[1:])
-    assert bus.status("office").statistics.overruns == 0
+    assert bus.status("office").statistics.overruns == overruns
     assert bus.manifest("office").mode is Mode.FREE
 
 
 def test_a_command_that_comes_in_time_rules_the_next_timestep(bus: Bus) -> None:
+    accepted = bus.status("office").accepted
     bus.pace("office", 1e-3)  # ten days a timestep
     with bus.controller("office", required=False) as link:
         sample = link.current()
         sample.send({SETPOINT: 28.0})
-        until(lambda: bus.status("office").accepted == 1, "the command is taken")
+        until(lambda: bus.status("office").accepted == accepted + 1, "the command is taken")
         assert bus.status("office").step == [0]
         bus.pace("office", 1e9)
         index = [a.name for a in link.manifest.actuators].index(SETPOINT)
@@ -256,50 +282,61 @@ def test_a_command_that_comes_in_time_rules_the_next_timestep(bus: Bus) -> None:
 
 @pytest.mark.variants
 @pytest.mark.parametrize("mode", ["free", "paced"])
-def test_a_paused_node_stands_until_it_goes_on(scratch: Path, mode: str) -> None:
-    with (
-        NodeProgram(scratch / "node", **YEAR, mode=mode, speed=1e6) as node,
-        agent_sdk.connect(node.endpoint, affinity="off") as bus,
-    ):
-        until(lambda: bus.status("office").step[0] > 3, "the node runs")
-        bus.pause("office")
-        status = bus.status("office")
-        assert status.paused
-        with bus.listen("office") as samples:
-            round_trips(bus)
-            assert bus.status("office").step == status.step
-            overruns = bus.status("office").statistics.overruns
-            bus.step("office", 4)
-            until(lambda: bus.status("office").step == [status.step[0] + 4], "four timesteps are done")
-            round_trips(bus)
-            assert bus.status("office").step == [status.step[0] + 4]
-            assert bus.status("office").statistics.overruns == overruns  # a step by hand has no schedule
-            bus.resume("office")
-            came = arrivals(samples, 6)
-        assert [step for step, _ in came] == [status.step[0] + k for k in range(1, 7)]
-        assert not bus.status("office").paused
-
-
-def test_a_pause_forgets_the_steps_that_were_asked_for(scratch: Path) -> None:
-    with (
-        NodeProgram(scratch / "node", **YEAR) as node,
-        agent_sdk.connect(node.endpoint, affinity="off") as bus,
-    ):
-        bus.pause("office")
-        bus.pace("office", mode="free")
-        bus.step("office", 1_000_000)
-        bus.pause("office")
-        before = bus.status("office").step
-        assert before[0] < bus.status("office").steps
+def test_a_paused_node_stands_until_it_goes_on(year_bus: Bus, mode: str) -> None:
+    bus = year_bus
+    bus.pace("office", 1e6 if mode == "paced" else None, mode=mode)
+    until(lambda: bus.status("office").step[0] > 3, "the node runs")
+    bus.pause("office")
+    status = bus.status("office")
+    assert status.paused
+    with bus.listen("office") as samples:
         round_trips(bus)
-        assert bus.status("office").step == before
+        assert bus.status("office").step == status.step
+        overruns = bus.status("office").statistics.overruns
+        bus.step("office", 4)
+        until(lambda: bus.status("office").step == [status.step[0] + 4], "four timesteps are done")
+        round_trips(bus)
+        assert bus.status("office").step == [status.step[0] + 4]
+        assert bus.status("office").statistics.overruns == overruns  # a step by hand has no schedule
+        bus.resume("office")
+        came = arrivals(samples, 6)
+    assert [step for step, _ in came] == [status.step[0] + k for k in range(1, 7)]
+    assert not bus.status("office").paused
+
+
+def test_a_pause_forgets_the_steps_that_were_asked_for(year_bus: Bus) -> None:
+    bus = year_bus
+    bus.pause("office")
+    bus.pace("office", mode="free")
+    bus.step("office", 1_000_000)
+    bus.pause("office")
+    before = bus.status("office").step
+    assert before[0] < bus.status("office").steps
+    round_trips(bus)
+    assert bus.status("office").step == before
+
+
+def test_a_reset_forgets_the_steps_that_were_left(year_bus: Bus) -> None:
+    """A reset during a pause begins an episode that is paused."""
+    bus = year_bus
+    bus.pause("office")
+    bus.pace("office", mode="free")
+    bus.step("office", 30_000)
+    with bus.controller("office", required=False) as link:
+        link.reset()
+        assert link.current().step == 0
+        for _ in range(3):
+            assert bus.status("office").step == [0]
+        bus.step("office", 2)
+        until(lambda: bus.status("office").step == [2], "it has gone two timesteps")
 
 
 def test_steps_in_lockstep_go_once_they_are_answered(bus: Bus) -> None:
+    accepted = bus.status("office").accepted
     bus.pause("office")
     with bus.controller("office") as link:
         link.current().send()
-        until(lambda: bus.status("office").accepted == 1, "the command is taken")
+        until(lambda: bus.status("office").accepted == accepted + 1, "the command is taken")
         round_trips(bus)
         assert bus.status("office").step == [0]
         bus.step("office", 2)
@@ -309,7 +346,7 @@ def test_steps_in_lockstep_go_once_they_are_answered(bus: Bus) -> None:
         sample.send()
         sample = link.receive()
         sample.send()
-        until(lambda: bus.status("office").accepted == 3, "the command is taken")
+        until(lambda: bus.status("office").accepted == accepted + 3, "the command is taken")
         round_trips(bus)
         assert (sample.step, bus.status("office").step) == (2, [2])
         bus.resume("office")
@@ -389,10 +426,10 @@ def test_the_node_says_what_its_pace_is(bus: Bus) -> None:
         bus.pace("office", 60)
         bus.step("office", 1)
         bus.resume("office")
-        told = [codec.decode(Event, events.recv().payload.to_bytes()) for _ in range(4)]
-    assert {event.kind for event in told} == {EventKind.PACE}
-    assert [event.text for event in told] == ["paused", "60 times the wall clock", "steps left: 1", "resumed"]
-    assert told[0].source == "me"
+        heard = [codec.decode(Event, events.recv().payload.to_bytes()) for _ in range(4)]
+    assert {event.kind for event in heard} == {EventKind.PACE}
+    assert [event.text for event in heard] == ["paused", "60 times the wall clock", "steps left: 1", "resumed"]
+    assert heard[0].source == "me"
 
 
 @pytest.mark.parametrize(
@@ -413,10 +450,10 @@ def test_the_node_says_what_its_pace_is(bus: Bus) -> None:
         (lambda bus: bus.step("office", 0), InvalidConfig, "steps.*greater than or equal to 1"),
     ],
 )
-def test_wrong_requests_are_refused_in_words(standing: Bus, ask: Any, error: type[Exception], words: str) -> None:
+def test_wrong_requests_are_refused_in_words(bus: Bus, ask: Any, error: type[Exception], words: str) -> None:
     with pytest.raises(error, match=words):
-        ask(standing)
-    status = standing.status("office")
+        ask(bus)
+    status = bus.status("office")
     assert (status.step, status.mode, status.speed, status.paused) == ([0], Mode.LOCKSTEP, 1.0, False)
 
 
@@ -431,13 +468,6 @@ def test_an_episode_that_is_over_takes_no_steps_and_no_writes(scratch: Path) -> 
         assert bus.status("office").step == [96]
 
 
-@pytest.fixture(scope="module")
-def standing(module_folder: Path) -> Iterator[Bus]:
-    """A node in lockstep that nobody answers."""
-    with NodeProgram(module_folder / "s", **SMALL) as node, agent_sdk.connect(node.endpoint, affinity="off") as bus:
-        yield bus
-
-
 # The command line
 
 
@@ -447,8 +477,8 @@ def zenostat(*arguments: str) -> str:
     return " ".join(done.stdout.split())
 
 
-def test_commands_of_a_person(node: NodeProgram, bus: Bus, tmp_path: Path) -> None:
-    at = ("--connect", node.endpoint)
+def test_commands_of_a_person(shared_node: NodeProgram, bus: Bus, tmp_path: Path) -> None:
+    at = ("--connect", shared_node.endpoint)
     plan = tmp_path / "faults.yaml"
     plan.write_text("faults: [{name: off by one, kind: bias, points: core_zn_air_temperature, offset: 1.0}]")
     assert zenostat("pause", "office", *at) == "office: lockstep; paused; step 0 of 96, 2017-07-03T00:00:00"
@@ -503,12 +533,12 @@ def test_a_paced_node_tells_in_the_end_how_it_kept_up(scratch: Path) -> None:
 # A gateway
 
 
-def test_a_gateways_command_in_a_pause_is_answered_though_no_sample_comes(node: NodeProgram, bus: Bus) -> None:
+def test_a_gateways_command_in_a_pause_is_answered_though_no_sample_comes(shared_node: NodeProgram, bus: Bus) -> None:
     pytest.importorskip("zmq", reason="pyzmq is not installed")
-    from test_zeromq_gateway import GatewayProgram, Peer, keeping
+    from support.zeromq import GatewayProgram, Peer, keeping
 
     bus.pause("office")
-    with GatewayProgram(node.endpoint) as gateway, Peer(gateway) as peer:
+    with GatewayProgram(shared_node.endpoint) as gateway, Peer(gateway) as peer:
         peer.listen("sample")
         sample = peer.hear(Sample)
         assert peer.ask("rpc/claim", controller="c")[0] == "Ack"
@@ -522,18 +552,3 @@ def test_a_gateways_command_in_a_pause_is_answered_though_no_sample_comes(node: 
         sample = peer.after(sample)
         bus.pause("office")
         assert peer.ask("command/c", **keeping(sample))[0] == "Ack"
-
-
-def test_a_reset_forgets_the_steps_that_were_left(scratch: Path) -> None:
-    """A reset during a pause begins an episode that is paused."""
-    year = SMALL | {"begin": "01-01", "end": "12-31"}
-    with NodeProgram(scratch / "n", **year, mode="free") as node, agent_sdk.connect(node.endpoint) as bus:
-        bus.pause("office")
-        bus.step("office", 30_000)
-        with bus.controller("office", required=False) as link:
-            link.reset()
-            assert link.current().step == 0
-            for _ in range(3):
-                assert bus.status("office").step == [0]
-            bus.step("office", 2)
-            until(lambda: bus.status("office").step == [2], "it has gone two timesteps")

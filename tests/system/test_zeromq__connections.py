@@ -13,20 +13,20 @@ pytest.importorskip("zmq", reason="pyzmq is not installed")
 
 import zmq
 from support.nodes import Program
-from test_zeromq_gateway import KILLED, GatewayProgram, Peer, gateway, keeping
+from support.zeromq import KILLED, GatewayProgram, Peer, gateway, keeping, module_gateway
 
 import agent_sdk
 from bridge.gateways.zeromq import connections
 from bridge.gateways.zeromq.frames import split
 
-__all__ = ["gateway"]
+__all__ = ["gateway", "module_gateway"]
 
 IDENTITY = b"controller-1"
 NAMED = KILLED.replace("requests.connect", f"requests.routing_id = {IDENTITY!r}\nrequests.connect")
 MIB = 1 << 20
 
 
-def test_controller_that_starts_again_takes_its_identity_from_a_connection_that_is_still_open(node, gateway):
+def test_controller_that_starts_again_takes_its_identity_from_a_connection_that_is_still_open(shared_node, gateway):
     with Program(NAMED, gateway.command) as program, Peer(gateway) as new:
         assert program.line().endswith(".Ack")
         program.process.send_signal(signal.SIGSTOP)
@@ -43,7 +43,7 @@ def test_controller_that_starts_again_takes_its_identity_from_a_connection_that_
         program.process.kill()
         program.process.wait()
         assert new.ask("command/doomed", **keeping(new.after(sample)))[0] == "Ack"
-        with agent_sdk.connect(node.endpoint, affinity="off") as bus:
+        with agent_sdk.connect(shared_node.endpoint, affinity="off") as bus:
             assert [c.state for c in bus.status("office").controllers] == ["connected"]
 
 

@@ -7,7 +7,7 @@ import pytest
 pytest.importorskip("zmq", reason="pyzmq is not installed")
 
 from support.nodes import SMALL, NodeProgram
-from test_zeromq_gateway import GatewayProgram, Peer, keeping
+from support.zeromq import GatewayProgram, Peer, keeping
 
 import agent_sdk
 from topics.messages import EventKind, Manifest, Policy, Sample

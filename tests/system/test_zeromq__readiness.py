@@ -11,14 +11,14 @@ pytest.importorskip("zmq", reason="pyzmq is not installed")
 import zenoh
 import zmq
 from support.nodes import free_port
-from test_zeromq_gateway import GatewayProgram, Peer, gateway
+from support.zeromq import GatewayProgram, Peer, gateway, module_gateway
 from zenoh.handlers import Callback
 
 import agent_sdk
 from topics import codec, keys
 from topics.messages import ErrorReply, EventKind, Manifest, Sample
 
-__all__ = ["gateway"]
+__all__ = ["gateway", "module_gateway"]
 
 
 class Ports:
@@ -30,7 +30,7 @@ class Ports:
 
 @pytest.mark.variants
 @pytest.mark.parametrize("end", ["killed", "interrupted"])
-def test_sockets_that_were_there_before_a_gateway_hear_and_are_answered(node, end):
+def test_sockets_that_were_there_before_a_gateway_hear_and_are_answered(shared_node, shared_bus, end):
     ports = Ports()
     at = ("--publish", ports.publish, "--command", ports.command)
     with Peer(ports) as early:  # type: ignore[arg-type]
@@ -38,7 +38,7 @@ def test_sockets_that_were_there_before_a_gateway_hear_and_are_answered(node, en
         early.listen("sample")
         for _ in range(2):
             early.say("rpc/status")
-            with GatewayProgram(node.endpoint, *at) as gateway:
+            with GatewayProgram(shared_node.endpoint, *at) as gateway:
                 assert gateway.said.startswith("ready: all nodes of ")
                 assert early.answer()[0] == "Status"
                 assert early.hear(Sample).step == [0]
@@ -50,15 +50,15 @@ def test_sockets_that_were_there_before_a_gateway_hear_and_are_answered(node, en
             while early.published.poll(0):
                 early.published.recv_multipart()
         early.say("command/c", episode=[0], step=[0], values=b"")
-        with GatewayProgram(node.endpoint, *at):
+        with GatewayProgram(shared_node.endpoint, *at):
             assert "'c' has claimed nothing; claim first" in early.answer()[1]["message"]
 
 
-def test_what_is_asked_of_a_node_waits_until_it_has_said_what_it_is(node, gateway):
+def test_what_is_asked_of_a_node_waits_until_it_has_said_what_it_is(shared_node, gateway):
     """slow's token → a request for slow is kept → slow's manifest and sample → the request is answered"""
     asked: queue.Queue[zenoh.Query] = queue.Queue()
     with (
-        agent_sdk.connect(node.endpoint, affinity="off") as bus,
+        agent_sdk.connect(shared_node.endpoint, affinity="off") as bus,
         Peer(gateway) as peer,
         Peer(gateway, node="slow") as to,
     ):

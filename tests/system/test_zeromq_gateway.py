@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import shutil
 import signal
 import subprocess
@@ -25,108 +24,29 @@ from topics.messages import Event, EventKind, Manifest, Sample, State
 
 zmq = pytest.importorskip("zmq", reason="pyzmq is not installed")
 
+from support.zeromq import (  # noqa: E402
+    ANY,
+    KILLED,
+    GatewayProgram,
+    Peer,
+    answering,
+    gateway,
+    keeping,
+    module_gateway,
+)
+
 from bridge.gateways.zeromq import node_state as view  # noqa: E402
 from bridge.gateways.zeromq.frames import split  # noqa: E402
 
+__all__ = ["gateway", "module_gateway"]
+
 EXAMPLES = Path(__file__).parents[2] / "examples"
-ANY = "tcp://127.0.0.1:*"
-PATIENCE_MS = 60_000
 SETPOINT = "core_zn_cooling_setpoint"
 
 
-class GatewayProgram:
-    """`zenostat gateway zeromq` as a program, on free ports."""
-
-    def __init__(self, endpoint: str, *options: str) -> None:
-        command = [sys.executable, "-P", "-u", "-m", "cli.main", "gateway", "zeromq", "--connect", endpoint]
-        command += [*(() if "--publish" in options else ("--publish", ANY, "--command", ANY)), *options]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-        line = self.said = self.process.stdout.readline()
-        if not line:
-            raise AssertionError(self.process.communicate()[1])
-        self.publish, self.command = re.findall(r"tcp://127\.0\.0\.1:\d+", line)[-2:]
-
-    def __enter__(self) -> GatewayProgram:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.process.kill()
-        self.process.communicate()
-
-    def interrupt(self) -> tuple[int, str, str]:
-        self.process.send_signal(signal.SIGINT)
-        out, err = self.process.communicate(timeout=60)
-        return self.process.returncode, out, err
-
-
-class Peer:
-    """A ZeroMQ program's two sockets."""
-
-    def __init__(self, gateway: GatewayProgram, kind: int = 0, node: str = "office") -> None:
-        self.root = f"zenostat/v2/{node}"
-        self.context = zmq.Context()
-        self.req = kind == zmq.REQ
-        self.requests = self.context.socket(kind or zmq.DEALER)
-        self.published = self.context.socket(zmq.SUB)
-        for socket, endpoint in ((self.requests, gateway.command), (self.published, gateway.publish)):
-            socket.linger, socket.rcvtimeo = 0, PATIENCE_MS
-            socket.connect(endpoint)
-
-    def __enter__(self) -> Peer:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.context.destroy(linger=0)
-
-    def say(self, what: str, payload: bytes | None = None, /, **fields: Any) -> None:
-        self.requests.send_multipart(
-            [f"{self.root}/{what}".encode(), msgpack.packb(fields) if payload is None else payload]
-        )
-
-    def answer(self) -> tuple[str, dict[str, Any]]:
-        """The class of an answer, and its fields."""
-        _, encoding, payload = self.requests.recv_multipart()
-        return encoding.decode().rpartition(".")[2], msgpack.unpackb(payload)
-
-    def ask(self, what: str, payload: bytes | None = None, /, **fields: Any) -> tuple[str, dict[str, Any]]:
-        self.say(what, payload, **fields)
-        return self.answer()
-
-    def silent(self) -> bool:
-        return not self.requests.poll(0)
-
-    def listen(self, topic: str) -> None:
-        self.published.subscribe(f"{self.root}/{topic}")
-
-    def hear(self, kind: type[Any]) -> Any:
-        """The next published message."""
-        _, encoding, payload = self.published.recv_multipart()
-        return codec.decode(kind, payload, encoding.decode())
-
-    def after(self, sample: Sample | None) -> Sample:
-        """The first sample that is another one."""
-        while (heard := self.hear(Sample)) and sample and (heard.episode, heard.step) == (sample.episode, sample.step):
-            pass
-        return heard
-
-    def event(self, kind: EventKind) -> Event:
-        while (event := self.hear(Event)).kind is not kind:
-            pass
-        return event
-
-
-def answering(sample: Sample, values: np.ndarray, **more: Any) -> dict[str, Any]:
-    return {"episode": sample.episode, "step": sample.step, "values": values.astype("<f8").tobytes(), **more}
-
-
-def keeping(sample: Sample, **given: Any) -> dict[str, Any]:
-    """A command that changes nothing."""
-    count = len(sample.effective) // 8
-    return answering(sample, np.zeros(count), operations=bytes(count)) | given
-
-
 @pytest.fixture
-def gateway(node: NodeProgram) -> Iterator[GatewayProgram]:
+def own_gateway(node: NodeProgram) -> Iterator[GatewayProgram]:
+    """The gateway of a node of the test's own."""
     with GatewayProgram(node.endpoint) as program:
         yield program
 
@@ -142,28 +62,29 @@ def plan(manifest: Manifest, step: int) -> np.ndarray:
 
 @pytest.mark.variants
 @pytest.mark.parametrize("kind", ["DEALER", "REQ"])
-def test_episode_gives_the_same_samples_as_over_zenoh_to_the_bit(node, gateway, kind):
+def test_episode_gives_the_same_samples_as_over_zenoh_to_the_bit(shared_node, gateway, kind):
     direct = []
-    with agent_sdk.connect(node.endpoint, affinity="off") as bus, bus.controller("office") as link:
+    with agent_sdk.connect(shared_node.endpoint, affinity="off") as bus, bus.controller("office") as link:
         for sample in link:
             direct.append((sample.message.values, sample.message.effective, sample.message.time))
             sample.send(plan(link.manifest, sample.step))
     through = []
     with Peer(gateway, getattr(zmq, kind)) as peer:
         peer.listen("sample")
-        until(lambda: not any(c.state.is_connected for c in agent_status(node).controllers), "the direct one has gone")
+        until(lambda: not any(c.state.is_connected for c in agent_status(shared_node).controllers), "the direct one has gone")
         while (last := peer.hear(Sample)).step != [96]:
             pass  # the gateway hears by itself
         manifest = Manifest(**peer.ask("manifest")[1])
         assert peer.ask("rpc/claim", controller="c")[0] == "Ack"
-        assert peer.ask("rpc/reset", controller="c")[1]["episode"] == [1]
+        (episode,) = peer.ask("rpc/reset", controller="c")[1]["episode"]
+        assert episode == last.episode[0] + 1
         sample = peer.after(last)
         while True:
             through.append((sample.values, sample.effective, sample.time))
             if sample.flags[0] & messages.Flag.TRUNCATED:
                 break
             command = answering(sample, plan(manifest, sample.step[0]))
-            assert peer.ask("command/c", **command) == ("Ack", peer_accepted(1))
+            assert peer.ask("command/c", **command) == ("Ack", peer_accepted(episode))
             sample = peer.after(sample)
     assert len(through) == 97
     assert through == direct
@@ -173,11 +94,16 @@ def peer_accepted(episode: int) -> dict[str, Any]:
     return msgpack.unpackb(codec.encode(messages.Ack(episode=[episode])))
 
 
+def refused(status: messages.Status) -> tuple[int, int, int]:
+    return status.rejected, status.late, status.duplicate
+
+
 def test_two_controllers_in_lockstep_each_answered_although_the_other_has_not_spoken(gateway):
     with Peer(gateway) as one, Peer(gateway, zmq.REQ) as two:
         one.listen("sample")
         sample = one.after(None)
         names = [a["name"] for a in one.ask("manifest")[1]["actuators"]]
+        before = messages.Status(**one.ask("rpc/status")[1])
         for peer, name, mine in ((one, "one", names[::2]), (two, "two", names[1::2])):
             assert peer.ask("rpc/claim", controller=name, actuators=mine)[0] == "Ack"
         for step in range(20):
@@ -189,7 +115,7 @@ def test_two_controllers_in_lockstep_each_answered_although_the_other_has_not_sp
             assert sample.step == [step + 1]
         status = messages.Status(**one.ask("rpc/status")[1])
         assert {c.controller: c.accepted for c in status.controllers} == {"one": 20, "two": 20}
-        assert (status.rejected, status.late, status.duplicate) == (0, 0, 0)
+        assert refused(status) == refused(before)
 
 
 def test_commands_sent_without_waiting_are_answered_in_order(gateway):
@@ -204,7 +130,7 @@ def test_commands_sent_without_waiting_are_answered_in_order(gateway):
         answers = [peer.answer() for _ in range(5)]
     assert [kind for kind, _ in answers] == ["Ack", "Ack", "ErrorReply", "Ack", "ErrorReply"]
     assert "the current ones are episode" in answers[2][1]["message"]
-    assert "answers episode [0] step [9]" in answers[4][1]["message"]
+    assert f"answers episode {sample.episode} step [9]" in answers[4][1]["message"]
 
 
 def test_command_to_a_node_that_runs_freely(scratch):
@@ -282,22 +208,12 @@ def test_subscribers_hear_the_latest_at_once_and_only_what_they_asked_for(gatewa
 # Presence
 
 
-KILLED = """
-import sys, msgpack, zmq
-requests = zmq.Context().socket(zmq.REQ)
-requests.connect(sys.argv[1])
-requests.send_multipart([b"zenostat/v2/office/rpc/claim", msgpack.packb({"controller": "doomed"})])
-print(requests.recv_multipart()[1].decode(), flush=True)
-sys.stdin.read()
-"""
-
-
-def test_killed_controller_is_noticed_by_the_node_and_may_come_back(node, gateway):
+def test_killed_controller_is_noticed_by_the_node_and_may_come_back(shared_node, gateway):
     with Peer(gateway) as peer, Peer(gateway) as back:
         peer.listen("event")
         with Program(KILLED, gateway.command) as program:
             assert program.line().endswith(".Ack")
-            with agent_sdk.connect(node.endpoint, affinity="off") as bus:
+            with agent_sdk.connect(shared_node.endpoint, affinity="off") as bus:
                 until(lambda: bus.controllers() == [("office", "doomed")], "its token is there")
             program.process.kill()
             assert peer.event(EventKind.DISCONNECTED).source == "doomed"
@@ -306,8 +222,8 @@ def test_killed_controller_is_noticed_by_the_node_and_may_come_back(node, gatewa
         assert back.ask("command/doomed", **keeping(back.after(None)))[0] == "Ack"
 
 
-def test_frozen_controller_is_gone_after_its_lease(node):
-    with GatewayProgram(node.endpoint, "--lease", "0.5") as gateway, Peer(gateway) as peer:
+def test_frozen_controller_is_gone_after_its_lease(shared_node, shared_bus):
+    with GatewayProgram(shared_node.endpoint, "--lease", "0.5") as gateway, Peer(gateway) as peer:
         peer.listen("event")
         with Program(KILLED, gateway.command) as program:
             assert program.line().endswith(".Ack")
@@ -315,8 +231,8 @@ def test_frozen_controller_is_gone_after_its_lease(node):
             assert peer.event(EventKind.DISCONNECTED).source == "doomed"
 
 
-def test_controller_that_comes_back_under_its_name_keeps_it(node, gateway):
-    with Peer(gateway) as new, agent_sdk.connect(node.endpoint, affinity="off") as bus:
+def test_controller_that_comes_back_under_its_name_keeps_it(shared_node, gateway):
+    with Peer(gateway) as new, agent_sdk.connect(shared_node.endpoint, affinity="off") as bus:
         with Peer(gateway) as old:
             assert old.ask("rpc/claim", controller="c")[0] == "Ack"
             assert new.ask("rpc/claim", controller="c")[0] == "Ack"
@@ -328,22 +244,22 @@ def test_controller_that_comes_back_under_its_name_keeps_it(node, gateway):
         until(lambda: bus.controllers() == [("office", "c")], "the controller is there")
 
 
-def test_killed_gateway_breaks_nothing_of_the_node(node):
-    with agent_sdk.connect(node.endpoint, affinity="off") as bus:
-        with GatewayProgram(node.endpoint) as gateway, Peer(gateway) as peer:
-            peer.listen("sample")
-            assert peer.ask("rpc/claim", controller="c")[0] == "Ack"
-            assert peer.ask("command/c", **keeping(peer.after(None)))[0] == "Ack"
-            gateway.process.kill()
-            gateway.process.wait()
-            until(lambda: [c.state for c in bus.status("office").controllers] == ["disconnected"], "the node misses it")
-        with bus.controller("office") as link:
-            assert [sample.step for sample in link][-1] == 96
+def test_killed_gateway_breaks_nothing_of_the_node(shared_node, shared_bus):
+    with GatewayProgram(shared_node.endpoint) as gateway, Peer(gateway) as peer:
+        peer.listen("sample")
+        assert peer.ask("rpc/claim", controller="c")[0] == "Ack"
+        assert peer.ask("command/c", **keeping(peer.after(None)))[0] == "Ack"
+        gateway.process.kill()
+        gateway.process.wait()
+        until(lambda: [c.state for c in shared_bus.status("office").controllers] == ["disconnected"], "the node misses it")
+    with shared_bus.controller("office") as link:
+        assert [sample.step for sample in link][-1] == 96
 
 
 @pytest.mark.variants
 @pytest.mark.parametrize("end", ["killed", "stopped"])
-def test_end_of_the_node_is_told_and_answered(scratch, node, gateway, end):
+def test_end_of_the_node_is_told_and_answered(scratch, node, own_gateway, end):
+    gateway = own_gateway
     with Peer(gateway) as peer, Peer(gateway) as waiting, Peer(gateway) as slow:
         peer.listen("sample")
         sample = peer.after(None)
@@ -370,15 +286,15 @@ def test_end_of_the_node_is_told_and_answered(scratch, node, gateway, end):
         assert (kind, denied["error"]) == ("ErrorReply", "NodeNotFound")
 
 
-def test_failure_of_the_engine_is_the_answer_of_who_waits(node, gateway):
+def test_failure_of_the_engine_is_the_answer_of_who_waits(shared_node, gateway):
     with Peer(gateway) as peer:
         peer.listen("sample")
         sample = peer.after(None)
         peer.ask("rpc/claim", controller="c")
-        node.engine.send_signal(signal.SIGSTOP)
+        shared_node.engine.send_signal(signal.SIGSTOP)
         peer.say("command/c", **keeping(sample))
-        until(lambda: peer.silent() and agent_status(node).state is State.RUNNING, "the node computes")
-        node.engine.kill()
+        until(lambda: peer.silent() and agent_status(shared_node).state is State.RUNNING, "the node computes")
+        shared_node.engine.kill()
         kind, denied = peer.answer()
         assert (kind, denied["error"]) == ("ErrorReply", "EngineDied")
         assert peer.ask("rpc/reset")[0] == "Ack"
@@ -394,12 +310,8 @@ def agent_status(node: NodeProgram) -> messages.Status:
 
 
 @pytest.fixture(scope="module")
-def open_gateway(module_folder: Path) -> Iterator[Peer]:
-    with (
-        NodeProgram(module_folder / "node", **SMALL) as node,
-        GatewayProgram(node.endpoint, "--node", "office") as gateway,
-        Peer(gateway) as peer,
-    ):
+def open_gateway(shared_node: NodeProgram) -> Iterator[Peer]:
+    with GatewayProgram(shared_node.endpoint, "--node", "office") as gateway, Peer(gateway) as peer:
         yield peer
 
 
@@ -496,8 +408,8 @@ def _fails(*options: str) -> str:
 
 
 @pytest.mark.slow
-def test_what_cannot_be_is_said_before_anything_starts(node, gateway):
-    at = ("--connect", node.endpoint)
+def test_what_cannot_be_is_said_before_anything_starts(shared_node, gateway):
+    at = ("--connect", shared_node.endpoint)
     assert "another program listens on" in _fails(*at, "--publish", gateway.publish)
     assert "another program listens on" in _fails(*at, "--command", gateway.command, "--publish", ANY)
     assert "can be reached from other machines" in _fails(*at, "--publish", "tcp://0.0.0.0:5556")
@@ -507,8 +419,8 @@ def test_what_cannot_be_is_said_before_anything_starts(node, gateway):
     assert "nobody listens on" in _fails("--connect", f"tcp/127.0.0.1:{free_port()}")
 
 
-def test_ctrl_c_ends_it_in_good_order(node, gateway):
-    with Peer(gateway) as peer:
+def test_ctrl_c_ends_it_in_good_order(shared_node):
+    with GatewayProgram(shared_node.endpoint) as gateway, Peer(gateway) as peer:
         assert peer.ask("rpc/status")[0] == "Status"
         assert peer.ask("rpc/sing")[0] == "ErrorReply"
         code, out, err = gateway.interrupt()
