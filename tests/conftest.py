@@ -88,10 +88,12 @@ def bus(node: NodeProgram) -> Iterator[agent_sdk.Bus]:
 @pytest.fixture(scope="module")
 def shared_node(module_folder: Path) -> Iterator[NodeProgram]:
     """A node `office` with the small building for all tests of a module; in the end nothing of it may be left."""
-    with nothing_left(module_folder):
+    folder = module_folder / "shared"
+    folder.mkdir()
+    with nothing_left(folder):
         with pytest.MonkeyPatch.context() as patch:
-            patch.setenv("TMPDIR", str(module_folder))
-            program = NodeProgram(module_folder / "node", **SMALL)
+            patch.setenv("TMPDIR", str(folder))
+            program = NodeProgram(folder / "node", **SMALL)
         with program:
             yield program
 

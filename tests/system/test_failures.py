@@ -11,6 +11,7 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -22,9 +23,22 @@ import gymnasium as gym
 import numpy as np
 import psutil
 import pytest
-from support.nodes import PATIENCE_S, SMALL, WEATHER, NodeProgram, Program, engine_of, free_port, programs_of, until
+from support.nodes import (
+    PATIENCE_S,
+    SMALL,
+    WEATHER,
+    NodeProgram,
+    Program,
+    engine_of,
+    free_port,
+    nothing_left,
+    programs_of,
+    until,
+)
 
 import agent_sdk
+from eplus_node.config import read_config
+from eplus_node.plan import plan
 from models.building.model import read_building
 from models.catalog import find_building
 from topics.errors import (
@@ -54,6 +68,20 @@ ENDED = r"node 'office' (was stopped|is gone) \(last sample: episode 1, step {st
 
 def make(**given: Any) -> gym.Env[Any, Any]:
     return gym.make("zenostat/Building-v1", **{**SMALL, "affinity": "off", **given})
+
+
+@pytest.fixture(scope="module")
+def env(module_folder: Path) -> Iterator[gym.Env[Any, Any]]:
+    """An environment for the tests that its node outlives; each begins with a reset."""
+    folder = module_folder / "environment"
+    folder.mkdir()
+    with nothing_left(folder):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setenv("TMPDIR", str(folder))
+            patch.setattr(tempfile, "tempdir", None)
+            opened = make()
+        with opened:
+            yield opened
 
 
 @contextmanager
@@ -102,7 +130,7 @@ def during_a_timestep(env: gym.Env[Any, Any], do: Callable[[psutil.Process, psut
 )
 def test_an_unknown_building_or_weather(given: dict[str, str], message: str) -> None:
     with pytest.raises(UnknownName, match=message):
-        make(**given)
+        plan(read_config(SMALL | given))
 
 
 def test_all_unknown_points_are_named_at_once_with_near_names() -> None:
@@ -154,11 +182,22 @@ def test_an_unknown_building_and_weather_are_named_at_once() -> None:
             {"sensors": {"inside": ("Zone Air Temperature", "CORE_ZN", "avg")}},
             r"sensors.inside.aggregation: .*'mean', 'sum' or 'instant', got 'avg'",
         ),
+    ],
+)
+def test_settings__refused_by_the_node(given: dict[str, Any], message: str) -> None:
+    with pytest.raises(InvalidConfig, match=message):
+        plan(read_config(SMALL | given))
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"begin": "02-30"}, r"begin '02-30' is not a calendar date"),  # by its own node
         ({"sensors": {"inside": "Zone Air Temperature"}}, r"sensors 'inside': a tuple of EnergyPlus's names expected"),
         ({"building": None}, r"name a building and a weather, a scenario, a file .file=., or the bus"),
     ],
 )
-def test_settings_that_cannot_be(given: dict[str, Any], message: str) -> None:
+def test_settings__refused_by_the_environment(given: dict[str, Any], message: str) -> None:
     with pytest.raises(InvalidConfig, match=message):
         make(**given)
 
@@ -221,26 +260,24 @@ def test_energyplus_gives_up_in_mid_episode() -> None:
 # Deaths
 
 
-def test_the_engine_is_killed_in_mid_step() -> None:
-    with make() as env:
-        env.reset(seed=1)
-        env.step(env.action_space.low)
-        with during_a_timestep(env, lambda _, engine: engine.kill()):  # noqa: SIM117
-            with pytest.raises(EngineDied, match="the engine process was killed by SIGKILL after sample 1"):
-                env.step(env.action_space.low)
-        env.reset(seed=1)
-        *_, info = env.step(env.action_space.low)
-        assert info["step"] == 1, "the node has outlived it"
-
-
-def test_the_engine_is_killed_while_it_waits() -> None:
-    with make() as env:
-        env.reset(seed=1)
-        env.step(env.action_space.low)
-        own = env.unwrapped.local_node
-        engine_of(own.pid).kill()
+def test_the_engine_is_killed_in_mid_step(env: gym.Env[Any, Any]) -> None:
+    env.reset(seed=1)
+    env.step(env.action_space.low)
+    with during_a_timestep(env, lambda _, engine: engine.kill()):  # noqa: SIM117
         with pytest.raises(EngineDied, match="the engine process was killed by SIGKILL after sample 1"):
             env.step(env.action_space.low)
+    env.reset(seed=1)
+    *_, info = env.step(env.action_space.low)
+    assert info["step"] == 1, "the node has outlived it"
+
+
+def test_the_engine_is_killed_while_it_waits(env: gym.Env[Any, Any]) -> None:
+    env.reset(seed=1)
+    env.step(env.action_space.low)
+    own = env.unwrapped.local_node
+    engine_of(own.pid).kill()
+    with pytest.raises(EngineDied, match="the engine process was killed by SIGKILL after sample 1"):
+        env.step(env.action_space.low)
 
 
 def test_the_node_is_killed_in_mid_step() -> None:
@@ -306,48 +343,48 @@ def test_the_node_is_stopped_by_a_request(folder: Path) -> None:
         assert node.process.wait() == 0
 
 
-def test_a_reset_by_another_is_told(folder: Path) -> None:
+def test_a_controller__raises_when_another_resets_its_node(shared_bus: agent_sdk.Bus) -> None:
     with (
-        node_and_bus(folder) as (_, bus),
-        bus.controller("office", name="one") as one,
-        bus.controller("office", name="two", priority=9) as two,
+        shared_bus.controller("office", name="one") as one,
+        shared_bus.controller("office", name="two", priority=9) as two,
     ):
         one.reset()
-        two.reset()
-        with pytest.raises(EpisodeChanged, match=rf"node 'office' was reset by {two.name} .*; it is now in episode 2"):
+        episode = two.reset().episode
+        reset_by = rf"node 'office' was reset by {two.name} .*; it is now in episode {episode}"
+        with pytest.raises(EpisodeChanged, match=reset_by):
             one.receive()
 
 
 # Actions
 
 
-def test_faulty_actions_change_nothing() -> None:
-    with make() as checked, make() as undisturbed:
-        env = checked.unwrapped
-        env.reset(seed=1)
-        undisturbed.reset(seed=1)
-        good = env.action_space.low
-        too_hot, not_a_number = good.copy(), good.copy()
-        too_hot[1], not_a_number[0] = 99.0, np.nan
-        infinite = np.full_like(good, np.inf)
-        names = [a.name for a in env.manifest.actuators]
-        for action, message in (
-            (good[:-1], r"action of shape \(9,\); \(10,\) expected: core_zn_"),
-            (np.float32(20), r"action of shape \(\); \(10,\) expected"),
-            (good[None], r"action of shape \(1, 10\); \(10,\) expected"),
-            (too_hot, rf"{names[1]} = 99; its bounds are "),
-            (not_a_number, rf"{names[0]} = nan; its bounds are "),
-            (infinite, rf"{names[0]} = inf; its bounds are .*{names[-1]} = inf"),
-        ):
-            with pytest.raises(InvalidAction, match=message):
-                env.step(action)
-        observation, _, _, _, info = env.step(good)
-        assert info["step"] == 1
-        assert observation.tobytes() == undisturbed.step(good)[0].tobytes()
+def test_faulty_actions_change_nothing(env: gym.Env[Any, Any]) -> None:
+    good = env.action_space.low
+    env.reset(seed=1)
+    undisturbed = env.step(good)[0]
+    checked = env.unwrapped
+    checked.reset(seed=1)
+    too_hot, not_a_number = good.copy(), good.copy()
+    too_hot[1], not_a_number[0] = 99.0, np.nan
+    infinite = np.full_like(good, np.inf)
+    names = [a.name for a in checked.manifest.actuators]
+    for action, message in (
+        (good[:-1], r"action of shape \(9,\); \(10,\) expected: core_zn_"),
+        (np.float32(20), r"action of shape \(\); \(10,\) expected"),
+        (good[None], r"action of shape \(1, 10\); \(10,\) expected"),
+        (too_hot, rf"{names[1]} = 99; its bounds are "),
+        (not_a_number, rf"{names[0]} = nan; its bounds are "),
+        (infinite, rf"{names[0]} = inf; its bounds are .*{names[-1]} = inf"),
+    ):
+        with pytest.raises(InvalidAction, match=message):
+            checked.step(action)
+    observation, _, _, _, info = checked.step(good)
+    assert info["step"] == 1
+    assert observation.tobytes() == undisturbed.tobytes()
 
 
-def test_faulty_values_of_a_controller(folder: Path) -> None:
-    with node_and_bus(folder) as (_, bus), bus.controller("office") as link:
+def test_faulty_values_of_a_controller(shared_bus: agent_sdk.Bus) -> None:
+    with shared_bus.controller("office") as link:
         sample = link.reset()
         with pytest.raises(InvalidAction, match="no actuator 'core_zn_cooling'; did you mean 'core_zn_cooling_setp"):
             sample.send({"core_zn_cooling": 25.0})
@@ -381,32 +418,26 @@ def test_a_port_that_a_node_has_taken(folder: Path) -> None:
         assert node.process.poll() is None
 
 
-def test_a_socket_that_is_taken(folder: Path) -> None:
-    with NodeProgram(folder / "one", **SMALL) as node:
-        with pytest.raises(AddressInUse, match="already exists; name another path"):
-            NodeProgram(folder / "two", **SMALL, name="other", listen=[node.endpoint])
-        with agent_sdk.connect(node.endpoint, affinity="off") as bus:
-            assert bus.nodes() == ["office"]
+def test_a_socket_that_is_taken(folder: Path, shared_node: NodeProgram, shared_bus: agent_sdk.Bus) -> None:
+    with pytest.raises(AddressInUse, match="already exists; name another path"):
+        NodeProgram(folder / "two", **SMALL, name="other", listen=[shared_node.endpoint])
+    assert shared_bus.nodes() == ["office"]
 
 
-def test_two_nodes_of_one_name(folder: Path) -> None:
-    with NodeProgram(folder / "one", **SMALL) as first:
-        with pytest.raises(NameInUse, match=r"a node named 'office' is on this bus already \(instance [0-9a-f]+\)"):
-            NodeProgram(folder / "two", **SMALL, connect=[first.endpoint])
-        with agent_sdk.connect(first.endpoint, affinity="off") as bus, bus.controller("office") as link:
-            link.reset().send()
-            assert link.receive().step == 1, "the first goes on"
+def test_two_nodes_of_one_name(folder: Path, shared_node: NodeProgram, shared_bus: agent_sdk.Bus) -> None:
+    with pytest.raises(NameInUse, match=r"a node named 'office' is on this bus already \(instance [0-9a-f]+\)"):
+        NodeProgram(folder / "two", **SMALL, connect=[shared_node.endpoint])
+    with shared_bus.controller("office") as link:
+        link.reset().send()
+        assert link.receive().step == 1, "the first goes on"
 
 
-def test_nobody_there(folder: Path) -> None:
+def test_nobody_there(shared_node: NodeProgram) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     with pytest.raises(NodeNotFound, match=f"nobody listens on {endpoint}; start a node there"):
         agent_sdk.connect(endpoint)
-    with (
-        NodeProgram(folder / "node", **SMALL) as node,
-        pytest.raises(NodeNotFound, match=r"no node 'ofice' on .*; did you mean 'office'"),
-    ):
-        gym.make("zenostat/Building-v1", connect=node.endpoint, node="ofice")
+    with pytest.raises(NodeNotFound, match=r"no node 'ofice' on .*; did you mean 'office'"):
+        gym.make("zenostat/Building-v1", connect=shared_node.endpoint, node="ofice")
 
 
 def test_listening_beyond_this_machine_is_asked_for(folder: Path) -> None:
@@ -466,7 +497,7 @@ def test_ctrl_c_in_a_script_with_an_environment(text: str) -> None:
         assert said.strip().splitlines()[-1] == "KeyboardInterrupt"
 
 
-def test_ctrl_c_in_a_controller_leaves_the_node_running(folder: Path) -> None:
+def test_ctrl_c_in_a_controller_leaves_the_node_running(shared_node: NodeProgram, shared_bus: agent_sdk.Bus) -> None:
     text = """
 import sys
 import agent_sdk
@@ -477,18 +508,16 @@ with agent_sdk.connect(sys.argv[1], affinity="off") as bus, bus.controller("offi
         for sample in link:
             sample.send({"core_zn_cooling_setpoint": 26.0})
 """
-    with NodeProgram(folder / "node", **SMALL) as node:
-        with Program(text, node.endpoint) as program:
-            assert program.line() == "steps"
-            program.process.send_signal(signal.SIGINT)
-            code, _, said = program.end()
-            assert code in (-signal.SIGINT, 128 + signal.SIGINT, 1)
-            assert said.strip().splitlines()[-1] == "KeyboardInterrupt"
-        with agent_sdk.connect(node.endpoint, affinity="off") as bus:
-            until(lambda: bus.controllers() == [], "the script's controller has gone")
-            with bus.controller("office", name="next") as link:
-                link.reset().send()
-                assert link.receive().step == 1
+    with Program(text, shared_node.endpoint) as program:
+        assert program.line() == "steps"
+        program.process.send_signal(signal.SIGINT)
+        code, _, said = program.end()
+        assert code in (-signal.SIGINT, 128 + signal.SIGINT, 1)
+        assert said.strip().splitlines()[-1] == "KeyboardInterrupt"
+    until(lambda: shared_bus.controllers() == [], "the script's controller has gone")
+    with shared_bus.controller("office", name="next") as link:
+        link.reset().send()
+        assert link.receive().step == 1
 
 
 def test_ctrl_c_while_a_node_starts(folder: Path) -> None:

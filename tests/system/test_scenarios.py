@@ -296,7 +296,6 @@ FAULTS: dict[str, tuple[dict[str, Any], type[UsageError], str]] = {
     ),
     "noise on what is no column": ({"weather_noise": {"dry_bulb_temp": {"sigma": 1}}}, UnknownName, "dry_bulb_temp"),
     "negative noise": ({"weather_noise": {"dry_bulb_temperature": {"sigma": -1}}}, InvalidConfig, "sigma"),
-    "a reward of no kind": ({"reward": {"kind": "best"}}, InvalidConfig, "no kind 'best'"),
     "a field of no scenario": ({"wether": "x"}, InvalidConfig, "wether"),
 }
 
@@ -305,8 +304,12 @@ FAULTS: dict[str, tuple[dict[str, Any], type[UsageError], str]] = {
 def test_a_fault_of_a_file_is_one_clear_error(fault: str, scratch: Path) -> None:
     changed, kind, words = FAULTS[fault]
     with pytest.raises(kind, match=f"(?s){words}"):
-        gym.make("zenostat/Scenario-v1", file=written(scratch, **changed), affinity="off")
-    assert not [c for c in psutil.Process().children(recursive=True) if "eplus_node" in " ".join(command_of(c))]
+        plan(read_config({"scenario": str(written(scratch, **changed))}))
+
+
+def test_a_reward_of_no_kind_is_refused_by_the_environment(scratch: Path) -> None:
+    with pytest.raises(InvalidConfig, match="no kind 'best'"):
+        gym.make("zenostat/Scenario-v1", file=written(scratch, reward={"kind": "best"}), affinity="off")
 
 
 @pytest.mark.parametrize(
@@ -336,6 +339,7 @@ def test_all_faults_of_a_file_are_said_at_once(scratch: Path) -> None:
         gym.make("zenostat/Scenario-v1", file=file, affinity="off")
     for words in ("Atlantis", "7 does not divide", "Attic 7", "Nothing Like It", "weight"):
         assert words in str(caught.value)
+    assert not [c for c in psutil.Process().children(recursive=True) if "eplus_node" in " ".join(command_of(c))]
 
 
 def test_a_period_over_new_year_has_all_its_timesteps(scratch: Path) -> None:
