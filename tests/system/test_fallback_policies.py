@@ -17,7 +17,7 @@ import numpy as np
 import psutil
 import pytest
 import zenoh
-from support.nodes import COOLING, SMALL, NodeProgram, Program, free_port, until
+from support.nodes import COOLING, SMALL, NodeProgram, Program, begin_new_episode, free_port, until
 from zenoh.handlers import FifoChannel
 
 import agent_sdk
@@ -106,7 +106,13 @@ def status_of(bus: agent_sdk.Bus, name: str) -> ControllerStatus:
 
 @pytest.mark.parametrize(
     ("policy", "bus_of"),
-    [("wait", "unix"), ("hold", "unix"), ("relinquish", "unix"), ("hold", "tcp"), ("wait", "tcp")],
+    [
+        ("wait", "unix"),
+        ("hold", "unix"),
+        ("relinquish", "unix"),
+        ("hold", "tcp"),
+        pytest.param("wait", "tcp", marks=pytest.mark.slow),
+    ],
 )
 def test_a_killed_controller_is_noticed_and_the_policy_follows(scratch: Path, policy: str, bus_of: str) -> None:
     """agent@0 → agent@1 → node@2 → agent is killed → policy"""
@@ -293,18 +299,19 @@ with agent_sdk.connect(endpoint, affinity="off") as bus, bus.controller("office"
 """
 
 
-def test_two_controllers_and_a_supervisor_are_as_one_to_the_bit(scratch: Path) -> None:
+def test_two_controllers_and_a_supervisor_are_as_one_to_the_bit(
+    scratch: Path, shared_node: NodeProgram, shared_bus: agent_sdk.Bus
+) -> None:
     """north and south answer each sample; from sample 8 the supervisor overrides the core at 28 for an hour."""
     with (
-        office(scratch / "many") as (node, bus),
-        Program(FOLLOWS_A_PLAN, node.endpoint, "north", *NORTH) as north,
-        bus.controller("office", name="south", actuators=SOUTH) as south,
+        Program(FOLLOWS_A_PLAN, shared_node.endpoint, "north", *NORTH) as north,
+        shared_bus.controller("office", name="south", actuators=SOUTH) as south,
     ):
         name = north.line()
         many = [south.current()]
         while not many[-1].truncated:
             if many[-1].step == 8:
-                bus.write("office", POINT, 28.0, priority=8, duration_s=3600.0, source="supervisor")
+                shared_bus.write("office", POINT, 28.0, priority=8, duration_s=3600.0, source="supervisor")
             many[-1].send({point: wanted(point, many[-1].step) for point in SOUTH})
             many.append(south.receive())
         assert north.json() == STEPS
@@ -316,10 +323,8 @@ def test_two_controllers_and_a_supervisor_are_as_one_to_the_bit(scratch: Path) -
             assert source_index.startswith("supervisor-")
             who[POINT] = source_index
         assert sample.value_source == {point: who.get(point, "") for point in sample.value_source}
-    with (
-        office(scratch / "one") as (node, bus),
-        bus.controller("office", name="one", actuators=[*COOLING]) as one,
-    ):
+    begin_new_episode(shared_bus)
+    with shared_bus.controller("office", name="one", actuators=[*COOLING]) as one:
         single = [one.current()]
         while not single[-1].truncated:
             step = single[-1].step

@@ -1,11 +1,13 @@
 """An episode without commands gives what EnergyPlus gives alone: each sensor and meter, each timestep, to the bit.
 
 The same prepared model is run twice: through the bus, with a controller that answers each sample and commands
-nothing, and by EnergyPlus alone, whose own reports are the truth (`reference.py`).
+nothing, and by EnergyPlus alone, whose own reports are the reference (`tests/support/energyplus_reference.py`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -67,7 +69,10 @@ def _over_the_bus(node: NodeProgram) -> tuple[Manifest, NDArray[np.float64]]:
         return link.manifest, np.array(samples)
 
 
-def _both(case: Case, folder: Path) -> tuple[Manifest, NDArray[np.float64], NDArray[np.float64]]:
+Runs = tuple[Manifest, NDArray[np.float64], NDArray[np.float64]]
+
+
+def _both(case: Case, folder: Path) -> Runs:
     """What came over the bus for each timestep, and what EnergyPlus alone wrote."""
     sensors = _with_other_readings(case)
     with NodeProgram(folder, **case.settings(), sensors=sensors) as node:
@@ -102,11 +107,15 @@ def _check_kinds(manifest: Manifest) -> None:
     assert {"Electricity:Facility", "Electricity:HVAC"} <= {meter.meter for meter in manifest.meters}
 
 
-@pytest.fixture(scope="module", params=WEEKS, ids=_name)
-def week(
-    request: pytest.FixtureRequest, module_folder: Path
-) -> tuple[Manifest, NDArray[np.float64], NDArray[np.float64]]:
-    return _both(request.param, module_folder / _name(request.param))
+@pytest.fixture(scope="module")
+def both(module_folder: Path) -> Callable[[Case], Runs]:
+    """`_both`, once for each case."""
+    return cache(lambda case: _both(case, module_folder / _name(case)))
+
+
+@pytest.fixture(params=WEEKS, ids=_name)
+def week(request: pytest.FixtureRequest, both: Callable[[Case], Runs]) -> Runs:
+    return both(request.param)
 
 
 def test_a_week_equals_energyplus_alone(week) -> None:
@@ -124,13 +133,13 @@ def test_each_point_lives(week) -> None:
     assert len(changing) > len(manifest.names) / 2
 
 
-@pytest.fixture(scope="module")
-def divided(module_folder: Path) -> tuple[Manifest, NDArray[np.float64], NDArray[np.float64]]:
+@pytest.fixture
+def divided(both: Callable[[Case], Runs]) -> Runs:
     """A week of a building whose HVAC divides most timesteps, which those of ASHRAE 901 never do."""
-    return _both(WEEKS[-1], module_folder / "divided")
+    return both(WEEKS[-1])
 
 
-def test_state_and_mean_are_told_apart(divided) -> None:
+def test_state_and_mean_are_distinguished(divided) -> None:
     """Where the HVAC needed shorter steps, the state at the end of a timestep is not its mean: neither may be
     taken for EnergyPlus's report of the other.
     """
