@@ -18,9 +18,9 @@ from typing import Any
 import pytest
 import typer.main
 import yaml
+from click.testing import CliRunner
 from support import data_packs as packs
 from support.nodes import NodeProgram
-from typer.testing import CliRunner
 
 from agent_sdk.rewards import read_reward
 from cli.commands import app
@@ -30,9 +30,23 @@ ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 PAGES = {page.relative_to(ROOT).as_posix(): page for page in (ROOT / "README.md", *sorted(DOCS.rglob("*.md")))}
 SLOW = tuple(
-    f"docs/{page}.md" for page in ("controllers", "environments", "scenarios", "training", "vector", "wrappers")
+    f"docs/{page}.md"
+    for page in (
+        "branching",
+        "controllers",
+        "environments",
+        "from-sinergym",
+        "mpc",
+        "scenarios",
+        "training",
+        "vector",
+        "wrappers",
+    )
 )
+"""Pages whose programs are run only in `make test-all`."""
 
+
+COMMAND: Any = typer.main.get_command(app)
 ENDPOINT = "tcp/127.0.0.1:7447"
 PRESUPPOSED = {
     ("docs/scenarios.md", 'gym.make("zenostat/office-medium'): "import gymnasium as gym\nimport agent_sdk",
@@ -193,7 +207,7 @@ def commands(page: str) -> list[str]:
 def test_commands_parse(page: str) -> None:
     for line in commands(page):
         words = shlex.split(line)[1:]
-        asked = CliRunner().invoke(app, [*words, "--help"])
+        asked = CliRunner().invoke(COMMAND, [*words, "--help"])
         assert asked.exit_code == 0, f"{page}: {line}: {asked.output}"
         if len(words) > 1:  # one alone is named, not called
             _parse(words)
@@ -201,7 +215,7 @@ def test_commands_parse(page: str) -> None:
 
 def _parse(words: list[str]) -> None:
     """Values and what is required, too; nothing is run."""
-    command: Any = typer.main.get_command(app)
+    command = COMMAND
     context = command.make_context("zenostat", list(words))
     while rest := [*context._protected_args, *context.args]:
         name, command, rest = command.resolve_command(context, rest)
