@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import psutil
@@ -33,10 +32,11 @@ sys.stdin.readline()
 
 
 @pytest.fixture
-def bus(scratch: Path) -> Iterator[Bus]:
-    with NodeProgram(scratch / "node", **SMALL) as node, agent_sdk.connect(node.endpoint, affinity="off") as connected:
-        connected.node_pid = node.pid
-        yield connected
+def bus(shared_bus: Bus) -> Bus:
+    """The bus of a node that the tests of this module share, without branches and snapshots."""
+    until(lambda: not (s := shared_bus.status("office")).branches and not s.snapshots, "those of others have ended")
+    until(lambda: shared_bus.nodes() == ["office"], "their nodes, too")
+    return shared_bus
 
 
 def cooling(bus: Bus, node: str, setpoint: float | None, steps: int, *, name: str = "plain") -> list[float]:
@@ -107,8 +107,13 @@ def test_a_stop_ends_a_branch_alone(bus: Bus) -> None:
         until(lambda: not bus.status("office").branches, "both have ended")
 
 
-def test_a_branch_that_nobody_owns_ends_with_its_parent(bus: Bus) -> None:
+def test_a_branch_that_nobody_owns_ends_with_its_parent(node: NodeProgram) -> None:
     """Also one that outlives the controller of the episode, its reset and its end."""
+    with agent_sdk.connect(node.endpoint, affinity="off") as bus:
+        _check_ends_with_its_parent(bus)
+
+
+def _check_ends_with_its_parent(bus: Bus) -> None:
     with bus.controller("office") as link:
         link.reset()
         name = bus.branch("office", CreateBranch())
@@ -136,8 +141,8 @@ def test_who_leaves_takes_along_what_it_asked_for(bus: Bus) -> None:
         bus.drop("office", mine)
 
 
-def test_a_killed_environment_leaves_a_shared_node_without_its_forks(bus: Bus) -> None:
-    node = psutil.Process(bus.node_pid)
+def test_a_killed_environment_leaves_a_shared_node_without_its_forks(shared_node: NodeProgram, bus: Bus) -> None:
+    node = psutil.Process(shared_node.pid)
     with Program(OWNER, bus.endpoint) as owner:
         assert owner.line() == "has them"
         status = bus.status("office")

@@ -1,4 +1,4 @@
-"""What commands say of a running node is so: reset, stop, step, release; a second node on the same port."""
+"""Commands that reset, stop, step and write report what the node did; a second node on the same port."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ def test_reset_begins_an_episode_and_stop_ends_the_node(node: NodeProgram, bus: 
     assert (gone.returncode, gone.stdout) == (1, "")
 
 
-def test_release_says_whether_anything_was_held(node: NodeProgram) -> None:
-    at = ("--connect", node.endpoint)
+def test_relinquish__says_whether_anything_was_held(shared_node: NodeProgram) -> None:
+    at = ("--connect", shared_node.endpoint)
     nothing = f"office: {POINT} had nothing to relinquish at priority 8\n"
     assert zenostat("relinquish", "office", POINT, *at).stdout == nothing
     assert zenostat("write", "office", POINT, "26", *at).returncode == 0
@@ -45,8 +45,8 @@ def test_release_says_whether_anything_was_held(node: NodeProgram) -> None:
 
 
 @pytest.mark.slow
-def test_step_says_where_the_node_stands_after_its_steps(node: NodeProgram) -> None:
-    at = ("--connect", node.endpoint)
+def test_step_says_where_the_node_stands_after_its_steps(shared_node: NodeProgram, shared_bus: agent_sdk.Bus) -> None:
+    at = ("--connect", shared_node.endpoint)
     for arguments in (("pause", "office"), ("pace", "office", "free")):
         assert zenostat(*arguments, *at).returncode == 0
     assert "free; paused; step 4 of 96" in zenostat("step", "office", "4", *at).stdout
@@ -99,12 +99,12 @@ def test_a_port_of_a_program_that_is_on_no_bus_is_refused(scratch: Path) -> None
     assert f"--no-listen --connect {endpoint}" in err
 
 
-def test_a_monitor_says_whom_it_waits_for(node: NodeProgram, scratch: Path) -> None:
-    command = [*ZENOSTAT, "monitor", "--node", "ofice", "--save", "run.rrd", "--connect", node.endpoint]
+def test_a_monitor_says_whom_it_waits_for(shared_node: NodeProgram, scratch: Path) -> None:
+    command = [*ZENOSTAT, "monitor", "--node", "ofice", "--save", "run.rrd", "--connect", shared_node.endpoint]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=scratch) as monitor:
         said = monitor.stdout.readline()
         assert said == (
-            f"connected to {node.endpoint}; waiting for node 'ofice', which is not on this bus "
+            f"connected to {shared_node.endpoint}; waiting for node 'ofice', which is not on this bus "
             "(did you mean 'office'?); press Ctrl-C to stop\n"
         )
         monitor.send_signal(signal.SIGINT)

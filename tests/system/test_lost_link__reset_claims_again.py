@@ -14,7 +14,7 @@ from typing import Any
 import gymnasium as gym
 import pytest
 from support.links import CuttableLink
-from support.nodes import SMALL, NodeProgram, free_port, until
+from support.nodes import SMALL, NodeProgram, begin_new_episode, free_port, until
 
 import agent_sdk
 from topics.errors import BusError, EpisodeChanged, NodeLost, NodeNotFound, PeerError, RequestRejected
@@ -63,6 +63,22 @@ def node_behind_link(folder: Path, **given: Any) -> Iterator[tuple[NodeProgram, 
         yield node, link, port
 
 
+@pytest.fixture(scope="module")
+def tcp_node(module_folder: Path) -> Iterator[NodeProgram]:
+    """A node that the tests share which it outlives."""
+    with NodeProgram(module_folder / "node", **SMALL, listen=[f"tcp/127.0.0.1:{free_port()}"]) as node:
+        yield node
+
+
+@pytest.fixture
+def link(tcp_node: NodeProgram) -> Iterator[CuttableLink]:
+    """A link to `tcp_node`, which waits at the first sample of a new episode."""
+    with agent_sdk.connect(tcp_node.endpoint, affinity="off") as bus:
+        begin_new_episode(bus)
+    with CuttableLink(int(tcp_node.endpoint.rpartition(":")[2])) as opened:
+        yield opened
+
+
 @pytest.mark.variants
 @SLOTS
 def test_a_cut_connection(scratch: Path, slots: int) -> None:
@@ -76,17 +92,16 @@ def test_a_cut_connection(scratch: Path, slots: int) -> None:
         env.close()
 
 
-def test_a_link_that_is_down(scratch: Path) -> None:
-    with node_behind_link(scratch) as (_, link, _):
-        env = make(1, connect=link.endpoint, node="office")
-        env.reset(seed=0)
-        link.down()
-        step_until_lost(env)
-        with pytest.raises(NodeNotFound, match="no node 'office'"):
-            env.reset()
-        link.up()
-        steps_again(env)
-        env.close()
+def test_a_link_that_is_down(link: CuttableLink) -> None:
+    env = make(1, connect=link.endpoint, node="office")
+    env.reset(seed=0)
+    link.down()
+    step_until_lost(env)
+    with pytest.raises(NodeNotFound, match="no node 'office'"):
+        env.reset()
+    link.up()
+    steps_again(env)
+    env.close()
 
 
 @pytest.mark.slow
@@ -136,9 +151,8 @@ def test_a_router_that_was_killed_and_started_again(scratch: Path) -> None:
             node.close()
 
 
-def test_a_controller_without_gymnasium(scratch: Path) -> None:
+def test_a_controller_without_gymnasium(link: CuttableLink) -> None:
     with (
-        node_behind_link(scratch) as (_, link, _),
         agent_sdk.connect(link.endpoint, affinity="off") as bus,
         bus.controller("office") as controller,
     ):
@@ -151,22 +165,21 @@ def test_a_controller_without_gymnasium(scratch: Path) -> None:
         assert controller.receive().value_source["core_zn_cooling_setpoint"] == controller.name
 
 
-def test_a_claim_that_only_the_node_lost(scratch: Path) -> None:
+def test_a_claim_that_only_the_node_lost(tcp_node: NodeProgram, link: CuttableLink) -> None:
     """Another controller has taken the level over meanwhile: the refusal names it, and steps work once it has left."""
-    with node_behind_link(scratch) as (_, link, port):
-        env = make(1, connect=link.endpoint, node="office")
-        env.reset(seed=0)
-        link.down()
-        step_until_lost(env)
-        with (
-            agent_sdk.connect(f"tcp/127.0.0.1:{port}", affinity="off") as bus,
-            until(lambda: claimed(bus), "the node has lost the environment too"),
-        ):
-            link.up()
-            refused = until(lambda: refusal(env), "the claim is refused")
-            assert "is claimed by 'other-" in refused
-        steps_again(env)
-        env.close()
+    env = make(1, connect=link.endpoint, node="office")
+    env.reset(seed=0)
+    link.down()
+    step_until_lost(env)
+    with (
+        agent_sdk.connect(tcp_node.endpoint, affinity="off") as bus,
+        until(lambda: claimed(bus), "the node has lost the environment too"),
+    ):
+        link.up()
+        refused = until(lambda: refusal(env), "the claim is refused")
+        assert "is claimed by 'other-" in refused
+    steps_again(env)
+    env.close()
 
 
 def claimed(bus: agent_sdk.Bus) -> agent_sdk.ControllerLink | None:

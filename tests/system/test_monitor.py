@@ -46,23 +46,21 @@ def _run(endpoint: str, *, reset: bool = False) -> list[np.ndarray]:
         return [sample.values for sample in link]
 
 
-def test_recording_has_each_sample_of_each_episode_to_the_bit(scratch):
+def test_recording_has_each_sample_of_each_episode_to_the_bit(scratch, shared_node, shared_bus):
     rr.set_strict_mode(True)
     path = scratch / "run.rrd"
-    with NodeProgram(scratch / "node", **SMALL) as node:
-        with open_session(connect=[node.endpoint]) as session:
-            with RerunStream(session, "*", [rr.FileSink(str(path))]) as stream:
-                first = _run(node.endpoint)
-                stream.pump()
-                second = _run(node.endpoint, reset=True)
-                _pump_until(stream, 2 * 97)
-            assert (stream.samples, stream.missed) == (2 * 97, 0)
-        with agent_sdk.connect(node.endpoint, affinity="off") as bus:
-            manifest = bus.manifest("office")
+    manifest, (episode,) = shared_bus.manifest("office"), shared_bus.status("office").episode
+    with open_session(connect=[shared_node.endpoint]) as session:
+        with RerunStream(session, "*", [rr.FileSink(str(path))]) as stream:
+            first = _run(shared_node.endpoint)
+            stream.pump()
+            second = _run(shared_node.endpoint, reset=True)
+            _pump_until(stream, 2 * 97)
+        assert (stream.samples, stream.missed) == (2 * 97, 0)
     recorded = _recorded(path)
     temperatures = [i for i, s in enumerate(manifest.sensors) if s.unit == "degC"]
-    for episode, samples in enumerate((first, second)):
-        plot = recorded[f"/office/episode_{episode:04}/degc"]
+    for number, samples in enumerate((first, second), episode):
+        plot = recorded[f"/office/episode_{number:04}/degc"]
         assert sorted(plot) == list(range(97))
         for step, values in enumerate(samples):
             assert plot[step] == values[temperatures].tolist()
@@ -106,19 +104,15 @@ def test_batches_have_all_that_was_streamed_in_the_order_sent(scratch):
     assert len(came) < len(heard) / 4
 
 
-def test_late_monitor_learns_the_manifest_and_the_sample_the_node_stands_at(scratch):
+def test_late_monitor_learns_the_manifest_and_the_sample_the_node_stands_at(scratch, shared_node, shared_bus):
     path = scratch / "run.rrd"
-    with (
-        NodeProgram(scratch / "node", **SMALL) as node,
-        agent_sdk.connect(node.endpoint, affinity="off") as bus,
-        bus.controller("office") as link,
-    ):
+    with shared_bus.controller("office") as link:
         sample = link.current()
         for _ in range(10):
             sample.send()
             sample = link.receive()
         with (
-            open_session(connect=[node.endpoint]) as session,
+            open_session(connect=[shared_node.endpoint]) as session,
             RerunStream(session, "office", [rr.FileSink(str(path))]) as stream,
         ):
             until(lambda: stream.pump() or stream.samples, "the monitor met the node")
@@ -130,24 +124,23 @@ def test_late_monitor_learns_the_manifest_and_the_sample_the_node_stands_at(scra
 
 @pytest.mark.variants
 @pytest.mark.parametrize("fate", [signal.SIGSTOP, signal.SIGKILL])
-def test_monitor_that_is_frozen_or_killed_changes_nothing(scratch, fate):
-    with NodeProgram(scratch / "node", **SMALL) as node:
-        quiet = _run(node.endpoint)
-        command = [sys.executable, "-P", "-m", "cli.main", "monitor", "--connect", node.endpoint]
-        command += ["--save", str(scratch / "run.rrd")]
-        monitor = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        try:
-            assert "connected" in monitor.stdout.readline()
-            with agent_sdk.connect(node.endpoint, affinity="off") as bus, bus.controller("office") as link:
-                disturbed = []
-                link.reset()
-                for sample in link:
-                    disturbed.append(sample.values)
-                    if sample.step == 20:
-                        monitor.send_signal(fate)
-        finally:
-            monitor.kill()
-            monitor.communicate()
+def test_monitor_that_is_frozen_or_killed_changes_nothing(scratch, shared_node, shared_bus, fate):
+    quiet = _run(shared_node.endpoint)
+    command = [sys.executable, "-P", "-m", "cli.main", "monitor", "--connect", shared_node.endpoint]
+    command += ["--save", str(scratch / "run.rrd")]
+    monitor = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    try:
+        assert "connected" in monitor.stdout.readline()
+        with shared_bus.controller("office") as link:
+            disturbed = []
+            link.reset()
+            for sample in link:
+                disturbed.append(sample.values)
+                if sample.step == 20:
+                    monitor.send_signal(fate)
+    finally:
+        monitor.kill()
+        monitor.communicate()
     assert np.array_equal(quiet, disturbed)
 
 

@@ -208,10 +208,10 @@ def test_a_folder_whose_owner_lives_is_not_swept(scratch: Path) -> None:
     assert not mine.folder.exists()
 
 
-def test_a_node_has_no_file_in_shared_memory(folder: Path) -> None:
+def test_a_node_has_no_file_in_shared_memory(shared_node: NodeProgram) -> None:
     """It would stay there if the node is killed."""
-    with NodeProgram(folder / "node", **SMALL) as node:
-        assert not [m.path for m in psutil.Process(node.pid).memory_maps() if m.path.startswith("/dev/shm")]
+    maps = psutil.Process(shared_node.pid).memory_maps()
+    assert not [m.path for m in maps if m.path.startswith("/dev/shm")]
 
 
 def test_an_environment_ends_a_node_that_stands_still(scratch: Path) -> None:
