@@ -34,7 +34,8 @@ SYSTEM = ("system", "chaos")
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark the tests that start other processes, and all but the first variant of a test marked `variants` as slow.
 
-    A test starts processes if it is in one of the `SYSTEM` folders or uses a scratch folder.
+    A test starts processes if it is in one of the `SYSTEM` folders or uses a scratch folder. Tests marked `long` come
+    first, so that none of them runs alone in the end while the other workers are idle.
     """
     root, first = Path(__file__).parent, set[tuple[Path, str]]()
     for item in items:
@@ -45,6 +46,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             if test in first:
                 item.add_marker(pytest.mark.slow)
             first.add(test)
+    items.sort(key=lambda item: item.get_closest_marker("long") is None)
 
 
 @contextmanager

@@ -25,6 +25,7 @@ from topics.messages import Actuator, Event, EventKind, Flag, Manifest, Mode, Po
 PAGE = Path(__file__).parents[2] / "docs" / "reliability.md"
 
 
+@pytest.mark.long
 @pytest.mark.variants
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize(("seconds", "seed"), [(45, 6), (120, 6), (10, 2026)])
