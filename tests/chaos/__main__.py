@@ -21,7 +21,7 @@ def main() -> int:
     """Runs, judges, tells; the journals of a run that breaks something are kept."""
     parser = argparse.ArgumentParser(prog="chaos", description=__doc__)
     parser.add_argument("--seconds", type=float, default=120.0, help="how long they are troubled; 10 at least")
-    parser.add_argument("--seed", type=int, help="of the script; drawn, and told, if it is not given")
+    parser.add_argument("--seed", type=int, help="of the script; drawn and printed if it is not given")
     parser.add_argument("--table", type=Path, help="a page to put the table into, between its marks")
     asked = parser.parse_args()
     if asked.seconds < 10:

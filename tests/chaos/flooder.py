@@ -1,7 +1,7 @@
 """A stranger, as a program: it sends what should change nothing, and writes of single points, which may.
 
 `python -m chaos.flooder SETTINGS`, JSON: endpoint, node, journal. Each line of its standard input, JSON, is a flood:
-act, count, seed, names (of controllers). It notes what it is about to send, and ends with its input.
+disturbance, count, seed, names (of controllers). It notes what it is about to send, and ends with its input.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from zenoh import CongestionControl
 import agent_sdk
 from agent_sdk.bus.bus import Bus
 from bridge.runtime.affinity import Affinity
-from chaos.acts import Act
+from chaos.disturbances import Disturbance
 from chaos.journal import Journal
 from topics import codec, keys
 from topics.messages import SCHEMA_VERSION, Claim, Command, ErrorReply, Manifest, Reset, Sample, Write
@@ -41,27 +41,37 @@ class Flooder:
         self._bus, self._node, self._journal = bus, node, journal
         self._manifest: Manifest = bus.manifest(node)
 
-    def flood(self, act: Act, count: int, seed: int, names: list[str]) -> None:
+    def flood(self, disturbance: Disturbance, count: int, seed: int, names: list[str]) -> None:
         """Sends `count` messages of a kind."""
         rng, at = random.Random(seed), self._bus.latest(self._node)
-        makers: dict[Act, Callable[[], tuple[str, bytes, str]]] = {
-            Act.GARBAGE: lambda: (self._who(rng, names), *self._garbage(rng, at)),
-            Act.UNKNOWN: lambda: (self._command_key(f"stranger-{rng.randrange(1000)}"), self._command(at, 0, 0), ""),
-            Act.STALE: lambda: (self._who(rng, names), self._command(at, 0, -rng.randint(1, at.step[0])), ""),
-            Act.FUTURE: lambda: (self._who(rng, names), self._future(rng, at), ""),
-            Act.OVERSIZED: lambda: (self._who(rng, names), bytes(codec.MAX_BYTES + 1), ""),
-            Act.WRITES: lambda: (*self._write(rng), ""),
-            Act.BAD_WRITES: lambda: (*self._bad_write(rng), ""),
+        makers: dict[Disturbance, Callable[[], tuple[str, bytes, str]]] = {
+            Disturbance.GARBAGE: lambda: (self._who(rng, names), *self._garbage(rng, at)),
+            Disturbance.UNKNOWN: lambda: (
+                self._command_key(f"stranger-{rng.randrange(1000)}"),
+                self._command(at, 0, 0),
+                "",
+            ),
+            Disturbance.STALE: lambda: (self._who(rng, names), self._command(at, 0, -rng.randint(1, at.step[0])), ""),
+            Disturbance.FUTURE: lambda: (self._who(rng, names), self._future(rng, at), ""),
+            Disturbance.OVERSIZED: lambda: (self._who(rng, names), bytes(codec.MAX_BYTES + 1), ""),
+            Disturbance.WRITES: lambda: (*self._write(rng), ""),
+            Disturbance.BAD_WRITES: lambda: (*self._bad_write(rng), ""),
         }
-        if act is Act.STALE and at.step[0] == 0:
-            act = Act.FUTURE
-        if act is Act.BAD_REQUESTS:
+        if disturbance is Disturbance.STALE and at.step[0] == 0:
+            disturbance = Disturbance.FUTURE
+        if disturbance is Disturbance.BAD_REQUESTS:
             refused = sum(self._refused_request(rng) for _ in range(count))
-            self._journal.note(act=act.name, count=count, refused=refused)
+            self._journal.note(disturbance=disturbance.name, count=count, refused=refused)
             return
-        messages = [makers[act]() for _ in range(count)]
-        writes = [(key, codec.decode(Write, raw).model_dump()) for key, raw, _ in messages if act is Act.WRITES]
-        self._journal.note(act=act.name, count=count, writes=[(keys.last_chunk(key), write) for key, write in writes])
+        messages = [makers[disturbance]() for _ in range(count)]
+        writes = [
+            (key, codec.decode(Write, raw).model_dump())
+            for key, raw, _ in messages
+            if disturbance is Disturbance.WRITES
+        ]
+        self._journal.note(
+            disturbance=disturbance.name, count=count, writes=[(keys.last_chunk(key), write) for key, write in writes]
+        )
         for key, payload, said in messages:
             how = zenoh.Encoding(said) if said else None
             self._bus.session.put(key, payload, encoding=how, congestion_control=CongestionControl.BLOCK)
@@ -145,8 +155,8 @@ def main() -> None:
     with agent_sdk.connect(settings["endpoint"], affinity=Affinity.OFF) as bus:
         flooder = Flooder(bus, settings["node"], Journal(Path(settings["journal"])))
         for line in sys.stdin:
-            told = json.loads(line)
-            flooder.flood(Act(told["act"]), told["count"], told["seed"], told["names"])
+            order = json.loads(line)
+            flooder.flood(Disturbance(order["disturbance"]), order["count"], order["seed"], order["names"])
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from support.nodes import programs_of, remains, until
 
 from chaos import journal
 from chaos.account import Account, Episode
-from chaos.acts import Act
+from chaos.disturbances import Disturbance
 from chaos.replay import differences
 from chaos.run import LEVELS, Outcome
 from topics.messages import Event, EventKind, Flag, Sample
@@ -23,7 +23,13 @@ run the first command of 8 MB, held in copies, may come after that."""
 MAY_GROW = 8
 """Descriptors and threads, likewise; a status that is being asked for has some."""
 
-CHANGED_NOTHING = (Act.GARBAGE, Act.UNKNOWN, Act.FUTURE, Act.OVERSIZED, Act.BAD_WRITES)
+CHANGED_NOTHING = (
+    Disturbance.GARBAGE,
+    Disturbance.UNKNOWN,
+    Disturbance.FUTURE,
+    Disturbance.OVERSIZED,
+    Disturbance.BAD_WRITES,
+)
 """Floods of which every message is rejected or counted as flooded; stale ones are late."""
 
 _REFUSALS = {EventKind.REJECTED: "rejected", EventKind.LATE: "late", EventKind.DUPLICATE: "duplicate"}
@@ -77,7 +83,7 @@ def judge(outcome: Outcome) -> Verdict:
 
 def _lost(outcome: Outcome) -> list[str]:
     """Only who was frozen for longer than the bus waits may take the node for gone."""
-    frozen = outcome.done[Act.FREEZE_LONG]
+    frozen = outcome.done[Disturbance.FREEZE_LONG]
     return [f"{outcome.lost} took the node for gone, {frozen} were frozen"] if outcome.lost > frozen else []
 
 
@@ -103,14 +109,14 @@ def _counts(outcome: Outcome, sent: dict[str, list[journal.Sent]], events: list[
     assert status is not None
     floods = Counter[str]()
     for line in journal.lines(outcome.floods):
-        floods[line["act"]] += line["count"]
-        if line.get("refused", line["count"]) != line["count"] and line["act"] == Act.BAD_REQUESTS.name:
+        floods[line["disturbance"]] += line["count"]
+        if line.get("refused", line["count"]) != line["count"] and line["disturbance"] == Disturbance.BAD_REQUESTS.name:
             faults.append(f"of {line['count']} bad requests {line['refused']} were refused")
     commands = [command for role in sent.values() for command in role]
     # A controller notes a command before it sends it; one that is ended in between, or as it sends, has sent less.
     doubtful = sum({command.name: command.times for command in commands}.values())
     messages = sum(command.times for command in commands) + sum(
-        count for act, count in floods.items() if act != Act.BAD_REQUESTS.name
+        count for disturbance, count in floods.items() if disturbance != Disturbance.BAD_REQUESTS.name
     )
     rate_limited = status.statistics.rate_limited
     refused = status.rejected + status.late + status.duplicate + rate_limited
@@ -118,15 +124,15 @@ def _counts(outcome: Outcome, sent: dict[str, list[journal.Sent]], events: list[
     counted = status.accepted + refused + written
     if not messages - doubtful <= counted <= messages:
         faults.append(f"{messages} messages were sent ({doubtful} perhaps not), {counted} are counted")
-    bad = sum(floods[act.name] for act in CHANGED_NOTHING)
+    bad = sum(floods[disturbance.name] for disturbance in CHANGED_NOTHING)
     if status.rejected + rate_limited < bad:
         faults.append(f"{bad} bad messages were sent, {status.rejected} rejected and {rate_limited} flooded")
-    told = Counter(event.kind for event in events if event.kind in _REFUSALS)
+    reported = Counter(event.kind for event in events if event.kind in _REFUSALS)
     for kind, name in _REFUSALS.items():
-        if told[kind] > getattr(status, name) or (getattr(status, name) and not told[kind]):
-            faults.append(f"{getattr(status, name)} are {name}, and {told[kind]} events tell of one")
+        if reported[kind] > getattr(status, name) or (getattr(status, name) and not reported[kind]):
+            faults.append(f"{getattr(status, name)} are {name}, and {reported[kind]} events tell of one")
     faults += [f"an event says nothing: {event}" for event in events if event.kind in _REFUSALS and not event.text]
-    return faults, messages + floods[Act.BAD_REQUESTS.name], refused + floods[Act.BAD_REQUESTS.name]
+    return faults, messages + floods[Disturbance.BAD_REQUESTS.name], refused + floods[Disturbance.BAD_REQUESTS.name]
 
 
 def _written(outcome: Outcome, events: Iterable[Event]) -> list[str]:
@@ -145,7 +151,7 @@ def _written(outcome: Outcome, events: Iterable[Event]) -> list[str]:
 
 
 def _flat(outcome: Outcome) -> list[str]:
-    held, faults = outcome.held, []
+    held, faults = outcome.resources, []
     bound_bytes = next(grown for least_s, grown in MAY_GROW_BYTES if outcome.seconds >= least_s)
     half_s, end_s = outcome.seconds / 2, outcome.seconds * 3 / 4
     early, late = [h for h in held if h.at_s <= half_s], [h for h in held if h.at_s > end_s]

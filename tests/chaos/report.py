@@ -9,7 +9,7 @@ import psutil
 from rich.console import Console
 from rich.table import Table
 
-from chaos.acts import Act
+from chaos.disturbances import Disturbance
 from chaos.invariants import Verdict
 
 BEGIN, END = "<!-- made by make chaos -->", "<!-- end of what make chaos made -->"
@@ -18,8 +18,8 @@ BEGIN, END = "<!-- made by make chaos -->", "<!-- end of what make chaos made --
 def show(verdict: Verdict, console: Console) -> None:
     """Prints what was done, what held and what did not."""
     table = Table("what was tried", "times", title=f"seed {verdict.outcome.seed}")
-    for act in Act:
-        table.add_row(act, f"{verdict.outcome.done[act]:,}")
+    for disturbance in Disturbance:
+        table.add_row(disturbance, f"{verdict.outcome.done[disturbance]:,}")
     console.print(table)
     console.print(figures(verdict), markup=False)
     table = Table("", "what must hold")
@@ -34,7 +34,7 @@ def show(verdict: Verdict, console: Console) -> None:
 def figures(verdict: Verdict) -> str:
     """The run's size and its memory, in two sentences."""
     outcome = verdict.outcome
-    first, last = outcome.held[0], outcome.held[-1]
+    first, last = outcome.resources[0], outcome.resources[-1]
     return (
         f"{outcome.seconds:.0f} s, seed {outcome.seed}: {verdict.episodes:,} episodes, {verdict.samples:,} samples, "
         f"{verdict.messages:,} messages to the node, {verdict.refused:,} of them refused and counted; "
@@ -47,7 +47,7 @@ def figures(verdict: Verdict) -> str:
 def markdown(verdict: Verdict) -> str:
     """The same for a page. Lost is what the invariants tell: all or nothing."""
     lost = "nothing" if verdict.holds else "see below"
-    rows = [f"| {act} | {verdict.outcome.done[act]:,} | {lost} |" for act in Act]
+    rows = [f"| {disturbance} | {verdict.outcome.done[disturbance]:,} | {lost} |" for disturbance in Disturbance]
     where = f"{psutil.cpu_count()} cores ({platform.machine()}), Python {platform.python_version()}"
     broken = [f"- {what}: {fault}" for what, faults in verdict.faults.items() for fault in faults]
     parts = [f"{figures(verdict)} {where}.", "", "| what was tried | times | what was lost |", "|---|---|---|", *rows]

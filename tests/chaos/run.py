@@ -23,9 +23,9 @@ from zenoh.handlers import Callback
 import agent_sdk
 from bridge.runtime.affinity import Affinity
 from bridge.runtime.timer import Timer
-from chaos.acts import FLOODS, LONG_S, SIZES, Act, Step, script
 from chaos.controller import LOST
 from chaos.crew import Member
+from chaos.disturbances import FLOODS, LONG_S, SIZES, Disturbance, Step, script
 from topics import codec, keys
 from topics.errors import SimulatorError
 from topics.messages import Ack, Event, EventKind, Manifest, Pause, Reset, Resume, Status
@@ -44,8 +44,8 @@ def actuators_of(role: str) -> list[str] | None:
 
 
 @dataclass(slots=True)
-class Held:
-    """What node and engine held at a time of the run: resident bytes, descriptors, threads."""
+class Resources:
+    """Resources of node and engine at a time of the run: resident bytes, descriptors, threads."""
 
     at_s: float
     node_bytes: int
@@ -59,7 +59,7 @@ class Outcome:
     """What a run left, besides its journals in `folder`.
 
     Attributes:
-        done: how often each act was done.
+        done: how often each disturbance was applied.
         faults: what went wrong beside the journals, in words.
         lost: how often a controller took the node for gone.
     """
@@ -67,8 +67,8 @@ class Outcome:
     folder: Path
     seed: int
     seconds: float = 0.0
-    done: Counter[Act] = field(default_factory=Counter)
-    held: list[Held] = field(default_factory=list)
+    done: Counter[Disturbance] = field(default_factory=Counter)
+    resources: list[Resources] = field(default_factory=list)
     faults: list[str] = field(default_factory=list)
     lost: int = 0
     manifest: Manifest | None = None
@@ -154,8 +154,8 @@ class Chaos:
                 break
             self._attend(due_s, began_s)
             if self._do(step):
-                self.outcome.done[step.act] += 1
-            due_s = max(due_s, monotonic() - 1.0)  # what an act takes is not made up for all at once
+                self.outcome.done[step.disturbance] += 1
+            due_s = max(due_s, monotonic() - 1.0)  # the time that a disturbance takes is not made up for all at once
         self._attend(began_s + seconds, began_s)
         self.outcome.seconds = monotonic() - began_s
         self._calm(began_s)
@@ -184,8 +184,8 @@ class Chaos:
         self._looked_s, node = now_s, psutil.Process(self.node.pid)
         with suppress(psutil.Error, IndexError):
             engine = engines_of(self.node.pid)[-1].memory_info().rss
-            held = (node.memory_info().rss, engine, node.num_fds(), node.num_threads())
-            self.outcome.held.append(Held(now_s - began_s, *held))
+            used = (node.memory_info().rss, engine, node.num_fds(), node.num_threads())
+            self.outcome.resources.append(Resources(now_s - began_s, *used))
 
     def _reset(self) -> None:
         while True:
@@ -199,12 +199,18 @@ class Chaos:
         return self._bus.status(self.node.name)
 
     def _do(self, step: Step) -> bool:
-        """Whether there was somebody to whom the act could be done."""
-        if step.act in FLOODS:
+        """Whether the disturbance had a target."""
+        if step.disturbance in FLOODS:
             return self._flood(step)
-        if step.act in (Act.KILL_MONITOR, Act.FREEZE_MONITOR):
+        if step.disturbance in (Disturbance.KILL_MONITOR, Disturbance.FREEZE_MONITOR):
             return self._trouble(step, [self.listener])
-        if step.act in (Act.KILL, Act.FREEZE, Act.FREEZE_LONG, Act.RESTART, Act.REPEAT):
+        if step.disturbance in (
+            Disturbance.KILL,
+            Disturbance.FREEZE,
+            Disturbance.FREEZE_LONG,
+            Disturbance.RESTART,
+            Disturbance.REPEAT,
+        ):
             return self._trouble(step, [*self.controllers.values()])
         return self._trouble_node(step)
 
@@ -213,37 +219,39 @@ class Chaos:
         if not there:
             return False
         one = there[int(step.draw * len(there))]
-        match step.act:
-            case Act.KILL | Act.KILL_MONITOR:
+        match step.disturbance:
+            case Disturbance.KILL | Disturbance.KILL_MONITOR:
                 one.end(signal.SIGKILL)
                 self.timer.at(monotonic() + 2.0 * step.amount, one.start)
-            case Act.RESTART:
+            case Disturbance.RESTART:
                 one.end(signal.SIGTERM)
                 one.start()
-            case Act.REPEAT:
+            case Disturbance.REPEAT:
                 one.process.send_signal(signal.SIGUSR1)
             case _:
-                longest = {Act.FREEZE: 1.5, Act.FREEZE_LONG: LONG_S, Act.FREEZE_MONITOR: 3.0}[step.act]
+                longest = {Disturbance.FREEZE: 1.5, Disturbance.FREEZE_LONG: LONG_S, Disturbance.FREEZE_MONITOR: 3.0}[
+                    step.disturbance
+                ]
                 one.freeze()
-                spell_s = LONG_S if step.act is Act.FREEZE_LONG else longest * step.amount
+                spell_s = LONG_S if step.disturbance is Disturbance.FREEZE_LONG else longest * step.amount
                 self.timer.at(monotonic() + spell_s, one.thaw)
         return True
 
     def _trouble_node(self, step: Step) -> bool:
-        match step.act:
-            case Act.RESET:
+        match step.disturbance:
+            case Disturbance.RESET:
                 self._reset()
-            case Act.PAUSE:
+            case Disturbance.PAUSE:
                 self._bus._ask(keys.PAUSE, self.node.name, Pause(source="chaos"), Ack)
                 threading.Event().wait(0.5 * step.amount)
                 self._bus._ask(keys.RESUME, self.node.name, Resume(source="chaos"), Ack)
-            case Act.FREEZE_NODE:
+            case Disturbance.FREEZE_NODE:
                 self._freeze(self.node.pid, 0.8 * step.amount)
             case _:
                 engines = engines_of(self.node.pid)
                 if not engines:
                     return False
-                if step.act is Act.FREEZE_ENGINE:
+                if step.disturbance is Disturbance.FREEZE_ENGINE:
                     self._freeze(engines[-1].pid, 0.8 * step.amount)
                 else:
                     with suppress(psutil.NoSuchProcess):
@@ -266,10 +274,14 @@ class Chaos:
                 self._thaw(pid)
 
     def _flood(self, step: Step) -> bool:
-        low, high = SIZES.get(step.act, (1, 400))
-        told = {"act": step.act, "count": low + int(step.amount * (high - low)), "seed": int(step.draw * 2**32)}
+        low, high = SIZES.get(step.disturbance, (1, 400))
+        order = {
+            "disturbance": step.disturbance,
+            "count": low + int(step.amount * (high - low)),
+            "seed": int(step.draw * 2**32),
+        }
         assert self.flooder.process.stdin is not None
-        self.flooder.process.stdin.write(json.dumps(told | {"names": sorted(self._names.values())}) + "\n")
+        self.flooder.process.stdin.write(json.dumps(order | {"names": sorted(self._names.values())}) + "\n")
         self.flooder.process.stdin.flush()
         return True
 

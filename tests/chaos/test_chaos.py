@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 
 from chaos.account import Account, Episode
-from chaos.acts import Act, script
 from chaos.crew import environment
+from chaos.disturbances import Disturbance, script
 from chaos.invariants import _contiguous, _flat
 from chaos.journal import Sent
 from chaos.report import BEGIN, END
-from chaos.run import Held, Outcome
+from chaos.run import Outcome, Resources
 from topics.messages import Actuator, Event, EventKind, Flag, Manifest, Mode, Policy, Sample, Versions
 
 PAGE = Path(__file__).parents[2] / "docs" / "reliability.md"
@@ -42,7 +42,7 @@ def test_a_run_with_this_seed_holds(seconds: int, seed: int, scratch: Path) -> N
     assert done.returncode == 0, done.stdout + done.stderr
     assert f"seed {seed}" in done.stdout
     assert "broken" not in done.stdout
-    assert seconds < 45 or not re.search(r"│ +0 │", done.stdout), "every act occurs"
+    assert seconds < 45 or not re.search(r"│ +0 │", done.stdout), "every disturbance occurs"
 
 
 @pytest.mark.parametrize(
@@ -55,27 +55,27 @@ def test_memory_that_grows_all_the_time_is_seen(seconds: float, grown_mb: float,
     for second in range(int(seconds)):
         read = 24e6 if second > 0.9 * seconds and second % 10 == 0 else 0.0
         node_bytes = int(100e6 + grown_mb * 1e6 * second / seconds + read)
-        held.append(Held(second, node_bytes, 200_000_000, descriptors=40, threads=17))
-    faults = _flat(Outcome(tmp_path, 1, seconds=seconds, held=held))
+        held.append(Resources(second, node_bytes, 200_000_000, descriptors=40, threads=17))
+    faults = _flat(Outcome(tmp_path, 1, seconds=seconds, resources=held))
     assert [fault.partition(" grew")[0] for fault in faults] == ([] if flat else ["the node's resident bytes"])
 
 
-def test_one_seed_is_one_script_that_has_every_act() -> None:
+def test_one_seed_is_one_script_that_has_every_disturbance() -> None:
     one, again, other = (list(itertools.islice(script(seed, 120.0), 200)) for seed in (6, 6, 7))
     assert one == again
     assert one != other
-    assert {step.act for step in one[:28]} == set(Act)
+    assert {step.disturbance for step in one[:28]} == set(Disturbance)
     assert all(step.pause_s >= 0 and 0 <= step.draw < 1 and 0 <= step.amount < 1 for step in one)
 
 
 def test_a_short_run_has_no_freeze_that_outlasts_it() -> None:
-    assert Act.FREEZE_LONG not in {step.act for step in itertools.islice(script(6, 20.0), 200)}
+    assert Disturbance.FREEZE_LONG not in {step.disturbance for step in itertools.islice(script(6, 20.0), 200)}
 
 
-def test_the_page_has_a_row_for_every_act_and_lost_nothing() -> None:
+def test_the_page_has_a_row_for_every_disturbance_and_lost_nothing() -> None:
     table = PAGE.read_text().partition(BEGIN)[2].partition(END)[0]
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines() if line[:2] == "| "]
-    assert [row[0] for row in rows[1:]] == [str(act) for act in Act]
+    assert [row[0] for row in rows[1:]] == [str(disturbance) for disturbance in Disturbance]
     assert all(int(row[1].replace(",", "")) > 0 for row in rows[1:])
     assert {row[2] for row in rows[1:]} == {"nothing"}
 

@@ -1,4 +1,4 @@
-"""What is done to a running building, and when: drawn from a seed."""
+"""The disturbances of a running building and their schedule, drawn from a seed."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ LONG_S = 12.0
 """Longer than Zenoh's lease of 10 s: who is frozen so long is taken for dead."""
 
 
-class Act(StrEnum):
-    """One kind of mischief; its text is its row in the table."""
+class Disturbance(StrEnum):
+    """One kind of disturbance; its text is its row in the table."""
 
     KILL = "controller killed (SIGKILL), started again later"
     FREEZE = "controller frozen (SIGSTOP) for up to 1.5 s"
@@ -36,37 +36,46 @@ class Act(StrEnum):
     BAD_REQUESTS = "requests that cannot be: claims of what is not there or is taken, malformed ones"
 
 
-FLOODS = (Act.GARBAGE, Act.UNKNOWN, Act.STALE, Act.FUTURE, Act.OVERSIZED, Act.WRITES, Act.BAD_WRITES, Act.BAD_REQUESTS)
-"""Those that a stranger with a session of its own does."""
+FLOODS = (
+    Disturbance.GARBAGE,
+    Disturbance.UNKNOWN,
+    Disturbance.STALE,
+    Disturbance.FUTURE,
+    Disturbance.OVERSIZED,
+    Disturbance.WRITES,
+    Disturbance.BAD_WRITES,
+    Disturbance.BAD_REQUESTS,
+)
+"""Those that the flooder sends, which has a session of its own."""
 
-SIZES = {Act.OVERSIZED: (1, 2), Act.WRITES: (1, 6), Act.BAD_REQUESTS: (1, 6)}
+SIZES = {Disturbance.OVERSIZED: (1, 2), Disturbance.WRITES: (1, 6), Disturbance.BAD_REQUESTS: (1, 6)}
 """Messages of a flood; else 1 to 400."""
 
-_RARE = (Act.FREEZE_LONG, Act.KILL_ENGINE, Act.OVERSIZED)
-_OFTEN = (Act.KILL, Act.FREEZE, Act.RESTART, Act.WRITES)
+_RARE = (Disturbance.FREEZE_LONG, Disturbance.KILL_ENGINE, Disturbance.OVERSIZED)
+_OFTEN = (Disturbance.KILL, Disturbance.FREEZE, Disturbance.RESTART, Disturbance.WRITES)
 _MEAN_PAUSE_S = 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """An act, `pause_s` after the one before; `draw` (0 to 1) says whom it meets, `amount` (0 to 1) how much."""
+    """A disturbance `pause_s` after the previous one; `draw` (0 to 1) selects its target, `amount` its extent."""
 
     pause_s: float
-    act: Act
+    disturbance: Disturbance
     draw: float
     amount: float
 
 
 def script(seed: int, seconds: float) -> Iterator[Step]:
-    """Acts without end, in rounds that have every kind, some often and some rarely; short runs have no long freeze."""
+    """Yield disturbances without end, in rounds of every kind, some often; short runs have no long freeze."""
     rng = random.Random(seed)
     first = True
     while True:
         rare = first or rng.random() < 0.5
-        bag = [act for act in Act if rare or act not in _RARE] + [*_OFTEN, *_OFTEN]
+        bag = [kind for kind in Disturbance if rare or kind not in _RARE] + [*_OFTEN, *_OFTEN]
         if seconds < 3 * LONG_S:
-            bag = [act for act in bag if act is not Act.FREEZE_LONG]
+            bag = [kind for kind in bag if kind is not Disturbance.FREEZE_LONG]
         rng.shuffle(bag)
-        for act in bag:
-            yield Step(rng.expovariate(1 / _MEAN_PAUSE_S), act, rng.random(), rng.random())
+        for disturbance in bag:
+            yield Step(rng.expovariate(1 / _MEAN_PAUSE_S), disturbance, rng.random(), rng.random())
         first = False
