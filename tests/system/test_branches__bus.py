@@ -127,7 +127,7 @@ def _check_ends_with_its_parent(bus: Bus) -> None:
         hold.receive()
 
 
-def test_who_leaves_takes_along_what_it_asked_for(bus: Bus) -> None:
+def test_branches_and_snapshots__end_with_their_owner(bus: Bus) -> None:
     with bus.controller("office") as link:
         link.reset()
         mine = bus.snapshot("office").snapshot

@@ -35,7 +35,7 @@ def test_reset_begins_an_episode_and_stop_ends_the_node(node: NodeProgram, bus: 
     assert (gone.returncode, gone.stdout) == (1, "")
 
 
-def test_relinquish__says_whether_anything_was_held(shared_node: NodeProgram) -> None:
+def test_relinquish__reports_whether_a_value_was_held(shared_node: NodeProgram) -> None:
     at = ("--connect", shared_node.endpoint)
     nothing = f"office: {POINT} had nothing to relinquish at priority 8\n"
     assert zenostat("relinquish", "office", POINT, *at).stdout == nothing
@@ -45,7 +45,7 @@ def test_relinquish__says_whether_anything_was_held(shared_node: NodeProgram) ->
 
 
 @pytest.mark.slow
-def test_step_says_where_the_node_stands_after_its_steps(shared_node: NodeProgram, shared_bus: agent_sdk.Bus) -> None:
+def test_step__reports_the_timestep_that_it_reached(shared_node: NodeProgram, shared_bus: agent_sdk.Bus) -> None:
     at = ("--connect", shared_node.endpoint)
     for arguments in (("pause", "office"), ("pace", "office", "free")):
         assert zenostat(*arguments, *at).returncode == 0
@@ -99,7 +99,7 @@ def test_a_port_of_a_program_that_is_on_no_bus_is_refused(scratch: Path) -> None
     assert f"--no-listen --connect {endpoint}" in err
 
 
-def test_a_monitor_says_whom_it_waits_for(shared_node: NodeProgram, scratch: Path) -> None:
+def test_monitor__names_the_node_that_it_waits_for(shared_node: NodeProgram, scratch: Path) -> None:
     command = [*ZENOSTAT, "monitor", "--node", "ofice", "--save", "run.rrd", "--connect", shared_node.endpoint]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=scratch) as monitor:
         said = monitor.stdout.readline()

@@ -214,7 +214,7 @@ def _broken(folder: Path, break_: Callable[[dict[str, Any]], None]) -> Path:
     return path
 
 
-def test_a_model_that_energyplus_refuses(scratch: Path) -> None:
+def test_model__refused_by_energyplus(scratch: Path) -> None:
     """A construction that names a material which is not there."""
 
     def break_(objects: dict[str, Any]) -> None:
@@ -229,7 +229,7 @@ def test_a_model_that_energyplus_refuses(scratch: Path) -> None:
     assert "** Fatal **" in said
 
 
-def test_a_model_that_is_none(scratch: Path) -> None:
+def test_model__refused_if_it_is_no_building(scratch: Path) -> None:
     path = scratch / "empty.epJSON"
     for text, message in (("{", "is not an epJSON"), ("{}", "it has no 'Building' object")):
         path.write_text(text)
@@ -432,7 +432,7 @@ def test_two_nodes_of_one_name(folder: Path, shared_node: NodeProgram, shared_bu
         assert link.receive().step == 1, "the first goes on"
 
 
-def test_nobody_there(shared_node: NodeProgram) -> None:
+def test_connect__names_what_is_missing(shared_node: NodeProgram) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     with pytest.raises(NodeNotFound, match=f"nobody listens on {endpoint}; start a node there"):
         agent_sdk.connect(endpoint)
@@ -536,7 +536,7 @@ gym.make("zenostat/Building-v1", building="office-medium", weather={WEATHER!r}, 
         assert said.strip().splitlines()[-1] == "KeyboardInterrupt"
 
 
-def test_an_environment_that_nobody_closes_ends_its_node_in_peace(scratch: Path) -> None:
+def test_environment__ends_its_node_if_it_is_never_closed(scratch: Path) -> None:
     """The next weather's engine is being prepared when the program ends."""
     text = """
 import gymnasium as gym, agent_sdk
@@ -548,7 +548,7 @@ env.reset(seed=0)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
 
-def test_a_closed_environment_says_so(scratch: Path) -> None:
+def test_environment__refuses_steps_and_resets_once_closed(scratch: Path) -> None:
     env = gym.make("zenostat/Building-v1", **SMALL, affinity="off").unwrapped
     env.reset(seed=0)
     env.close()
@@ -557,7 +557,7 @@ def test_a_closed_environment_says_so(scratch: Path) -> None:
             use()
 
 
-def test_a_node_that_is_told_twice_to_stop_ends_without_a_word(folder: Path) -> None:
+def test_node__ends_quietly_when_stopped_twice(folder: Path) -> None:
     """By a request and, at once, by its owner's end."""
     for number in range(3):
         with node_and_bus(folder / str(number)) as (node, bus):

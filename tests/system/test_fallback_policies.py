@@ -183,7 +183,7 @@ def test_one_that_was_killed_comes_back_at_the_present_step(scratch: Path) -> No
 # Frozen
 
 
-def test_a_frozen_controller_s_late_command_says_how_late_and_rules_nothing(scratch: Path) -> None:
+def test_late_command_of_a_frozen_controller__reported_and_not_applied(scratch: Path) -> None:
     """agent@0 → node@1 → agent frozen → deadlines → … → agent goes on: agent@1 is late, then it has caught up"""
     with (
         office(scratch, policy="hold", deadline_s=1.0, end="07-09") as (node, bus),
@@ -245,7 +245,7 @@ def test_a_controller_that_joins_late_and_is_silent_meets_its_deadline(scratch: 
 
 @pytest.mark.variants
 @pytest.mark.parametrize("how", ["killed", "unresponsive"])
-def test_abort_is_told_to_the_other_controller_and_a_reset_begins_anew(scratch: Path, how: str) -> None:
+def test_abort__reaches_the_other_controller_and_a_reset_begins_anew(scratch: Path, how: str) -> None:
     silent = {"deadline_s": 4.0} if how == "unresponsive" else {}
     with (
         office(scratch, policy="abort", **silent) as (node, bus),
@@ -355,7 +355,7 @@ def row(text: str, first: str) -> list[list[str]]:
     return [cells for cells in lines if cells[0].startswith(first)]
 
 
-def test_the_command_line_says_what_the_policy_is_and_whom_it_met(scratch: Path) -> None:
+def test_status_command__shows_the_policy_and_the_bypassed_controller(scratch: Path) -> None:
     endpoint = f"unixsock-stream/{scratch}/bus"
     day = [part for k, v in SMALL.items() for part in (f"--{k.replace('_', '-')}", str(v))]
     how = ["--policy", "hold", "--grace", "0.25", "--deadline", "2000", "--affinity", "off"]
@@ -418,7 +418,7 @@ def test_a_node_s_settings_are_checked_alike(folder: Path) -> None:
         assert setting in str(raised.value)
 
 
-def test_a_node_that_goes_on_by_its_policy_hears_who_asks(scratch: Path) -> None:
+def test_node_on_its_fallback_policy__answers_requests(scratch: Path) -> None:
     """Without a deadline it runs as fast as it can, and whoever comes back is heard at once."""
     year = SMALL | {"begin": "01-01", "end": "12-31", "policy": "hold", "grace_s": 0.0}
     with NodeProgram(scratch / "n", **year) as node, agent_sdk.connect(node.endpoint, affinity="off") as bus:

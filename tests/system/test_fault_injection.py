@@ -148,7 +148,7 @@ def test_without_faults_again_nothing_is_left_of_them(stage: Stage) -> None:
 # Sensors and meters
 
 
-def test_values_are_disturbed_as_the_plan_says_and_nothing_else_is(stage: Stage) -> None:
+def test_faults__change_the_planned_values_and_nothing_else(stage: Stage) -> None:
     ran = stage.faulty(
         {"kind": "bias", "points": CORE, "offset": 1.5, "when": {"from_step": 10, "to_step": 20}},
         {"kind": "freeze", "points": NORTH, "when": {"from_step": 30, "to_step": 40}},
@@ -231,7 +231,7 @@ def test_a_fault_that_is_set_amid_an_episode_knows_what_was_heard_before(stage: 
 # What is told, and requests
 
 
-def test_events_tell_when_a_fault_begins_and_ends(stage: Stage) -> None:
+def test_events__report_when_a_fault_begins_and_ends(stage: Stage) -> None:
     told: list[Event] = []
 
     def on_event(message: Any) -> None:
@@ -424,7 +424,7 @@ def test_duplicates_do_not_disturb_a_controller(stage: Stage) -> None:
         ({"mode": "free"}, False),
     ],
 )
-def test_a_node_that_would_wait_for_what_is_lost_says_so(scratch: Path, given: dict[str, Any], warned: bool) -> None:
+def test_plan_that_loses_awaited_messages__warns(scratch: Path, given: dict[str, Any], warned: bool) -> None:
     file = scratch / "faults.yaml"
     file.write_text(yaml.safe_dump({"faults": [{"kind": "loss", "samples": True, "probability": 0.5}]}))
     said = plan(read_config({**SMALL, "faults": str(file), **given})).warnings
@@ -465,7 +465,7 @@ def building(folder: Path, **given: Any) -> gym.Env[Any, Any]:
     )  # fmt: skip
 
 
-def test_an_agent_observes_the_faults_and_is_rewarded_by_the_truth(scratch: Path) -> None:
+def test_agent__observes_faulty_values_and_is_rewarded_by_fault_free_ones(scratch: Path) -> None:
     file = scratch / "faults.yaml"
     file.write_text(yaml.safe_dump({"faults": [{"kind": "bias", "points": "*_air_temperature", "offset": 10.0}]}))
     ran = {}

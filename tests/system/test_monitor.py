@@ -179,7 +179,7 @@ def test_no_picture_without_a_vulkan_driver(scratch, monkeypatch):
 
 @pytest.mark.variants
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_monitor_that_waits_for_its_bus_says_so_and_can_be_ended(scratch, number):
+def test_monitor__reports_that_it_waits_for_its_bus_and_can_be_ended(scratch, number):
     command = [sys.executable, "-P", "-m", "cli.main", "monitor", "--save", "run.rrd"]
     command += ["--connect", f"tcp/127.0.0.1:{free_port()}"]
     monitor = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=scratch)

@@ -192,7 +192,7 @@ def size(pid: int) -> tuple[int, int, float]:
 
 @pytest.mark.variants
 @pytest.mark.parametrize("seconds", [4.0, FUZZ_S])
-def test_what_may_change_nothing_changes_nothing(scratch: Path, seconds: float) -> None:
+def test_malformed_messages__change_nothing(scratch: Path, seconds: float) -> None:
     with node_and_bus(scratch) as (node, bus), bus.controller("office") as link:
         quiet = day(link)
         assert day(link) == quiet
@@ -217,7 +217,7 @@ def test_what_may_change_nothing_changes_nothing(scratch: Path, seconds: float) 
 
 
 @pytest.mark.slow
-def test_what_may_change_something_leaves_the_node_in_order(scratch: Path) -> None:
+def test_valid_messages__leave_the_node_in_order(scratch: Path) -> None:
     with nothing_left(scratch), node_and_bus(scratch) as (node, bus):
         with Program(FUZZER, node.endpoint, str(SEED + 1), "wild", "fuzz") as fuzzer:
             fuzzer.line()

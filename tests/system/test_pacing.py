@@ -227,7 +227,7 @@ def test_a_reset_begins_a_schedule(bus: Bus) -> None:
         assert time.monotonic() >= asked_s + fifth.step * STEP_WALL_S
 
 
-def test_what_was_commanded_holds_when_paced(bus: Bus, reference: list[Sample]) -> None:
+def test_paced_node__holds_the_last_command(bus: Bus, reference: list[Sample]) -> None:
     with bus.controller("office", name="holder") as link:
         held(link)
         with bus.listen("office") as samples:
@@ -255,7 +255,7 @@ def test_an_impossible_speed_is_counted_and_loses_nothing(scratch: Path, referen
         assert bus.manifest("office").statistics.overruns == counts.overruns
 
 
-def test_free_goes_as_lockstep_does(bus: Bus, reference: list[Sample]) -> None:
+def test_free_node__gives_the_same_trajectory_as_lockstep(bus: Bus, reference: list[Sample]) -> None:
     overruns = bus.status("office").statistics.overruns
     with bus.controller("office") as link:
         held(link)
@@ -417,7 +417,7 @@ def test_deadlines_stand_still_in_a_pause_and_go_on_after_it(scratch: Path) -> N
         until(lambda: bus.status("office").step[0] > sample.step + 4, "it goes on by the policy")
 
 
-def test_the_node_says_what_its_pace_is(bus: Bus) -> None:
+def test_node__publishes_its_changes_of_pace(bus: Bus) -> None:
     from topics import codec, keys
     from topics.messages import Event
 
@@ -450,7 +450,7 @@ def test_the_node_says_what_its_pace_is(bus: Bus) -> None:
         (lambda bus: bus.step("office", 0), InvalidConfig, "steps.*greater than or equal to 1"),
     ],
 )
-def test_wrong_requests_are_refused_in_words(bus: Bus, ask: Any, error: type[Exception], words: str) -> None:
+def test_invalid_requests__refused_with_the_reason(bus: Bus, ask: Any, error: type[Exception], words: str) -> None:
     with pytest.raises(error, match=words):
         ask(bus)
     status = bus.status("office")
@@ -477,7 +477,7 @@ def zenostat(*arguments: str) -> str:
     return " ".join(done.stdout.split())
 
 
-def test_commands_of_a_person(shared_node: NodeProgram, bus: Bus, tmp_path: Path) -> None:
+def test_commands__pause_pace_step_and_inject_faults(shared_node: NodeProgram, bus: Bus, tmp_path: Path) -> None:
     at = ("--connect", shared_node.endpoint)
     plan = tmp_path / "faults.yaml"
     plan.write_text("faults: [{name: off by one, kind: bias, points: core_zn_air_temperature, offset: 1.0}]")
@@ -493,7 +493,7 @@ def test_commands_of_a_person(shared_node: NodeProgram, bus: Bus, tmp_path: Path
     assert "paused" not in zenostat("resume", "office", *at)
 
 
-def test_mistakes_of_a_person() -> None:
+def test_commands__refuse_invalid_arguments() -> None:
     for arguments, words in {
         ("pace", "office", "quick"): "'quick' is not a pace",
         ("faults", "office"): "expected either a file with a fault plan, or --clear",
@@ -505,7 +505,7 @@ def test_mistakes_of_a_person() -> None:
         assert words in " ".join(done.stderr.split())
 
 
-def test_a_paced_node_tells_in_the_end_how_it_kept_up(scratch: Path) -> None:
+def test_paced_node__reports_its_overruns_at_the_end(scratch: Path) -> None:
     (scratch / "faults.yaml").write_text("faults: [{kind: drop, points: core_zn_air_temperature}]")
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     options = ["--building", "ref-small-office", "--weather", "USA_CO_Denver", "--begin", "07-03", "--end", "07-03"]

@@ -166,7 +166,7 @@ def test_the_same_seed_gives_the_same_trajectory_to_the_bit(scratch: Path) -> No
     second.close()
 
 
-def test_what_forecasts_read_is_what_is_simulated(scratch: Path) -> None:
+def test_forecasts__read_the_weather_that_is_simulated(scratch: Path) -> None:
     """At whole hours EnergyPlus's outdoor air is the row of the disturbed file, and not of the original."""
     env = make(f"{SMALL}-continuous-stochastic-v1", aggregation="instant")
     rows, _ = play(env, 2)
@@ -221,7 +221,7 @@ def test_an_environment_on_a_bus_takes_the_scenario_over(scratch: Path) -> None:
     own.close()
 
 
-def test_a_model_that_works_against_its_actuators_says_so(scratch: Path) -> None:
+def test_model_that_works_against_its_actuators__warns(scratch: Path) -> None:
     packs.sinergym()
     with pytest.warns(UserWarning, match="cooling_setpoint.*no effect.*FlowControlWithApproachTemperatures"):
         env = make("zenostat/smalldatacenter-hot-continuous-v1")
@@ -327,7 +327,7 @@ def test_a_broken_file_is_named(broken: Any, field: str, kind: type[Exception], 
         gym.make("zenostat/Scenario-v1", file=written(scratch, **{field: str(path)}, **noise), affinity="off")
 
 
-def test_all_faults_of_a_file_are_said_at_once(scratch: Path) -> None:
+def test_scenario_file__reports_all_its_errors_at_once(scratch: Path) -> None:
     file = written(
         scratch,
         weather=["USA_CO_Denver", "Atlantis"],

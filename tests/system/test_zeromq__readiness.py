@@ -30,7 +30,7 @@ class Ports:
 
 @pytest.mark.variants
 @pytest.mark.parametrize("end", ["killed", "interrupted"])
-def test_sockets_that_were_there_before_a_gateway_hear_and_are_answered(shared_node, shared_bus, end):
+def test_sockets_older_than_the_gateway__receive_samples_and_answers(shared_node, shared_bus, end):
     ports = Ports()
     at = ("--publish", ports.publish, "--command", ports.command)
     with Peer(ports) as early:  # type: ignore[arg-type]
@@ -54,7 +54,7 @@ def test_sockets_that_were_there_before_a_gateway_hear_and_are_answered(shared_n
             assert "'c' has claimed nothing; claim first" in early.answer()[1]["message"]
 
 
-def test_what_is_asked_of_a_node_waits_until_it_has_said_what_it_is(shared_node, gateway):
+def test_requests__wait_for_the_manifest_of_their_node(shared_node, gateway):
     """slow's token → a request for slow is kept → slow's manifest and sample → the request is answered"""
     asked: queue.Queue[zenoh.Query] = queue.Queue()
     with (

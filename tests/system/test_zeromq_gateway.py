@@ -152,7 +152,7 @@ def test_command_to_a_node_that_runs_freely(scratch):
 # Answers
 
 
-def test_refusals_say_what_the_node_said(gateway):
+def test_refusals__carry_the_reason_of_the_node(gateway):
     with Peer(gateway) as peer, Peer(gateway) as other:
         peer.listen("sample")
         sample = peer.after(None)
@@ -258,7 +258,7 @@ def test_killed_gateway_breaks_nothing_of_the_node(shared_node, shared_bus):
 
 @pytest.mark.variants
 @pytest.mark.parametrize("end", ["killed", "stopped"])
-def test_end_of_the_node_is_told_and_answered(scratch, node, own_gateway, end):
+def test_end_of_the_node__published_and_answered(scratch, node, own_gateway, end):
     gateway = own_gateway
     with Peer(gateway) as peer, Peer(gateway) as waiting, Peer(gateway) as slow:
         peer.listen("sample")
@@ -286,7 +286,7 @@ def test_end_of_the_node_is_told_and_answered(scratch, node, own_gateway, end):
         assert (kind, denied["error"]) == ("ErrorReply", "NodeNotFound")
 
 
-def test_failure_of_the_engine_is_the_answer_of_who_waits(shared_node, gateway):
+def test_failure_of_the_engine__answers_the_pending_command(shared_node, gateway):
     with Peer(gateway) as peer:
         peer.listen("sample")
         sample = peer.after(None)
@@ -367,7 +367,7 @@ WORDS = st.sampled_from([b"", b"zenostat/v2/office/rpc/status", b"zenostat/v2/of
 @example([b""])
 @example([b"", b""])
 @example([b"", b"", b"", b"", b""])
-def test_whatever_frames_come_there_is_one_answer(open_gateway, frames):
+def test_any_frames__have_one_answer(open_gateway, frames):
     requests = open_gateway.requests
     requests.send_multipart(frames)
     answer = requests.recv_multipart()
@@ -408,7 +408,7 @@ def _fails(*options: str) -> str:
 
 
 @pytest.mark.slow
-def test_what_cannot_be_is_said_before_anything_starts(shared_node, gateway):
+def test_invalid_options__refused_before_anything_starts(shared_node, gateway):
     at = ("--connect", shared_node.endpoint)
     assert "another program listens on" in _fails(*at, "--publish", gateway.publish)
     assert "another program listens on" in _fails(*at, "--command", gateway.command, "--publish", ANY)
