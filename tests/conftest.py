@@ -101,7 +101,7 @@ def shared_node(module_folder: Path) -> Iterator[NodeProgram]:
 
 
 @pytest.fixture
-def shared_bus(shared_node: NodeProgram) -> Iterator[agent_sdk.Bus]:
+def episode_bus(shared_node: NodeProgram) -> Iterator[agent_sdk.Bus]:
     """The bus of `shared_node`, which waits at the first sample of a new episode."""
     with agent_sdk.connect(shared_node.endpoint, affinity="off") as connected:
         begin_new_episode(connected)

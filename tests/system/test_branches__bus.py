@@ -32,11 +32,11 @@ sys.stdin.readline()
 
 
 @pytest.fixture
-def bus(shared_bus: Bus) -> Bus:
+def bus(episode_bus: Bus) -> Bus:
     """The bus of a node that the tests of this module share, without branches and snapshots."""
-    until(lambda: not (s := shared_bus.status("office")).branches and not s.snapshots, "those of others have ended")
-    until(lambda: shared_bus.nodes() == ["office"], "their nodes, too")
-    return shared_bus
+    until(lambda: not (s := episode_bus.status("office")).branches and not s.snapshots, "those of others have ended")
+    until(lambda: episode_bus.nodes() == ["office"], "their nodes, too")
+    return episode_bus
 
 
 def cooling(bus: Bus, node: str, setpoint: float | None, steps: int, *, name: str = "plain") -> list[float]:

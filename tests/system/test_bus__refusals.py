@@ -29,8 +29,8 @@ BAD_WRITES = {
 }
 
 
-def test_node_answers_each_malformed_write_to_its_source(shared_bus: agent_sdk.Bus) -> None:
-    bus = shared_bus
+def test_node_answers_each_malformed_write_to_its_source(episode_bus: agent_sdk.Bus) -> None:
+    bus = episode_bus
     with bus.session.declare_subscriber(keys.EVENT.at("office"), RingChannel(1000)) as events:
         bus.status("office")  # an answer shows that the node has heard of the subscription
 
@@ -59,8 +59,8 @@ BIG = msgpack.packb({"memory": b"\0" * (codec.MAX_BYTES + 1)})
 
 
 @pytest.mark.parametrize("topic", [keys.STATUS, keys.SCENARIO, keys.MANIFEST, keys.SAMPLE], ids=lambda t: t.key)
-def test_queries_are_checked_like_any_other_request(shared_bus: agent_sdk.Bus, topic: Topic) -> None:
-    bus = shared_bus
+def test_queries_are_checked_like_any_other_request(episode_bus: agent_sdk.Bus, topic: Topic) -> None:
+    bus = episode_bus
 
     def ask(payload: bytes | None, encoding: str = "zenoh/bytes") -> tuple[str, dict[str, object]]:
         said = zenoh.Encoding(encoding) if payload is not None else None

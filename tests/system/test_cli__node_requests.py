@@ -45,7 +45,7 @@ def test_relinquish__reports_whether_a_value_was_held(shared_node: NodeProgram) 
 
 
 @pytest.mark.slow
-def test_step__reports_the_timestep_that_it_reached(shared_node: NodeProgram, shared_bus: agent_sdk.Bus) -> None:
+def test_step__reports_the_timestep_that_it_reached(shared_node: NodeProgram, episode_bus: agent_sdk.Bus) -> None:
     at = ("--connect", shared_node.endpoint)
     for arguments in (("pause", "office"), ("pace", "office", "free")):
         assert zenostat(*arguments, *at).returncode == 0

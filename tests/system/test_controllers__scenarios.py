@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from support import data_packs as packs
 from support.builders import manifest
+from support.cli import run_in_process
 from support.nodes import SMALL, NodeProgram
 
 import agent_sdk
@@ -186,7 +187,7 @@ def test_zenostat_run_with_parameters_seeds_and_classes_of_anybodys(scratch: Pat
     ],
 )
 def test_mistakes_are_one_sentence_and_claim_nothing(shared_node: NodeProgram, arguments: list[str], says: str) -> None:
-    done = run(shared_node, *arguments)
+    done = run_in_process("run", "--node", shared_node.name, "--connect", shared_node.endpoint, *arguments)
     assert done.returncode == 2
     assert says in " ".join(done.stderr.split())
     assert "Traceback" not in done.stderr

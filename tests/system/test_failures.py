@@ -343,10 +343,10 @@ def test_the_node_is_stopped_by_a_request(folder: Path) -> None:
         assert node.process.wait() == 0
 
 
-def test_a_controller__raises_when_another_resets_its_node(shared_bus: agent_sdk.Bus) -> None:
+def test_a_controller__raises_when_another_resets_its_node(episode_bus: agent_sdk.Bus) -> None:
     with (
-        shared_bus.controller("office", name="one") as one,
-        shared_bus.controller("office", name="two", priority=9) as two,
+        episode_bus.controller("office", name="one") as one,
+        episode_bus.controller("office", name="two", priority=9) as two,
     ):
         one.reset()
         episode = two.reset().episode
@@ -383,8 +383,8 @@ def test_faulty_actions_change_nothing(env: gym.Env[Any, Any]) -> None:
     assert observation.tobytes() == undisturbed.tobytes()
 
 
-def test_faulty_values_of_a_controller(shared_bus: agent_sdk.Bus) -> None:
-    with shared_bus.controller("office") as link:
+def test_faulty_values_of_a_controller(episode_bus: agent_sdk.Bus) -> None:
+    with episode_bus.controller("office") as link:
         sample = link.reset()
         with pytest.raises(InvalidAction, match="no actuator 'core_zn_cooling'; did you mean 'core_zn_cooling_setp"):
             sample.send({"core_zn_cooling": 25.0})
@@ -418,16 +418,16 @@ def test_a_port_that_a_node_has_taken(folder: Path) -> None:
         assert node.process.poll() is None
 
 
-def test_a_socket_that_is_taken(folder: Path, shared_node: NodeProgram, shared_bus: agent_sdk.Bus) -> None:
+def test_a_socket_that_is_taken(folder: Path, shared_node: NodeProgram, episode_bus: agent_sdk.Bus) -> None:
     with pytest.raises(AddressInUse, match="already exists; name another path"):
         NodeProgram(folder / "two", **SMALL, name="other", listen=[shared_node.endpoint])
-    assert shared_bus.nodes() == ["office"]
+    assert episode_bus.nodes() == ["office"]
 
 
-def test_two_nodes_of_one_name(folder: Path, shared_node: NodeProgram, shared_bus: agent_sdk.Bus) -> None:
+def test_two_nodes_of_one_name(folder: Path, shared_node: NodeProgram, episode_bus: agent_sdk.Bus) -> None:
     with pytest.raises(NameInUse, match=r"a node named 'office' is on this bus already \(instance [0-9a-f]+\)"):
         NodeProgram(folder / "two", **SMALL, connect=[shared_node.endpoint])
-    with shared_bus.controller("office") as link:
+    with episode_bus.controller("office") as link:
         link.reset().send()
         assert link.receive().step == 1, "the first goes on"
 
@@ -497,7 +497,7 @@ def test_ctrl_c_in_a_script_with_an_environment(text: str) -> None:
         assert said.strip().splitlines()[-1] == "KeyboardInterrupt"
 
 
-def test_ctrl_c_in_a_controller_leaves_the_node_running(shared_node: NodeProgram, shared_bus: agent_sdk.Bus) -> None:
+def test_ctrl_c_in_a_controller_leaves_the_node_running(shared_node: NodeProgram, episode_bus: agent_sdk.Bus) -> None:
     text = """
 import sys
 import agent_sdk
@@ -514,8 +514,8 @@ with agent_sdk.connect(sys.argv[1], affinity="off") as bus, bus.controller("offi
         code, _, said = program.end()
         assert code in (-signal.SIGINT, 128 + signal.SIGINT, 1)
         assert said.strip().splitlines()[-1] == "KeyboardInterrupt"
-    until(lambda: shared_bus.controllers() == [], "the script's controller has gone")
-    with shared_bus.controller("office", name="next") as link:
+    until(lambda: episode_bus.controllers() == [], "the script's controller has gone")
+    with episode_bus.controller("office", name="next") as link:
         link.reset().send()
         assert link.receive().step == 1
 

@@ -17,6 +17,7 @@ import numpy as np
 import psutil
 import pytest
 import zenoh
+from support.cli import run_in_process
 from support.nodes import COOLING, SMALL, NodeProgram, Program, begin_new_episode, free_port, until
 from zenoh.handlers import FifoChannel
 
@@ -300,18 +301,18 @@ with agent_sdk.connect(endpoint, affinity="off") as bus, bus.controller("office"
 
 
 def test_two_controllers_and_a_supervisor_are_as_one_to_the_bit(
-    scratch: Path, shared_node: NodeProgram, shared_bus: agent_sdk.Bus
+    scratch: Path, shared_node: NodeProgram, episode_bus: agent_sdk.Bus
 ) -> None:
     """north and south answer each sample; from sample 8 the supervisor overrides the core at 28 for an hour."""
     with (
         Program(FOLLOWS_A_PLAN, shared_node.endpoint, "north", *NORTH) as north,
-        shared_bus.controller("office", name="south", actuators=SOUTH) as south,
+        episode_bus.controller("office", name="south", actuators=SOUTH) as south,
     ):
         name = north.line()
         many = [south.current()]
         while not many[-1].truncated:
             if many[-1].step == 8:
-                shared_bus.write("office", POINT, 28.0, priority=8, duration_s=3600.0, source="supervisor")
+                episode_bus.write("office", POINT, 28.0, priority=8, duration_s=3600.0, source="supervisor")
             many[-1].send({point: wanted(point, many[-1].step) for point in SOUTH})
             many.append(south.receive())
         assert north.json() == STEPS
@@ -323,8 +324,8 @@ def test_two_controllers_and_a_supervisor_are_as_one_to_the_bit(
             assert source_index.startswith("supervisor-")
             who[POINT] = source_index
         assert sample.value_source == {point: who.get(point, "") for point in sample.value_source}
-    begin_new_episode(shared_bus)
-    with shared_bus.controller("office", name="one", actuators=[*COOLING]) as one:
+    begin_new_episode(episode_bus)
+    with episode_bus.controller("office", name="one", actuators=[*COOLING]) as one:
         single = [one.current()]
         while not single[-1].truncated:
             step = single[-1].step
@@ -405,7 +406,8 @@ def test_status_command__shows_the_policy_and_the_bypassed_controller(scratch: P
     ],
 )
 def test_settings_that_cannot_be_are_refused_before_anything_starts(option: str, value: str, words: str) -> None:
-    done = zenostat("node", "--building", "ref-small-office", "--weather", "USA_CO_Denver", option, value)
+    settings = ("--building", "ref-small-office", "--weather", "USA_CO_Denver", option, value)
+    done = run_in_process("node", *settings, columns=200)
     assert done.returncode == 2
     assert words in done.stderr.replace("\n", " ")
 

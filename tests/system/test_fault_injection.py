@@ -374,8 +374,8 @@ def grid() -> dict[str, Any]:
     return {"step_s": 900.0, "begin": datetime(2017, 7, 3)}
 
 
-def test_lost_samples_are_missing_when_free(shared_bus: Bus) -> None:
-    bus = shared_bus
+def test_lost_samples_are_missing_when_free(episode_bus: Bus) -> None:
+    bus = episode_bus
     faults = {"seed": 2, "faults": [{"kind": "loss", "samples": True, "probability": 0.3, "when": {"to_step": LAST}}]}
     with bus.listen("office") as samples:
         bus.faults("office", faults)
@@ -393,8 +393,8 @@ def test_lost_samples_are_missing_when_free(shared_bus: Bus) -> None:
     bus.faults("office", None)
 
 
-def test_delayed_samples_come_later_when_paced(shared_bus: Bus) -> None:
-    bus = shared_bus
+def test_delayed_samples_come_later_when_paced(episode_bus: Bus) -> None:
+    bus = episode_bus
     bus.faults("office", {"faults": [{"kind": "latency", "samples": True, "delay_ms": 400.0}]})
     with bus.listen("office") as samples:
         asked_s = time.monotonic()

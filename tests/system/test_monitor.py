@@ -46,10 +46,10 @@ def _run(endpoint: str, *, reset: bool = False) -> list[np.ndarray]:
         return [sample.values for sample in link]
 
 
-def test_recording_has_each_sample_of_each_episode_to_the_bit(scratch, shared_node, shared_bus):
+def test_recording_has_each_sample_of_each_episode_to_the_bit(scratch, shared_node, episode_bus):
     rr.set_strict_mode(True)
     path = scratch / "run.rrd"
-    manifest, (episode,) = shared_bus.manifest("office"), shared_bus.status("office").episode
+    manifest, (episode,) = episode_bus.manifest("office"), episode_bus.status("office").episode
     with open_session(connect=[shared_node.endpoint]) as session:
         with RerunStream(session, "*", [rr.FileSink(str(path))]) as stream:
             first = _run(shared_node.endpoint)
@@ -104,9 +104,9 @@ def test_batches_have_all_that_was_streamed_in_the_order_sent(scratch):
     assert len(came) < len(heard) / 4
 
 
-def test_late_monitor_learns_the_manifest_and_the_sample_the_node_stands_at(scratch, shared_node, shared_bus):
+def test_late_monitor_learns_the_manifest_and_the_sample_the_node_stands_at(scratch, shared_node, episode_bus):
     path = scratch / "run.rrd"
-    with shared_bus.controller("office") as link:
+    with episode_bus.controller("office") as link:
         sample = link.current()
         for _ in range(10):
             sample.send()
@@ -124,14 +124,14 @@ def test_late_monitor_learns_the_manifest_and_the_sample_the_node_stands_at(scra
 
 @pytest.mark.variants
 @pytest.mark.parametrize("fate", [signal.SIGSTOP, signal.SIGKILL])
-def test_monitor_that_is_frozen_or_killed_changes_nothing(scratch, shared_node, shared_bus, fate):
+def test_monitor_that_is_frozen_or_killed_changes_nothing(scratch, shared_node, episode_bus, fate):
     quiet = _run(shared_node.endpoint)
     command = [sys.executable, "-P", "-m", "cli.main", "monitor", "--connect", shared_node.endpoint]
     command += ["--save", str(scratch / "run.rrd")]
     monitor = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
         assert "connected" in monitor.stdout.readline()
-        with shared_bus.controller("office") as link:
+        with episode_bus.controller("office") as link:
             disturbed = []
             link.reset()
             for sample in link:

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.cli import run_in_process
 from support.nodes import SMALL, NodeProgram, begin_new_episode, free_port, until
 
 import agent_sdk
@@ -171,9 +172,9 @@ def rest(samples: Iterator[SampleView]) -> list[Sample]:
 
 
 @pytest.fixture
-def bus(shared_bus: Bus) -> Bus:
+def bus(episode_bus: Bus) -> Bus:
     """The bus of a node that the tests of this module share."""
-    return shared_bus
+    return episode_bus
 
 
 @pytest.fixture(scope="module")
@@ -472,7 +473,7 @@ def test_an_episode_that_is_over_takes_no_steps_and_no_writes(scratch: Path) -> 
 
 
 def zenostat(*arguments: str) -> str:
-    done = subprocess.run([*ZENOSTAT, *arguments], capture_output=True, text=True, timeout=100)
+    done = run_in_process(*arguments)
     assert done.returncode == 0, done.stderr
     return " ".join(done.stdout.split())
 
@@ -500,7 +501,7 @@ def test_commands__refuse_invalid_arguments() -> None:
         ("faults", "office", "nowhere.yaml", "--clear"): "expected either a file with a fault plan, or --clear",
         ("node", "--building", "x", "--weather", "y", "--speed", "5"): "--speed 5 needs --mode paced",
     }.items():
-        done = subprocess.run([*ZENOSTAT, *arguments], capture_output=True, text=True, timeout=100)
+        done = run_in_process(*arguments)
         assert done.returncode == 2
         assert words in " ".join(done.stderr.split())
 

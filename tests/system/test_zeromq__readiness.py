@@ -30,7 +30,7 @@ class Ports:
 
 @pytest.mark.variants
 @pytest.mark.parametrize("end", ["killed", "interrupted"])
-def test_sockets_older_than_the_gateway__receive_samples_and_answers(shared_node, shared_bus, end):
+def test_sockets_older_than_the_gateway__receive_samples_and_answers(shared_node, episode_bus, end):
     ports = Ports()
     at = ("--publish", ports.publish, "--command", ports.command)
     with Peer(ports) as early:  # type: ignore[arg-type]

@@ -222,7 +222,7 @@ def test_killed_controller_is_noticed_by_the_node_and_may_come_back(shared_node,
         assert back.ask("command/doomed", **keeping(back.after(None)))[0] == "Ack"
 
 
-def test_frozen_controller_is_gone_after_its_lease(shared_node, shared_bus):
+def test_frozen_controller_is_gone_after_its_lease(shared_node, episode_bus):
     with GatewayProgram(shared_node.endpoint, "--lease", "0.5") as gateway, Peer(gateway) as peer:
         peer.listen("event")
         with Program(KILLED, gateway.command) as program:
@@ -244,15 +244,15 @@ def test_controller_that_comes_back_under_its_name_keeps_it(shared_node, gateway
         until(lambda: bus.controllers() == [("office", "c")], "the controller is there")
 
 
-def test_killed_gateway_breaks_nothing_of_the_node(shared_node, shared_bus):
+def test_killed_gateway_breaks_nothing_of_the_node(shared_node, episode_bus):
     with GatewayProgram(shared_node.endpoint) as gateway, Peer(gateway) as peer:
         peer.listen("sample")
         assert peer.ask("rpc/claim", controller="c")[0] == "Ack"
         assert peer.ask("command/c", **keeping(peer.after(None)))[0] == "Ack"
         gateway.process.kill()
         gateway.process.wait()
-        until(lambda: [c.state for c in shared_bus.status("office").controllers] == ["disconnected"], "the node misses it")
-    with shared_bus.controller("office") as link:
+        until(lambda: [c.state for c in episode_bus.status("office").controllers] == ["disconnected"], "the node misses it")
+    with episode_bus.controller("office") as link:
         assert [sample.step for sample in link][-1] == 96
 
 
