@@ -107,24 +107,20 @@ def test_a_stop_ends_a_branch_alone(bus: Bus) -> None:
         until(lambda: not bus.status("office").branches, "both have ended")
 
 
-def test_a_branch_that_nobody_owns_ends_with_its_parent(node: NodeProgram) -> None:
-    """Also one that outlives the controller of the episode, its reset and its end."""
+def test_branch_without_an_owner__ends_with_its_parent(node: NodeProgram) -> None:
+    """It outlives the controller of the episode, its reset and its end."""
     with agent_sdk.connect(node.endpoint, affinity="off") as bus:
-        _check_ends_with_its_parent(bus)
-
-
-def _check_ends_with_its_parent(bus: Bus) -> None:
-    with bus.controller("office") as link:
-        link.reset()
-        name = bus.branch("office", CreateBranch())
-        bus.reset("office", Reset())
-    hold = bus.controller(name)
-    sample = hold.current()
-    sample.send({"core_zn_cooling_setpoint": 24.0})
-    assert hold.receive().step == 1
-    bus.stop("office")
-    with pytest.raises(NodeLost):
-        hold.receive()
+        with bus.controller("office") as link:
+            link.reset()
+            name = bus.branch("office", CreateBranch())
+            bus.reset("office", Reset())
+        hold = bus.controller(name)
+        sample = hold.current()
+        sample.send({"core_zn_cooling_setpoint": 24.0})
+        assert hold.receive().step == 1
+        bus.stop("office")
+        with pytest.raises(NodeLost):
+            hold.receive()
 
 
 def test_branches_and_snapshots__end_with_their_owner(bus: Bus) -> None:
