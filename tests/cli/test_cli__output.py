@@ -1,0 +1,141 @@
+"""What `zenostat` prints: help, tables, and the mistakes in a call.
+
+The commands run within the test's process; of each kind one runs as a program, too.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+from support.cli import DAY, plain, run_in_process, run_program
+
+COMMANDS = (
+    "node", "run", "evaluate", "monitor", "status", "read", "watch", "write", "relinquish", "points", "buildings",
+    "weathers", "asyncapi", "demo", "pace", "pause", "resume", "step", "faults", "reset", "stop",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help__has_an_example_that_the_command_takes(command: str) -> None:
+    done = run_in_process(command, "--help")
+    assert done.returncode == 0
+    example = re.search(rf"Example: zenostat ({command}[^│╭]*?)(?=\s╭|\s│|$)", plain(done.stdout.replace("`", "")))
+    assert example, done.stdout
+    words = example[1].split()
+    assert words[0] == command
+    for option in (word for word in words if word.startswith("--")):
+        assert option in done.stdout.split("Options")[1]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (
+            ["node", "--building", "ofice-small", "--weather", "USA_CO_Denver"],
+            ["no building 'ofice-small'", "office-small"],
+        ),
+        (
+            ["node", "--building", "office-small", "--weather", "USA_CO"],
+            ["matches several", "USA_CO_Denver", "USA_CO_Golden"],
+        ),
+        (["node", *DAY[:4], "--begin", "02-30"], ["begin '02-30' is not a calendar date"]),
+        (["node", *DAY, "--steps-per-hour", "7"], ["7 does not divide the hour"]),
+        (["node", *DAY, "--name", "my office"], ["'my office' is not valid in a topic", "'my_office'"]),
+        (["node", *DAY, "--listen", "tcp/0.0.0.0:7447"], ["can be reached from other machines", "--expose"]),
+        (["node", *DAY, "--listen", "7447"], ["is not an endpoint", "tcp/127.0.0.1:7447"]),
+        (["run", "--node", "office", "--controller", "rb"], ["no controller 'rb'", "'rbc'"]),
+        (["monitor", "--save", "nowhere/run.rrd"], ["there is no folder", "nowhere"]),
+        (["monitor", "--screenshot", "run.jpg"], ["--screenshot run.jpg", "expected a .png file"]),
+    ],
+)
+def test_mistakes__are_named_before_anything_starts(scratch: Path, arguments: list[str], words: list[str]) -> None:
+    done = run_in_process(*arguments, cwd=scratch)
+    assert done.returncode == 2
+    for word in words:
+        assert word in plain(done.stderr)
+    assert "Traceback" not in done.stderr
+
+
+def test_mistakes__a_program_ends_as_the_call_within_this_process(scratch: Path) -> None:
+    call = ["node", *DAY, "--steps-per-hour", "7"]
+    program, here = run_program(*call, cwd=scratch), run_in_process(*call, cwd=scratch)
+    assert (program.returncode, program.stdout, program.stderr) == (here.returncode, here.stdout, here.stderr)
+    assert here.returncode == 2
+
+
+def test_monitor__without_a_display_names_the_alternatives(scratch: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    done = run_in_process("monitor", cwd=scratch)
+    assert done.returncode == 2
+    assert "--web, --save FILE.rrd or --screenshot FILE.png" in plain(done.stderr)
+
+
+def test_points__have_units_and_bounds() -> None:
+    done = run_program("points", "ref-small-office", "--match", "core_zn", "--json")
+    points = {(p["kind"], p["name"], p["key"]): p["unit"] for p in json.loads(done.stdout)}
+    assert points["sensor", "Zone Air Temperature", "CORE_ZN"] == "degC"
+    assert points["actuator", "Zone Temperature Control / Cooling Setpoint", "CORE_ZN"] == "degC"
+    meters = json.loads(run_in_process("points", "ref-small-office", "--kind", "meter", "--json").stdout)
+    facility = next(meter for meter in meters if meter["name"] == "Electricity:Facility")
+    assert (facility["unit"], facility["low"], facility["high"], facility["where"]) == ("J", 0.0, None, "facility")
+    default = json.loads(run_in_process("points", "ref-small-office", "--default", "--json").stdout)
+    assert len({p["key"] for p in default if p["name"] == "Zone Air Temperature"}) >= 5
+
+
+@pytest.mark.parametrize("more", [[], ["--json"], ["--kind", "actuator"]], ids=str)
+def test_points__that_match_nothing_are_an_error_with_near_names(more: list[str]) -> None:
+    done = run_in_process("points", "ref-small-office", "--match", "cor_zn", *more)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert re.search(r"no (point|actuator) of \S+ matches 'cor_zn'; near names: 'core_zn'", plain(done.stderr), re.I)
+
+
+def test_points__that_match_nothing_and_have_no_near_names_are_an_error() -> None:
+    nothing = run_in_process("points", "ref-small-office", "--match", "Dresser Coil", "--kind", "internal")
+    assert (nothing.returncode, nothing.stdout) == (1, "")
+
+
+def test_points__have_bounds_and_places() -> None:
+    rows = json.loads(run_in_process("points", "ref-small-office", "--match", "perimeter_zn_1", "--json").stdout)
+    heating = next(row for row in rows if row["name"] == "Zone Temperature Control / Heating Setpoint")
+    assert (heating["low"], heating["high"], heating["where"]) == (15.0, 22.5, "Perimeter_ZN_1")
+    internal = run_in_process("points", "ref-small-office", "--kind", "internal").stdout.splitlines()
+    assert internal[0].split() == ["kind", "name", "key", "where", "unit", "low", "high"]
+    assert all(line.startswith("internal") for line in internal[1:])
+    assert len({line.index("m2") for line in internal if "Zone Floor Area" in line}) == 1  # columns stand straight
+
+
+def test_buildings__are_a_table() -> None:
+    lines = run_in_process("buildings").stdout.splitlines()
+    assert lines[0].split()[0] == "building"
+    rows = {line.split()[0]: line for line in lines[1:]}
+    assert {"office-medium", "ref-warehouse"} <= rows.keys()
+    assert len(rows) >= 32
+    assert "chiller" in rows["hospital"]
+    assert "natural gas" in rows["hospital"]
+    (one,) = json.loads(run_program("buildings", "office-medium", "--json").stdout)
+    assert one["name"] == "office-medium"
+    assert one["ems_programs"] > 0
+    assert one["steps_per_hour"] == 4
+
+
+def test_buildings__of_the_users_own_are_listed(scratch: Path) -> None:
+    (scratch / "house.epJSON").write_text('{"Building": {"b": {}}, "Zone": {"a": {"floor_area": 12.5}}}')
+    (house,) = json.loads(run_in_process("buildings", "house.epJSON", "--json", cwd=scratch).stdout)
+    assert (house["name"], house["floor_area_m2"], house["zones"], house["hvac"]) == ("house", 12.5, 1, "none")
+    (scratch / "house.epJSON").write_text("{}")
+    done = run_in_process("buildings", "house.epJSON", cwd=scratch)
+    assert done.returncode == 2
+    assert "it has no 'Building' object" in plain(done.stderr)
+
+
+def test_weathers__are_a_table() -> None:
+    rows = {line.split()[0]: line for line in run_in_process("weathers").stdout.splitlines()[1:]}
+    assert len(rows) >= 16
+    assert re.search(r"39\.72\s+-104\.75\s+1726\s+5\s", rows["USA_CO_Denver"])
+    (miami,) = json.loads(run_program("weathers", "miami", "--json").stdout)
+    assert (miami["climate_zone"], miami["first"], miami["last"]) == ("1", [1, 1], [12, 31])
+    assert 24 < miami["mean_temperature_degC"] < 25
