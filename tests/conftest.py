@@ -108,6 +108,17 @@ def episode_bus(shared_node: NodeProgram) -> Iterator[agent_sdk.Bus]:
         yield connected
 
 
+@pytest.fixture(scope="module")
+def shared_bus(module_folder: Path) -> Iterator[agent_sdk.Bus]:
+    """The bus of a node `office` that the tests of a module share; see `support.nodes.new_episode`."""
+    with (
+        nothing_left(module_folder),
+        NodeProgram(module_folder / "node", **SMALL) as program,
+        agent_sdk.connect(program.endpoint, affinity="off") as connected,
+    ):
+        yield connected
+
+
 @pytest.fixture
 def scratch(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """The place of temporary files of this test and its programs; in the end nothing of ours may be left."""

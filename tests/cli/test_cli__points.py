@@ -1,4 +1,4 @@
-"""Single points by hand: write, release, read and watch, as programs beside a real node."""
+"""Single points by hand: write, release, read and watch, on a real node."""
 
 from __future__ import annotations
 
@@ -7,17 +7,15 @@ import os
 import re
 import signal
 import subprocess
-import sys
 import threading
-from collections.abc import Iterator
 from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import zenoh
-from support.nodes import SMALL, NodeProgram, until
+from support.cli import ZENOSTAT, run_in_process, run_program
+from support.nodes import NodeProgram, new_episode, until
 
 import agent_sdk
 from agent_sdk.bus import actuator_write
@@ -25,25 +23,21 @@ from cli.write import seconds
 from topics.errors import InvalidAction, InvalidConfig, NodeLost, RequestRejected, UnknownName
 from topics.messages import EventKind, Message
 
-ZENOSTAT = [sys.executable, "-P", "-m", "cli.main"]
+pytestmark = pytest.mark.process
+
 POINT = "core_zn_cooling_setpoint"
 AIR = "core_zn_air_temperature"
 
 
 def zenostat(endpoint: str, *arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [*ZENOSTAT, *arguments, "--connect", endpoint]
-    return subprocess.run(command, capture_output=True, text=True, timeout=100, env={**os.environ, "COLUMNS": "200"})
+    return run_in_process(*arguments, "--connect", endpoint, columns=200)
 
 
-@pytest.fixture(scope="module")
-def standing(module_folder: Path) -> Iterator[agent_sdk.Bus]:
-    """A node that no test of a mistake may change."""
-    with (
-        NodeProgram(module_folder / "node", **SMALL) as running,
-        agent_sdk.connect(running.endpoint, affinity="off") as made,
-    ):
-        yield made
-        assert made.status("office").rejected == 0
+@pytest.fixture
+def bus(shared_bus: agent_sdk.Bus) -> agent_sdk.Bus:
+    """The bus of the node that the tests of this module share, at the begin of an episode."""
+    new_episode(shared_bus)
+    return shared_bus
 
 
 def sources(link: agent_sdk.ControllerLink, steps: int) -> list[tuple[float, str]]:
@@ -58,63 +52,65 @@ def sources(link: agent_sdk.ControllerLink, steps: int) -> list[tuple[float, str
 
 
 def actuator_of(endpoint: str) -> dict[str, Any]:
-    said = json.loads(zenostat(endpoint, "read", "office", POINT, "--json").stdout)
-    return next(row for row in said["points"] if row["kind"] == "actuator")
+    read = json.loads(zenostat(endpoint, "read", "office", POINT, "--json").stdout)
+    return next(row for row in read["points"] if row["kind"] == "actuator")
 
 
 # write and release
 
 
-def test_a_write_rules_until_it_is_released(node: NodeProgram, bus: agent_sdk.Bus) -> None:
-    """ann writes 26 → node@1 → ann releases → node@2"""
-    written = zenostat(node.endpoint, "write", "office", POINT, "26", "--source", "ann")
+def test_a_write_rules_until_it_is_released(bus: agent_sdk.Bus) -> None:
+    """ann writes 26 → node@1 → ann releases → node@2; by programs"""
+    connect = ("--connect", bus.endpoint)
+    written = run_program("write", "office", POINT, "26", "--source", "ann", *connect)
     assert (written.returncode, written.stdout) == (0, f"office: {POINT} = 26 degC at priority 8\n"), written.stderr
     with bus.controller("office") as link:
         assert sources(link, 1) == [(26.0, "ann")]
-        said = actuator_of(node.endpoint)
-        assert (said["value"], said["unit"], said["value_source"].startswith("ann-")) == (26.0, "degC", True)
-        relinquished = zenostat(node.endpoint, "relinquish", "office", POINT)
+        read = actuator_of(bus.endpoint)
+        assert (read["value"], read["unit"], read["value_source"].startswith("ann-")) == (26.0, "degC", True)
+        relinquished = run_program("relinquish", "office", POINT, *connect)
         assert (relinquished.returncode, relinquished.stdout) == (0, f"office: {POINT} relinquished at priority 8\n")
         ((value, who),) = sources(link, 1)
         assert (value != 26.0, who) == (True, "")
-        assert actuator_of(node.endpoint)["value_source"] == ""
+        assert actuator_of(bus.endpoint)["value_source"] == ""
 
 
-def test_a_write_for_half_an_hour_rules_two_quarters(node: NodeProgram, bus: agent_sdk.Bus) -> None:
-    written = zenostat(node.endpoint, "write", "office", POINT, "26", "--duration", "30min", "--source", "ann")
+def test_a_write_for_half_an_hour_rules_two_quarters(bus: agent_sdk.Bus) -> None:
+    written = zenostat(bus.endpoint, "write", "office", POINT, "26", "--duration", "30min", "--source", "ann")
     assert written.stdout == f"office: {POINT} = 26 degC at priority 8 for 30min\n"
     with bus.controller("office") as link:
         assert [who for _, who in sources(link, 4)] == ["ann", "ann", "", ""]
 
 
-def test_the_higher_priority_rules_and_a_release_is_of_one_level(node: NodeProgram, bus: agent_sdk.Bus) -> None:
+def test_the_higher_priority_rules_and_a_release_is_of_one_level(bus: agent_sdk.Bus) -> None:
     for value, priority, who in (("25", "9", "low"), ("27", "3", "high")):
-        done = zenostat(node.endpoint, "write", "office", POINT, value, "--priority", priority, "--source", who)
+        done = zenostat(bus.endpoint, "write", "office", POINT, value, "--priority", priority, "--source", who)
         assert done.returncode == 0, done.stderr
     with bus.controller("office") as link:
         assert sources(link, 1) == [(27.0, "high")]
-        assert zenostat(node.endpoint, "relinquish", "office", POINT, "--priority", "3").returncode == 0
+        assert zenostat(bus.endpoint, "relinquish", "office", POINT, "--priority", "3").returncode == 0
         assert sources(link, 1) == [(25.0, "low")]
 
 
-def test_who_writes_is_a_person_at_a_machine_if_nobody_is_named(node: NodeProgram, bus: agent_sdk.Bus) -> None:
-    assert zenostat(node.endpoint, "write", "office", POINT, "26").returncode == 0
+def test_who_writes_is_a_person_at_a_machine_if_nobody_is_named(bus: agent_sdk.Bus) -> None:
+    assert zenostat(bus.endpoint, "write", "office", POINT, "26").returncode == 0
     with bus.controller("office") as link:
         ((_, who),) = sources(link, 1)
     assert re.fullmatch(r"[^@]+@.+", who)
 
 
-def test_what_the_node_refuses_ends_with_1_and_its_reason(node: NodeProgram, bus: agent_sdk.Bus) -> None:
+def test_what_the_node_refuses_ends_with_1_and_its_reason(bus: agent_sdk.Bus) -> None:
+    before = bus.status("office").rejected
     low, high = next((a.low, a.high) for a in bus.manifest("office").actuators if a.name == POINT)
     for value in ("99", "-5"):
-        done = zenostat(node.endpoint, "write", "office", POINT, value)
+        done = zenostat(bus.endpoint, "write", "office", POINT, value)
         assert (done.returncode, done.stdout) == (1, "")
         assert f"{POINT} = {value}; its bounds are {low:g} to {high:g} degC" in done.stderr
     with bus.controller("office", name="holder", priority=8) as link:
-        done = zenostat(node.endpoint, "write", "office", POINT, "26")
+        done = zenostat(bus.endpoint, "write", "office", POINT, "26")
         assert done.returncode == 1
         assert f"priority 8 of '{POINT}' is claimed by '{link.name}'" in done.stderr
-    assert bus.status("office").rejected == 3
+    assert bus.status("office").rejected == before + 3
 
 
 @pytest.mark.parametrize(
@@ -135,14 +131,15 @@ def test_what_the_node_refuses_ends_with_1_and_its_reason(node: NodeProgram, bus
     ],
 )
 def test_mistakes_are_named_before_anything_is_sent(
-    standing: agent_sdk.Bus, arguments: list[str], code: int, words: list[str]
+    bus: agent_sdk.Bus, arguments: list[str], code: int, words: list[str]
 ) -> None:
-    done = zenostat(standing.endpoint, *arguments)
+    before = bus.status("office").rejected
+    done = zenostat(bus.endpoint, *arguments)
     assert (done.returncode, done.stdout) == (code, "")
     for word in words:
         assert word in done.stderr
     assert "Traceback" not in done.stderr
-    assert standing.status("office").rejected == 0
+    assert bus.status("office").rejected == before
 
 
 @pytest.mark.parametrize(
@@ -161,7 +158,7 @@ def test_times_that_are_none(text: str) -> None:
 # From Python
 
 
-def test_each_writer_hears_of_its_own_write(node: NodeProgram, bus: agent_sdk.Bus) -> None:
+def test_each_writer_hears_of_its_own_write(bus: agent_sdk.Bus) -> None:
     """Four write at once, some of it refused; each is told what it wrote."""
     values = [20.0, 26.0, 27.0, 40.0]
     heard: dict[float, list[str]] = {value: [] for value in values}
@@ -189,17 +186,16 @@ def test_each_writer_hears_of_its_own_write(node: NodeProgram, bus: agent_sdk.Bu
 @pytest.mark.parametrize(
     "wrong", [{"value": float("inf")}, {"value": 26.0, "priority": 0}, {"value": 26.0, "duration_s": 0.0}], ids=str
 )
-def test_a_write_that_cannot_be_is_not_sent(standing: agent_sdk.Bus, wrong: dict[str, Any]) -> None:
+def test_a_write_that_cannot_be_is_not_sent(bus: agent_sdk.Bus, wrong: dict[str, Any]) -> None:
+    before = bus.status("office").rejected
     with pytest.raises(InvalidAction, match=POINT):
-        standing.write("office", POINT, **wrong)
+        bus.write("office", POINT, **wrong)
     with pytest.raises(UnknownName, match=f"did you mean '{POINT}'"):
-        standing.write("office", POINT.upper(), 26.0)
-    assert standing.status("office").rejected == 0
+        bus.write("office", POINT.upper(), 26.0)
+    assert bus.status("office").rejected == before
 
 
-def test_a_node_that_dies_under_a_write_is_named(
-    node: NodeProgram, bus: agent_sdk.Bus, scratch: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_node_that_dies_under_a_write_is_named(node: NodeProgram, monkeypatch: pytest.MonkeyPatch) -> None:
     put = actuator_write.put
 
     def dies_first(session: zenoh.Session, key: str, message: Message) -> None:
@@ -207,20 +203,23 @@ def test_a_node_that_dies_under_a_write_is_named(
         put(session, key, message)
 
     monkeypatch.setattr(actuator_write, "put", dies_first)
-    with pytest.raises(NodeLost, match="node 'office' is gone"):
+    with (
+        agent_sdk.connect(node.endpoint, affinity="off") as bus,
+        pytest.raises(NodeLost, match="node 'office' is gone"),
+    ):
         bus.write("office", POINT, 26.0)
 
 
 # read
 
 
-def test_read_shows_the_latest_sample(node: NodeProgram, bus: agent_sdk.Bus) -> None:
+def test_read_shows_the_latest_sample(bus: agent_sdk.Bus) -> None:
     with bus.controller("office") as link:
         sample = link.current()
         sample.send()
         sample = link.receive()
-        said = json.loads(zenostat(node.endpoint, "read", "office", "--json").stdout)
-        assert (said["node"], said["episode"], said["step"]) == ("office", 0, 1)
+        said = json.loads(zenostat(bus.endpoint, "read", "office", "--json").stdout)
+        assert (said["node"], said["episode"], said["step"]) == ("office", bus.status("office").episode[0], 1)
         assert said["time"] == sample.time.isoformat()
         kinds = {
             kind: [row for row in said["points"] if row["kind"] == kind] for kind in ("sensor", "meter", "actuator")
@@ -237,7 +236,7 @@ def test_read_shows_the_latest_sample(node: NodeProgram, bus: agent_sdk.Bus) -> 
         effective = [float("nan") if row["value"] is None else row["value"] for row in kinds["actuator"]]
         assert np.array_equal(effective, sample.effective, equal_nan=True)
         assert {row["name"]: row["value_source"] for row in kinds["actuator"]} == sample.value_source
-        lines = zenostat(node.endpoint, "read", "office", AIR).stdout.splitlines()
+        lines = zenostat(bus.endpoint, "read", "office", AIR).stdout.splitlines()
         assert lines[0].split() == ["kind", "name", "value", "unit", "low", "high", "value", "source"]
         assert lines[1].split()[:4] == ["sensor", AIR, f"{sample[AIR]:.6g}", "degC"]
         assert len(lines) == 2
@@ -257,8 +256,8 @@ def watching(endpoint: str, *arguments: str) -> subprocess.Popen[str]:
     )
 
 
-def test_watch_tells_each_sample_once_from_the_present_one_on(node: NodeProgram, bus: agent_sdk.Bus) -> None:
-    with watching(node.endpoint, AIR, POINT, "--json", "--steps", "6") as watch, bus.controller("office") as link:
+def test_watch_tells_each_sample_once_from_the_present_one_on(bus: agent_sdk.Bus) -> None:
+    with watching(bus.endpoint, AIR, POINT, "--json", "--steps", "6") as watch, bus.controller("office") as link:
         first = json.loads(watch.stdout.readline())
         sample = link.current()
         samples = [sample]
@@ -268,17 +267,19 @@ def test_watch_tells_each_sample_once_from_the_present_one_on(node: NodeProgram,
             samples.append(sample)
         rest, err = watch.communicate()
         assert (watch.returncode, err) == (0, "")
-    told = [first, *map(json.loads, rest.splitlines())]
-    assert [(line["episode"], line["step"]) for line in told] == [(0, step) for step in range(6)]
+    lines = [first, *map(json.loads, rest.splitlines())]
+    (episode,) = bus.status("office").episode
+    assert [(line["episode"], line["step"]) for line in lines] == [(episode, step) for step in range(6)]
     place = [a.name for a in link.manifest.actuators].index(POINT)
-    for line, seen in zip(told, samples, strict=False):
+    for line, seen in zip(lines, samples, strict=False):
         assert line["time"] == seen.time.isoformat()
         assert line["points"] == {name: seen[name] for name in (AIR, POINT) if name in link.manifest.names}
         effective = seen.effective[place]
         assert line["actuators"] == {POINT: None if np.isnan(effective) else effective}
 
 
-def test_the_table_has_the_extremes_since_it_began(node: NodeProgram, bus: agent_sdk.Bus) -> None:
+def test_the_table_has_the_extremes_since_it_began(bus: agent_sdk.Bus) -> None:
+    (episode,) = bus.status("office").episode
     screen, terminal = os.openpty()
     drawn = bytearray()
 
@@ -289,18 +290,18 @@ def test_the_table_has_the_extremes_since_it_began(node: NodeProgram, bus: agent
 
     looking = threading.Thread(target=look)
     looking.start()
-    command = [*ZENOSTAT, "watch", "office", AIR, "--steps", "97", "--connect", node.endpoint]
+    command = [*ZENOSTAT, "watch", "office", AIR, "--steps", "97", "--connect", bus.endpoint]
     size = {"COLUMNS": "150", "LINES": "40", "TERM": "xterm"}
     with subprocess.Popen(command, stdout=terminal, stderr=terminal, env={**os.environ, **size}) as watch:
         os.close(terminal)
-        until(lambda: b"sample 0 of episode 0" in drawn, "the table shows the present sample")
+        until(lambda: b"sample 0 of episode %d" % episode in drawn, "the table shows the present sample")
         with bus.controller("office") as link:
             values = [sample[AIR] for sample in link]
         assert watch.wait() == 0
     looking.join()
     os.close(screen)
     assert len(values) == 97
-    last = drawn.decode().rpartition("sample 96 of episode 0")[2]
+    last = drawn.decode().rpartition(f"sample 96 of episode {episode}")[2]
     row = next(line for line in re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", last).splitlines() if AIR in line)
     assert re.findall(r"-?\d+\.\d+", row) == [f"{value:.6g}" for value in (values[-1], min(values), max(values))]
 
@@ -314,8 +315,8 @@ def test_watch_ends_with_the_node(node: NodeProgram) -> None:
     assert "node 'office' is gone" in err
 
 
-def test_watch_ends_with_ctrl_c(node: NodeProgram, bus: agent_sdk.Bus) -> None:
-    with watching(node.endpoint, "--json") as watch:
+def test_watch_ends_with_ctrl_c(bus: agent_sdk.Bus) -> None:
+    with watching(bus.endpoint, "--json") as watch:
         assert json.loads(watch.stdout.readline())["step"] == 0
         watch.send_signal(signal.SIGINT)
         assert watch.communicate() == ("", "")

@@ -140,7 +140,7 @@ class NodeProgram:
 
 def begin_new_episode(bus: agent_sdk.Bus, node: str = "office") -> list[int]:
     """Give a shared node the state of a new one, but for its counts and its episode's number, which is returned."""
-    until(lambda: not any(c.connected for c in bus.status(node).controllers), "all controllers have left")
+    until(lambda: not any(c.state.is_connected for c in bus.status(node).controllers), "all controllers have left")
     bus.pause(node)
     bus.pace(node, 1.0)
     bus.pace(node, mode=Mode.LOCKSTEP)
@@ -149,6 +149,14 @@ def begin_new_episode(bus: agent_sdk.Bus, node: str = "office") -> list[int]:
     bus.resume(node)
     until(lambda: (s := bus.status(node)).state is State.WAITING and s.episode == episode, "a new episode begins")
     bus.weather(node, ["dry_bulb"])  # by the node's own thread, which has published all that came before
+    return episode
+
+
+def new_episode(bus: agent_sdk.Bus, node: str = "office") -> int:
+    """Begin an episode of a shared node, with no controller connected and nothing written; return its number."""
+    until(lambda: not any(c.state.is_connected for c in bus.status(node).controllers), "all controllers have left")
+    (episode,) = bus.reset(node, Reset()).episode
+    until(lambda: bus.status(node).state is State.WAITING, "the episode has begun")
     return episode
 
 
