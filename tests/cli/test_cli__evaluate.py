@@ -6,17 +6,16 @@ import csv
 import json
 import re
 import signal
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from support.cli import ZENOSTAT, plain, run_in_process, run_program
 from support.nodes import SMALL, interrupted
 
 from cli.evaluate import check_file, write
 from topics.errors import InvalidConfig
 
-ZENOSTAT = [sys.executable, "-P", "-m", "cli.main", "evaluate"]
 SCENARIO = f"""
 building: {SMALL["building"]}
 weather: {SMALL["weather"]}
@@ -29,20 +28,12 @@ reward: {{kind: linear}}
 DAY = ["--begin", "07-03", "--end", "07-03"]
 
 
-def _evaluate(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([*ZENOSTAT, *arguments], capture_output=True, text=True, cwd=cwd, timeout=90)
-
-
-def _plain(text: str) -> str:
-    return " ".join(re.sub(r"\x1b\[[0-9;]*m", "", text).split())
-
-
 @pytest.mark.slow
 def test_two_runs_give_the_same_table_and_the_same_parquet(scratch: Path) -> None:
     parquet = pytest.importorskip("pyarrow.parquet")
     (scratch / "office.yaml").write_text(SCENARIO)
     call = ["office.yaml", "--controller", "baseline", "--controller", "rbc", "--set", "margin=0.5", "--episodes", "2"]
-    runs = [_evaluate(*call, *DAY, "--seed", "3", "--out", f"{run}.parquet", cwd=scratch) for run in "ab"]
+    runs = [run_program("evaluate", *call, *DAY, "--seed", "3", "--out", f"{run}.parquet", cwd=scratch) for run in "ab"]
     for done in runs:
         assert done.returncode == 0, done.stderr
     one, other = (done.stdout[done.stdout.index("baseline  ") :].splitlines() for done in runs)
@@ -68,7 +59,7 @@ def test_json_is_the_table_of_the_episodes_and_csv_the_same(scratch: Path) -> No
         "        super().__init__(manifest, cooling_setpoint=core)\n"
     )
     call = ["ref-small-office-USA_CO_Denver-continuous-v1", "--controller", "mine.py:Mine", "--set", "core=25.5"]
-    done = _evaluate(*call, *DAY, "--json", "--out", "rows.csv", cwd=scratch)
+    done = run_program("evaluate", *call, *DAY, "--json", "--out", "rows.csv", cwd=scratch)
     assert done.returncode == 0, done.stderr
     (row,) = json.loads(done.stdout)
     assert row["controller"] == "mine.py:Mine"
@@ -93,30 +84,31 @@ def test_json_is_the_table_of_the_episodes_and_csv_the_same(scratch: Path) -> No
     ],
 )
 def test_mistakes_are_one_sentence(scratch: Path, arguments: list[str], says: str) -> None:
-    done = _evaluate("ref-small-office-USA_CO_Denver-continuous-v1", *arguments, cwd=scratch)
+    done = run_in_process("evaluate", "ref-small-office-USA_CO_Denver-continuous-v1", *arguments, cwd=scratch)
     assert done.returncode == 2
-    assert says in _plain(done.stderr)
+    assert says in plain(done.stderr)
     assert "Traceback" not in done.stderr
     assert list(scratch.glob("rows*")) == []
 
 
 def test_an_unknown_scenario_lists_near_ones(scratch: Path) -> None:
-    done = _evaluate("ref-smal-office-USA_CO_Denver-continuous-v1", "--controller", "rbc", cwd=scratch)
+    scenario = "ref-smal-office-USA_CO_Denver-continuous-v1"
+    done = run_in_process("evaluate", scenario, "--controller", "rbc", cwd=scratch)
     assert done.returncode == 2
     assert "ref-small-office-USA_CO_Denver-continuous-v1" in done.stderr
 
 
 @pytest.mark.variants
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_who_ends_it_is_left_nothing(scratch: Path, number: signal.Signals) -> None:
+def test_evaluate__a_signal_leaves_nothing(scratch: Path, number: signal.Signals) -> None:
     (scratch / "office.yaml").write_text(SCENARIO)
-    (scratch / "told.py").write_text(
+    (scratch / "signals.py").write_text(
         "from agent_sdk.controllers import RuleBasedController\n\n\n"
-        "class Told(RuleBasedController):\n    def act(self, sample):\n"
-        "        if sample.step == 40:\n            open('told', 'w').close()\n        return super().act(sample)\n"
+        "class Signals(RuleBasedController):\n    def act(self, sample):\n"
+        "        if sample.step == 40:\n            open('step-40', 'w').close()\n        return super().act(sample)\n"
     )
-    command = [*ZENOSTAT, "office.yaml", "--controller", "told.py:Told", "--out", "rows.csv"]
-    interrupted(command, (scratch / "told").exists, "it simulates", cwd=scratch, number=number)
+    command = [*ZENOSTAT, "evaluate", "office.yaml", "--controller", "signals.py:Signals", "--out", "rows.csv"]
+    interrupted(command, (scratch / "step-40").exists, "it simulates", cwd=scratch, number=number)
     assert list(scratch.glob("*rows*")) == []
 
 

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import io
-import os
 import re
-import subprocess
-import sys
 
 import pytest
 from rich.console import Console
+from support.cli import run_in_process, run_program
 
 from cli.commands import app
 from cli.tables import fitted
 
-ZENOSTAT = [sys.executable, "-P", "-m", "cli.main"]
 COLUMNS = ("kind", "name", "key", "unit", "low", "high")
 ROWS = [
     ("sensor", "Zone People Occupant Count", "PERIMETER_BOT_ZN_1", "degC", "-100", "200"),
@@ -50,8 +47,7 @@ def test_a_wide_terminal_has_a_line_a_row_and_a_narrow_one_paragraphs() -> None:
 
 
 def test_no_help_cuts_anything_at_80_columns_and_each_command_stands_in_a_group() -> None:
-    size = {**os.environ, "COLUMNS": "80", "TERMINAL_WIDTH": "80"}
-    groups = subprocess.run([*ZENOSTAT, "--help"], capture_output=True, text=True, env=size, timeout=60).stdout
+    groups = run_program("--help").stdout
     names = re.findall(r"^│ ([\w-]+) ", groups.split("Simulate and control")[1], re.M)
     registered = {c.callback.__name__ for c in app.registered_commands} | {g.name for g in app.registered_groups}
     assert (len(names), set(names)) == (len(registered), registered)
@@ -59,13 +55,13 @@ def test_no_help_cuts_anything_at_80_columns_and_each_command_stands_in_a_group(
     assert names[:3] == ["demo", "node", "run"]
     assert names[names.index("scenarios") + 1] == "buildings"
     for name in ("run", "node", "evaluate", "probe"):  # those with the longest texts
-        shown = subprocess.run([*ZENOSTAT, name, "--help"], capture_output=True, text=True, env=size, timeout=60).stdout
+        shown = run_in_process(name, "--help").stdout
         assert "…" not in shown
         assert max(map(len, shown.splitlines())) <= 80
 
 
 def test_scenarios_have_a_row_for_each_family_and_their_numbers_add_up() -> None:
-    done = subprocess.run([*ZENOSTAT, "scenarios"], capture_output=True, text=True, timeout=60)
+    done = run_program("scenarios")
     head, *rows = done.stdout.splitlines()
     assert head.split() == ["building", "weathers", "actions", "ids", "from"]
     counts = [int(re.search(r"([\d,]+)  (?:pack|bundled)", row)[1].replace(",", "")) for row in rows]
