@@ -16,7 +16,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from support.nodes import COOLING, SMALL, ZONES, NodeProgram, free_port, remains, until
+from support.nodes import COOLING, SMALL, ZONES, NodeProgram, free_port, new_episode, remains
 
 import agent_sdk
 from agent_sdk.rewards import LinearReward
@@ -24,6 +24,8 @@ from models.building.model import read_building
 from models.catalog import find_building
 from topics.errors import EpisodeChanged, InvalidConfig
 from topics.messages import Aggregation
+
+pytestmark = pytest.mark.process
 
 N = 96
 """Timesteps of the day that most of these tests simulate."""
@@ -43,6 +45,12 @@ def env() -> Iterator[gym.Env[Any, Any]]:
     made = make()
     yield made
     made.close()
+
+
+def connected(bus: agent_sdk.Bus, **given: Any) -> gym.Env[Any, Any]:
+    """An environment of the node that the tests of this module share."""
+    new_episode(bus)
+    return gym.make("zenostat/Building-v1", connect=bus.endpoint, node="office", affinity="off", **given)
 
 
 def rollout(env: gym.Env[Any, Any], *, seed: int, steps: int = N) -> list[tuple[Any, ...]]:
@@ -98,8 +106,8 @@ def test_a_step_after_the_end_raises_and_a_reset_begins_anew(env: gym.Env[Any, A
     assert (truncated, info["step"]) == (False, 1)
 
 
-def test_a_step_before_the_first_reset_raises() -> None:
-    with make() as fresh, pytest.raises(EpisodeChanged, match=r"call reset\(\) before step\(\)"):
+def test_a_step_before_the_first_reset_raises(shared_bus: agent_sdk.Bus) -> None:
+    with connected(shared_bus) as fresh, pytest.raises(EpisodeChanged, match=r"call reset\(\) before step\(\)"):
         fresh.unwrapped.step(fresh.action_space.low)
 
 
@@ -125,12 +133,6 @@ def test_bounds_come_from_units_and_limits(env: gym.Env[Any, Any]) -> None:
         assert actuator.unit == "degC"
 
 
-def test_an_actuator_takes_bounds_of_the_users() -> None:
-    names = (*COOLING["core_zn_cooling_setpoint"], 23, 27.5)
-    with make(actuators={"core": names}) as own:
-        assert (own.action_space.low.tolist(), own.action_space.high.tolist()) == ([23.0], [27.5])
-
-
 # The same again
 
 
@@ -146,8 +148,10 @@ def test_a_reset_amid_an_episode_leaves_no_trace(env: gym.Env[Any, Any]) -> None
     assert rollout(env, seed=3, steps=10) == first
 
 
-def test_two_environments_give_the_same_trajectory_to_the_bit(env: gym.Env[Any, Any]) -> None:
-    with make() as other:
+def test_two_environments_give_the_same_trajectory_to_the_bit(
+    env: gym.Env[Any, Any], shared_bus: agent_sdk.Bus
+) -> None:
+    with connected(shared_bus) as other:
         assert rollout(other, seed=5) == rollout(env, seed=5)
 
 
@@ -176,7 +180,7 @@ def test_the_action_at_sample_0_rules_the_first_timestep() -> None:
     assert dict(high[1:])["core_zn_temperature"] > dict(low[1:])["core_zn_temperature"]
 
 
-def test_no_actuators_is_the_buildings_own_control() -> None:
+def test_no_actuators_is_the_buildings_own_control(shared_bus: agent_sdk.Bus) -> None:
     with make(actuators={}) as own:
         assert own.action_space.shape == (0,)
         observation, _ = own.reset(seed=1)
@@ -186,11 +190,9 @@ def test_no_actuators_is_the_buildings_own_control() -> None:
             observation, _, _, truncated, info = own.step(np.zeros(0, np.float32))
             assert info["effective"].shape == (0,)
             seen.append(observation)
-    with make() as free, agent_sdk.connect(free.unwrapped.local_node.endpoint, affinity="off") as bus:
-        free.unwrapped.link.close()
-        until(lambda: bus.controllers() == [], "the environment has let go")
-        with bus.controller("building") as link:
-            relinquished = [sample.values.astype(np.float32) for sample in link]  # commands nothing
+    new_episode(shared_bus)
+    with shared_bus.controller("office") as link:
+        relinquished = [sample.values.astype(np.float32) for sample in link]  # commands nothing
     assert np.array(seen).tobytes() == np.array(relinquished).tobytes()
 
 
@@ -208,6 +210,7 @@ def test_observation_dict_names_the_values(env: gym.Env[Any, Any]) -> None:
     assert 15 < named["core_zn_air_temperature"] < 35
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("begin", ["05-31", "09-30"])
 def test_the_default_reward_by_hand(begin: str) -> None:
     """Over a change of the comfort band: the day on which the timestep began decides."""
@@ -235,12 +238,12 @@ def test_the_default_reward_by_hand(begin: str) -> None:
     assert bands == {(23.0, 26.0), (20.0, 23.5)}
 
 
-def test_a_reward_of_the_users_and_none() -> None:
-    with make(reward=LinearReward(weight=1.0, lambda_energy=1.0)) as energetic:
+def test_a_reward_of_the_users_and_none(shared_bus: agent_sdk.Bus) -> None:
+    with connected(shared_bus, reward=LinearReward(weight=1.0, lambda_energy=1.0)) as energetic:
         energetic.reset(seed=1)
         observation, reward, *_ = energetic.step(energetic.action_space.low)
         assert reward == pytest.approx(-energetic.unwrapped.observation_dict(observation)["hvac_electricity_power"])
-    with make(reward=None) as plain:
+    with connected(shared_bus, reward=None) as plain:
         plain.reset(seed=1)
         _, reward, _, _, info = plain.step(plain.action_space.low)
         assert reward == 0.0
@@ -256,7 +259,7 @@ def test_sensors_meters_and_actuators_of_the_users() -> None:
             **POWER,
         },
         meters={"lights": "InteriorLights:Electricity", "all": "Electricity:Facility"},
-        actuators={"cooling": COOLING["core_zn_cooling_setpoint"]},
+        actuators={"cooling": (*COOLING["core_zn_cooling_setpoint"], 23, 27.5)},
     )
     with chosen:
         manifest = chosen.unwrapped.manifest
@@ -269,6 +272,7 @@ def test_sensors_meters_and_actuators_of_the_users() -> None:
             "power": Aggregation.MEAN,
         }
         assert [actuator.name for actuator in manifest.actuators] == ["cooling"]
+        assert (chosen.action_space.low.tolist(), chosen.action_space.high.tolist()) == ([23.0], [27.5])
         chosen.reset(seed=1)
         for _ in range(50):
             observation, _, _, _, info = chosen.step(np.array([24.0], np.float32))
@@ -278,17 +282,16 @@ def test_sensors_meters_and_actuators_of_the_users() -> None:
         assert values["cooled"] > 0
 
 
-def test_a_building_by_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """An IDF, an epJSON, and a path that is relative to where the user stands: all the same building."""
+def test_a_building_by_path(env: gym.Env[Any, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An IDF by its path and an epJSON by a relative one are the building of that short name."""
     entry = find_building(SMALL["building"])
     epjson = tmp_path / "mine.epJSON"
     epjson.write_text(json.dumps(read_building(entry).objects))
     monkeypatch.chdir(tmp_path)
-    seen = []
-    for building in (SMALL["building"], entry.path, epjson, "mine.epJSON"):
-        with make(building=building) as given:
-            seen.append(rollout(given, seed=2, steps=5))
-    assert all(trajectory == seen[0] for trajectory in seen)
+    expected = rollout(env, seed=2, steps=5)
+    for building in (entry.path, "mine.epJSON"):
+        with make(building=building) as by_path:
+            assert rollout(by_path, seed=2, steps=5) == expected
 
 
 # Elsewhere
