@@ -119,6 +119,16 @@ def shared_bus(module_folder: Path) -> Iterator[agent_sdk.Bus]:
         yield connected
 
 
+@pytest.fixture(scope="module")
+def module_scratch(module_folder: Path) -> Iterator[Path]:
+    """The same as `scratch` for what the tests of a module share."""
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        monkeypatch.setenv("TMPDIR", str(module_folder))
+        monkeypatch.setattr(tempfile, "tempdir", None)
+        with nothing_left(module_folder):
+            yield module_folder
+
+
 @pytest.fixture
 def scratch(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """The place of temporary files of this test and its programs; in the end nothing of ours may be left."""

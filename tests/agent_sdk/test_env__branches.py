@@ -6,6 +6,7 @@ import gc
 import os
 import re
 import sqlite3
+from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from support.engine_forks import (
     KINDS,
     SMALL,
     Faults,
+    drop_forks,
     engines,
     episode,
     go,
@@ -33,6 +35,7 @@ from support.engine_forks import (
 )
 from support.nodes import until, within
 
+from agent_sdk.envs.building_env import BuildingEnv
 from topics.errors import (
     EngineDied,
     EpisodeChanged,
@@ -45,6 +48,21 @@ from topics.messages import State
 GROWTH_BYTES = 15e6
 PUT_TOGETHER_BYTES = 20e6
 ZENOH_THREADS = 6
+
+
+@pytest.fixture(scope="module")
+def shared_office(module_scratch: Path) -> Iterator[BuildingEnv]:
+    env = make(**FOUR)
+    yield env
+    env.close()
+
+
+@pytest.fixture
+def office(shared_office: BuildingEnv) -> Iterator[BuildingEnv]:
+    """The environment that tests of this module share; it begins and ends without snapshots and branches."""
+    yield shared_office
+    drop_forks(shared_office)
+
 
 # The same to the bit
 
@@ -145,9 +163,9 @@ def test_an_engine_that_is_forked_often_puts_its_pages_together_and_goes_on_the_
     env.close()
 
 
-def test_branches_of_a_snapshot_stand_where_it_stands(scratch: Path) -> None:
+def test_branches_of_a_snapshot_stand_where_it_stands(office: BuildingEnv) -> None:
     """Also while no episode runs any more."""
-    env = make(**FOUR)
+    env = office
     mine, its = plan(env, 1), plan(env, 2)
     expected = episode(env, mine[:30] + its[30:])
     straight = episode(env, mine[:30])
@@ -159,7 +177,6 @@ def test_branches_of_a_snapshot_stand_where_it_stands(scratch: Path) -> None:
         assert one.sample.step == other.sample.step == 30
         same(go(one, mine[30:]), straight[31:])
         same(go(other, its[30:]), expected[31:])
-    env.close()
 
 
 def test_a_reward_with_a_memory_of_its_own_goes_along(scratch: Path) -> None:
@@ -198,8 +215,8 @@ def test_a_reward_with_a_memory_of_its_own_goes_along(scratch: Path) -> None:
 
 @pytest.mark.variants
 @pytest.mark.parametrize("moment", ["waiting", "computing"])
-def test_a_killed_branch_harms_nobody(moment: str, scratch: Path) -> None:
-    env = make(**FOUR)
+def test_a_killed_branch_harms_nobody(moment: str, office: BuildingEnv) -> None:
+    env = office
     mine, its = plan(env, 1), plan(env, 2)
     straight, other = episode(env, mine), episode(env, mine[:20] + its[20:])
     env.reset()
@@ -224,11 +241,10 @@ def test_a_killed_branch_harms_nobody(moment: str, scratch: Path) -> None:
     branch.close()
     sibling.close()
     same(episode(env, mine), straight)
-    env.close()
 
 
-def test_branches_outlive_the_engine_that_they_were_forked_from(scratch: Path) -> None:
-    env = make(**FOUR)
+def test_branches_outlive_the_engine_that_they_were_forked_from(office: BuildingEnv) -> None:
+    env = office
     mine = plan(env, 1)
     straight = episode(env, mine)
     _, engine = new_engine(env, env.reset)
@@ -244,12 +260,11 @@ def test_branches_outlive_the_engine_that_they_were_forked_from(scratch: Path) -
     same(go(env, mine[20:]), straight[21:])
     same(go(branch, mine[50:]), straight[51:])
     same(episode(env, mine), straight)
-    env.close()
 
 
-def test_without_an_engine_nothing_is_forked(scratch: Path) -> None:
+def test_without_an_engine_nothing_is_forked(office: BuildingEnv) -> None:
     """An engine that died unnoticed while its node waited: the fork's error tells it."""
-    env = make(**FOUR)
+    env = office
     env.reset()
     engine = engines(env)[-1]
     go(env, plan(env, 1, 3))
@@ -261,7 +276,6 @@ def test_without_an_engine_nothing_is_forked(scratch: Path) -> None:
     env.reset()
     with env.branch() as branch:
         go(branch, plan(env, 1, 3))
-    env.close()
 
 
 CANNOT = {
@@ -580,8 +594,8 @@ def test_a_branch_of_a_time_without_faults_is_undisturbed(scratch: Path) -> None
     env.close()
 
 
-def test_a_branch_has_counted_no_timestep_when_it_begins(scratch: Path) -> None:
-    env = make(**FOUR)
+def test_a_branch_has_counted_no_timestep_when_it_begins(office: BuildingEnv) -> None:
+    env = office
     env.reset()
     go(env, plan(env, 1, 5))
     with env.branch() as branch:
@@ -591,7 +605,6 @@ def test_a_branch_has_counted_no_timestep_when_it_begins(scratch: Path) -> None:
         until(lambda: bus.status(name).statistics.cycle.count == 3, "each timestep is counted, and no other")
         cycle = bus.status(name).statistics.cycle
         assert cycle.max_ms < 60_000.0, "not the time since the machine has started"
-    env.close()
 
 
 @pytest.mark.slow

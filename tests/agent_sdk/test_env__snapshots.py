@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,21 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from support import data_packs as packs
-from support.engine_forks import DAY, FOUR, KINDS, SMALL, episode, go, kill, make, new_engine, plan, row, same
+from support.engine_forks import (
+    DAY,
+    FOUR,
+    KINDS,
+    SMALL,
+    drop_forks,
+    episode,
+    go,
+    kill,
+    make,
+    new_engine,
+    plan,
+    row,
+    same,
+)
 from support.nodes import SMALL as SMALL_NODE
 from support.nodes import NodeProgram, until, within
 
@@ -21,6 +36,20 @@ from topics.messages import CreateBranch, EngineStart, Reset
 STOCHASTIC = SMALL.replace("continuous", "continuous-stochastic")
 COLUMNS = ["dry_bulb_temperature", "relative_humidity"]
 PEAK = {"kind": "peak"}
+
+
+@pytest.fixture(scope="module")
+def shared_office(module_scratch: Path) -> Iterator[BuildingEnv]:
+    env = make(**FOUR)
+    yield env
+    env.close()
+
+
+@pytest.fixture
+def office(shared_office: BuildingEnv) -> Iterator[BuildingEnv]:
+    """The environment that tests of this module share; it begins and ends without snapshots and branches."""
+    yield shared_office
+    drop_forks(shared_office)
 
 
 def back(env: BuildingEnv, snapshot: Any) -> dict[str, Any]:
@@ -191,8 +220,8 @@ def go_and_tell(env: BuildingEnv, actions: Any) -> dict[str, Any]:
 # What cannot be
 
 
-def test_a_killed_snapshot_is_a_clear_error_and_the_episode_goes_on(scratch: Path) -> None:
-    env = make(**FOUR)
+def test_a_killed_snapshot_is_a_clear_error_and_the_episode_goes_on(office: BuildingEnv) -> None:
+    env = office
     mine = plan(env, 1)
     straight = episode(env, mine)
     env.reset()
@@ -211,11 +240,10 @@ def test_a_killed_snapshot_is_a_clear_error_and_the_episode_goes_on(scratch: Pat
     same(go(env, mine[50:]), straight[51:])
     back(env, other)
     same(go(env, mine[20:]), straight[21:])
-    env.close()
 
 
-def test_a_snapshot_that_cannot_be_gone_back_to_is_refused_by_name(scratch: Path) -> None:
-    env, stranger = make(**FOUR), make(**FOUR)
+def test_a_snapshot_that_cannot_be_gone_back_to_is_refused_by_name(office: BuildingEnv, scratch: Path) -> None:
+    env, stranger = make(**FOUR), office
     with pytest.raises(EpisodeChanged, match="reset"):
         env.snapshot()
     with pytest.raises(EpisodeChanged, match="reset"):
@@ -251,11 +279,10 @@ def test_a_snapshot_that_cannot_be_gone_back_to_is_refused_by_name(scratch: Path
         bus.branch(node, CreateBranch(slot=1))
     same(go(env, mine[20:]), straight[21:])
     env.close()
-    stranger.close()
 
 
-def test_a_branch_has_no_forks_of_its_own(scratch: Path) -> None:
-    env = make(**FOUR)
+def test_a_branch_has_no_forks_of_its_own(office: BuildingEnv) -> None:
+    env = office
     mine = plan(env, 1)
     straight = episode(env, mine)
     env.reset()
@@ -276,7 +303,6 @@ def test_a_branch_has_no_forks_of_its_own(scratch: Path) -> None:
             bus.drop(name, snapshot.name)
         same(go(branch, mine[20:]), straight[21:])
     same(go(env, mine[20:]), straight[21:])
-    env.close()
 
 
 @pytest.mark.parametrize("limit", [0, 2])
@@ -364,9 +390,9 @@ def test_the_clock_that_is_observed_goes_back_too(scratch: Path) -> None:
     env.close()
 
 
-def test_wrappers_know_where_a_snapshot_stands(scratch: Path) -> None:
+def test_wrappers_know_where_a_snapshot_stands(office: BuildingEnv) -> None:
     """The forecast is of the hours that come, and the clock is that of the sample."""
-    env: Any = w.WeatherForecast(w.CyclicTime(make(**FOUR)), ["dry_bulb_temperature"], n=3)
+    env: Any = w.WeatherForecast(w.CyclicTime(office), ["dry_bulb_temperature"], n=3)
     env.reset(seed=1)
     for _ in range(40):
         seen = env.step([20.0, 25.0])[0]
@@ -374,7 +400,6 @@ def test_wrappers_know_where_a_snapshot_stands(scratch: Path) -> None:
         for _ in range(7):
             env.step([20.0, 25.0])
         np.testing.assert_array_equal(env.reset(options={"snapshot": kept})[0], seen)
-    env.close()
 
 
 @pytest.mark.variants
@@ -411,9 +436,9 @@ def test_wrappers_remember_what_they_did(slots: int, scratch: Path) -> None:
     env.close()
 
 
-def test_what_is_given_of_an_observation_is_the_callers(scratch: Path) -> None:
+def test_what_is_given_of_an_observation_is_the_callers(office: BuildingEnv) -> None:
     """Also if it is changed in place, as some scalers do."""
-    env: Any = w.PreviousObservation(make(**FOUR), ["core_zn_air_temperature"])
+    env: Any = w.PreviousObservation(office, ["core_zn_air_temperature"])
     env.reset(seed=1)
     seen = env.step([20.0, 25.0])[0]
     stood = seen.copy()
@@ -423,4 +448,3 @@ def test_what_is_given_of_an_observation_is_the_callers(scratch: Path) -> None:
             again = env.reset(options={"snapshot": kept})[0]
             np.testing.assert_array_equal(again, stood)
             again[:] = 0.0
-    env.close()

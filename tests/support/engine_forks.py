@@ -99,6 +99,21 @@ def new_engine(env: BuildingEnv, make_one: Callable[[], Any]) -> tuple[Any, psut
     return made, engine
 
 
+def drop_forks(env: BuildingEnv) -> None:
+    """End all snapshots and branches of its node, and wait until they have gone."""
+    bus, node = env.link.bus, env.manifest.node
+    for snapshot in bus.status(node).snapshots:
+        bus.drop(node, snapshot.name)
+    for branch in bus.status(node).branches:
+        bus.stop(branch.name)
+
+    def left() -> int:
+        status = bus.status(node)
+        return len(status.snapshots) + len(status.branches)
+
+    until(lambda: not left(), "all forks have ended")
+
+
 def kill(process: psutil.Process) -> None:
     """Kills, and waits until it is no more than a zombie at most."""
     process.kill()
