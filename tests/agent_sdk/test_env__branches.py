@@ -259,6 +259,7 @@ def test_branches_outlive_the_engine_that_they_were_forked_from(office: Building
     env.reset(options={"snapshot": snapshot})
     same(go(env, mine[20:]), straight[21:])
     same(go(branch, mine[50:]), straight[51:])
+    branch.close()
     same(episode(env, mine), straight)
 
 

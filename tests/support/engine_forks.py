@@ -100,12 +100,10 @@ def new_engine(env: BuildingEnv, make_one: Callable[[], Any]) -> tuple[Any, psut
 
 
 def drop_forks(env: BuildingEnv) -> None:
-    """End all snapshots and branches of its node, and wait until they have gone."""
+    """Drop all snapshots of its node, and wait until these and the branches, which tests close, have gone."""
     bus, node = env.link.bus, env.manifest.node
     for snapshot in bus.status(node).snapshots:
         bus.drop(node, snapshot.name)
-    for branch in bus.status(node).branches:
-        bus.stop(branch.name)
 
     def left() -> int:
         status = bus.status(node)
