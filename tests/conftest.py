@@ -12,12 +12,15 @@ from pathlib import Path
 
 import pytest
 from hypothesis import settings
+from support.examples import FAST
 from support.nodes import SMALL, NodeProgram, begin_new_episode, nothing_left
+from support.process_starts import starts_processes
 
 import agent_sdk
 
 # No deadlines: beside running simulations an example may take any time.
 settings.register_profile("zenostat", deadline=None)
+settings.register_profile("fast", deadline=None, max_examples=FAST)
 settings.load_profile("zenostat")
 
 # A shell without job control has what it starts in the background ignore Ctrl-C, and so would all that tests start.
@@ -31,15 +34,23 @@ SYSTEM = ("system", "chaos")
 """Folders whose tests all start other processes."""
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """Try fewer examples of each property where the tests that start processes are left out: `make test-fast`."""
+    if "not process" in config.option.markexpr:
+        settings.load_profile("fast")
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark the tests that start other processes, and all but the first variant of a test marked `variants` as slow.
 
-    A test starts processes if it is in one of the `SYSTEM` folders or uses a scratch folder. Tests marked `long` come
+    A test starts processes if it is in one of the `SYSTEM` folders, uses a scratch folder, or refers to what starts
+    them; see `support.process_starts`. Tests marked `long` come
     first, so that none of them runs alone in the end while the other workers are idle.
     """
     root, first = Path(__file__).parent, set[tuple[Path, str]]()
     for item in items:
-        if item.path.relative_to(root).parts[0] in SYSTEM or "scratch" in getattr(item, "fixturenames", ()):
+        is_system = item.path.relative_to(root).parts[0] in SYSTEM
+        if is_system or "scratch" in getattr(item, "fixturenames", ()) or starts_processes(item):
             item.add_marker(pytest.mark.process)
         if item.get_closest_marker("variants"):
             test = (item.path, getattr(item, "originalname", item.name))

@@ -25,8 +25,6 @@ from models.catalog import find_building
 from topics.errors import EpisodeChanged, InvalidConfig
 from topics.messages import Aggregation
 
-pytestmark = pytest.mark.process
-
 N = 96
 """Timesteps of the day that most of these tests simulate."""
 

@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from pydantic import ValidationError
 from support.builders import manifest, meter, sensor
+from support.examples import examples
 
 from agent_sdk import rewards
 from agent_sdk.rewards import (
@@ -133,7 +134,7 @@ KINDS = sorted(kind for kind in GIVEN if kind != "thermal_sensation" or HAVE_LIB
 kinds = st.sampled_from(KINDS)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200), deadline=None)
 @given(kinds, st.lists(st.tuples(samples, moments), min_size=1, max_size=4), st.floats(0.0, 0.5))
 def test_the_reward_is_the_sum_of_its_terms_and_none_is_positive(
     kind: str, steps: list[tuple[Array, datetime]], weight: float
@@ -147,7 +148,7 @@ def test_the_reward_is_the_sum_of_its_terms_and_none_is_positive(
         assert all(np.ndim(number) == 0 for number in got.metrics.values())
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 @given(kinds, st.lists(st.tuples(samples, moments), min_size=1, max_size=4))
 def test_slots_are_what_each_of_them_is_alone(kind: str, slots: list[tuple[Array, datetime]]) -> None:
     """Two timesteps, the second with the samples in reverse: what is remembered is each slot's own."""
@@ -166,7 +167,7 @@ def test_slots_are_what_each_of_them_is_alone(kind: str, slots: list[tuple[Array
                 assert column == pytest.approx([getattr(single, name)[key] for single in singles])
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(kinds, moments, arrays(np.float64, (2, 3, len(UNITS)), elements=st.floats(0.0, 50.0)))
 def test_one_begin_does_for_any_leading_shape(kind: str, begin: datetime, batch: Array) -> None:
     got = made(kind).bind(NODE)(batch, begin)
@@ -175,7 +176,7 @@ def test_one_begin_does_for_any_leading_shape(kind: str, begin: datetime, batch:
     assert got.reward[1, 2] == pytest.approx(made(kind).bind(NODE)(batch[1, 2], begin).reward)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(kinds, st.lists(st.tuples(samples, moments), min_size=2, max_size=6), st.data())
 def test_a_reward_goes_on_from_its_state(kind: str, steps: list[tuple[Array, datetime]], data: st.DataObject) -> None:
     cut = data.draw(st.integers(0, len(steps) - 1))
@@ -225,7 +226,7 @@ described = st.sampled_from(sorted(GIVEN)).flatmap(
 )
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200), deadline=None)
 @given(described)
 def test_a_reward_that_was_written_is_read_back(said: dict[str, Any]) -> None:
     reward = read_reward(said)

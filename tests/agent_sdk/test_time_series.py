@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
 from support.data_packs import sinergym
+from support.examples import examples
 
 from agent_sdk.time_series import (
     HOURS,
@@ -296,7 +297,7 @@ signals = st.one_of(
 )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(signals)
 def test_a_signal_that_was_written_is_read_back(given: dict[str, Any]) -> None:
     signal = SIGNAL.validate_python(given)

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.builders import NAN, actuator, advance, answer, claim, command, exchange, ruling, wire
+from support.examples import examples
 
 from bridge.exchange.step_exchange import TRANSITIONS, IllegalTransition, StepExchange, Trigger
 from topics import codec
@@ -394,7 +395,7 @@ def both_paths_agree(bounds: str, controller: str, sent: Command, *, times: int)
         before = told(at)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=examples(300), deadline=None)
 @given(
     bounds=st.sampled_from(sorted(BOUNDS)),
     wrong=st.sets(st.sampled_from(["values", "values", "step", "episode", "operations"]), max_size=2),

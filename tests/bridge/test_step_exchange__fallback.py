@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.builders import NAN, advance, answer, claim, command, exchange, wire
+from support.examples import examples
 
 from bridge.exchange.step_exchange import MAX_MESSAGES_PER_STEP, StepExchange, Trigger
 from topics.errors import EpisodeAborted
@@ -706,7 +707,7 @@ def value(name: str, step: int) -> float:
     return (16.0 if name == "a" else 23.0) + step / 64.0
 
 
-@settings(max_examples=300)
+@settings(max_examples=examples(300))
 @given(policy=st.sampled_from([Policy.WAIT, Policy.HOLD, Policy.RELINQUISH]), has_deadline=st.booleans(), moves=MOVES)
 def test_whatever_happens_a_command_rules_its_own_step_and_every_message_is_counted_once(
     policy: Policy, has_deadline: bool, moves: list[tuple[str, str, int]]

@@ -13,8 +13,6 @@ from support.nodes import SMALL, NodeProgram, command_of, free_port, interrupted
 
 import agent_sdk
 
-pytestmark = pytest.mark.process
-
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_node__that_is_ended_while_it_starts_leaves_nothing(scratch: Path, number: signal.Signals) -> None:

@@ -23,8 +23,6 @@ from cli.write import seconds
 from topics.errors import InvalidAction, InvalidConfig, NodeLost, RequestRejected, UnknownName
 from topics.messages import EventKind, Message
 
-pytestmark = pytest.mark.process
-
 POINT = "core_zn_cooling_setpoint"
 AIR = "core_zn_air_temperature"
 

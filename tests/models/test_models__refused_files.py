@@ -18,6 +18,8 @@ from models.weather.design_days import site
 from models.weather.header import read_header
 from topics.errors import InvalidConfig, ModelError
 
+pytestmark = pytest.mark.process
+
 OFFICE = find_building("office-small")
 
 

@@ -15,6 +15,7 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
+from support.examples import examples
 
 from agent_sdk.rewards import read_reward
 from cli.scenarios import scenario_schema
@@ -178,7 +179,7 @@ def test_what_is_given_is_what_is_read(given: dict[str, Any]) -> None:
     assert read == given
 
 
-@settings(suppress_health_check=[HealthCheck.too_slow], max_examples=50)
+@settings(suppress_health_check=[HealthCheck.too_slow], max_examples=examples(50))
 @given(fields)
 def test_the_schema_accepts_what_the_loader_accepts(given: dict[str, Any]) -> None:
     SCHEMA.validate(given)

@@ -15,6 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from pydantic import ValidationError
+from support.examples import examples
 from support.weather_files import DRY_BULB, STEPS_PER_HOUR, run
 
 from models.catalog import find_weather
@@ -422,7 +423,7 @@ COLUMN_SETS = st.sampled_from(
 )
 
 
-@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(60), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(COLUMN_SETS, PARAMETERS, st.floats(0.1, 100.0), st.integers(0, 2**32))
 def test_hours_stay_possible(
     denver: Weather, columns: tuple[str, ...], parameters: tuple[float, float, float], scale: float, seed: int
@@ -466,7 +467,7 @@ def test_hours_stay_possible(
         assert (done.columns["direct_normal_radiation"] <= most)[~night].all()
 
 
-@settings(max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(20), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.floats(0.0, 49.0), st.floats(51.0, 100.0), st.integers(0, 2**32))
 def test_limits_that_were_asked_for_hold(denver: Weather, low: float, high: float, seed: int) -> None:
     done = noised(denver, seed, relative_humidity=ColumnNoise(sigma=40.0, low=low, high=high))
