@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from support import data_packs as packs
+from support.cli import run_in_process
 from support.nodes import SMALL, command_of, interrupted, nothing_left, programs_of
 
 from agent_sdk.envs.building_env import BuildingEnv
@@ -295,7 +296,7 @@ def test_the_command_tells_json_and_a_table(scratch: Path) -> None:
     ],
 )
 def test_mistakes_in_the_call_are_sentences(scratch: Path, arguments: list[str], says: str) -> None:
-    done = _probe(SCENARIO, *DAY, *arguments, cwd=scratch)
+    done = run_in_process("probe", SCENARIO, *DAY, *arguments, cwd=scratch)
     assert done.returncode == 2
     assert says in " ".join(done.stderr.split())
     assert "Traceback" not in done.stderr
