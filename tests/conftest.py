@@ -44,8 +44,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark the tests that start other processes, and all but the first variant of a test marked `variants` as slow.
 
     A test starts processes if it is in one of the `SYSTEM` folders, uses a scratch folder, or refers to what starts
-    them; see `support.process_starts`. Tests marked `long` come
-    first, so that none of them runs alone in the end while the other workers are idle.
+    them; see `support.process_starts`. Tests marked `long` come first, so that none of them runs alone in the end while
+    the other workers are idle.
     """
     root, first = Path(__file__).parent, set[tuple[Path, str]]()
     for item in items:

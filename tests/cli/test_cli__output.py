@@ -90,7 +90,7 @@ def test_points__have_units_and_bounds() -> None:
 def test_points__that_match_nothing_are_an_error_with_near_names(more: list[str]) -> None:
     done = run_in_process("points", "ref-small-office", "--match", "cor_zn", *more)
     assert (done.returncode, done.stdout) == (1, "")
-    assert re.search(r"no (point|actuator) of \S+ matches 'cor_zn'; near names: 'core_zn'", plain(done.stderr), re.I)
+    assert re.search(r"no (point|actuator) of \S+ matches 'cor_zn'; did you mean 'core_zn'", plain(done.stderr), re.I)
 
 
 def test_points__that_match_nothing_and_have_no_near_names_are_an_error() -> None:
