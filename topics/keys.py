@@ -97,6 +97,8 @@ PACE = Topic("rpc/pace", Role.CONTROLLER, SetPace, Delivery.QUERY, reply=Ack)
 PAUSE = Topic("rpc/pause", Role.CONTROLLER, Pause, Delivery.QUERY, reply=Ack)
 RESUME = Topic("rpc/resume", Role.CONTROLLER, Resume, Delivery.QUERY, reply=Ack)
 STEP = Topic("rpc/step", Role.CONTROLLER, StepRequest, Delivery.QUERY, reply=Ack)
+COMMAND_REQUEST = Topic("rpc/command/{name}", Role.CONTROLLER, Command, Delivery.QUERY, reply=Ack)
+WRITE_REQUEST = Topic("rpc/write/{name}", Role.CONTROLLER, Write, Delivery.QUERY, reply=Ack)
 FAULTS = Topic("rpc/faults", Role.CONTROLLER, FaultPlan, Delivery.QUERY, reply=Ack)
 STATUS = Topic("rpc/status", Role.ANYONE, Query, Delivery.QUERY, reply=Status)
 SCENARIO = Topic("rpc/scenario", Role.ANYONE, Query, Delivery.QUERY, reply=ScenarioText)
@@ -123,6 +125,8 @@ TOPICS = (
     PAUSE,
     RESUME,
     STEP,
+    COMMAND_REQUEST,
+    WRITE_REQUEST,
     FAULTS,
     STATUS,
     SCENARIO,

@@ -51,15 +51,21 @@ class Intake(ExchangeState):
         Of each controller, only the first hundred such messages in a step are processed; the rest are counted as rate
         limited and ignored. All controllers without a claim count as one.
         """
-        sender = controller if controller in self.claims.by_name else _UNKNOWN_CONTROLLERS
-        count = self._message_counts[sender] = self._message_counts.get(sender, 0) + 1
-        if count > MAX_MESSAGES_PER_STEP:
-            self.counts.rate_limited += 1
+        if self.is_rate_limited(controller):
             return None
         try:
             return self.command(controller, codec.decode(Command, payload, encoding), now_s)
         except BadMessage as error:
             return self.rejected(str(error), controller)
+
+    def is_rate_limited(self, controller: str) -> bool:
+        """Count a message of a controller; return whether there are too many in this step to process it."""
+        sender = controller if controller in self.claims.by_name else _UNKNOWN_CONTROLLERS
+        count = self._message_counts[sender] = self._message_counts.get(sender, 0) + 1
+        if count <= MAX_MESSAGES_PER_STEP:
+            return False
+        self.counts.rate_limited += 1
+        return True
 
     def _record_answer(self, claimant: ClaimHolder, answered: Sequence[int], now_s: float) -> None:
         if claimant.required:

@@ -14,7 +14,7 @@ from zenoh.handlers import Callback
 from bridge.node.batching import SampleBatcher
 from bridge.runtime.timer import Timer
 from topics import codec, keys
-from topics.messages import Event, EventKind, Manifest, PointValue
+from topics.messages import REJECTIONS, Event, EventKind, Manifest, PointValue
 
 EVENTS_A_STEP = 20
 """Refusals per step that are published as events; further ones are only counted."""
@@ -23,7 +23,6 @@ WRITTEN_A_STEP = 1000
 """Accepted writes per step that are published as events; a controller waiting for a reset has a bounded queue."""
 
 _MANIFEST, _SAMPLE, _EVENT = keys.MANIFEST.key, keys.SAMPLE.key, keys.EVENT.key
-_REFUSALS = (EventKind.REJECTED, EventKind.LATE, EventKind.DUPLICATE)
 
 
 class Publications:
@@ -103,7 +102,7 @@ class Publications:
 
     def event(self, event: Event) -> None:
         """Publish an event, unless it is one of too many refusals or writes within a step."""
-        if event.kind in _REFUSALS:
+        if event.kind in REJECTIONS:
             self._events_left -= 1
             if self._events_left < 0:
                 return

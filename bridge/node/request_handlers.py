@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from time import monotonic
 from typing import TYPE_CHECKING
 
 import numpy as np
 import psutil
 
-from bridge.exchange.step_exchange import MAX_SOURCE_NAME
+from bridge.exchange.step_exchange import MAX_MESSAGES_PER_STEP, MAX_SOURCE_NAME
+from bridge.node.subscriptions import Request
 from topics import codec, keys
-from topics.errors import BadMessage
+from topics.errors import BadMessage, BusError, RequestRejected
 from topics.fault_plan import FaultPlan
 from topics.messages import (
     ANONYMOUS,
+    REJECTIONS,
     Ack,
     Claim,
+    Command,
+    Event,
     EventKind,
     Manifest,
     Message,
@@ -33,8 +38,12 @@ if TYPE_CHECKING:
     from bridge.node.server import NodeServer
 
 
+def _lost() -> Message:
+    raise BusError("an injected fault of the link lost the command")
+
+
 class RequestHandlers:
-    """Claims, writes, faults, weather, status and stop of one node server; for its thread, unless noted."""
+    """Claims, commands, writes, faults, weather, status and stop of one node server; for its thread, unless noted."""
 
     def __init__(self, server: NodeServer) -> None:
         self._server = server
@@ -50,6 +59,8 @@ class RequestHandlers:
         )
         subscriptions.answer(keys.STATUS, status or (lambda query: codec.encode(self.status(memory=query.memory))))
         subscriptions.request(keys.CLAIM, Claim, self._claim)
+        subscriptions.request_undecoded(keys.COMMAND_REQUEST, self._request_command)
+        subscriptions.request_undecoded(keys.WRITE_REQUEST, self._request_write)
         subscriptions.request(keys.WEATHER, WeatherQuery, self._weather)
         subscriptions.request(keys.STOP, Stop, self._stop, on_receipt=server.on_stop)
         subscriptions.request(keys.FAULTS, FaultPlan, self._set_faults)
@@ -63,15 +74,61 @@ class RequestHandlers:
             server.pacing.wait(now_s)
         return Ack(episode=exchange.episode)
 
+    # Commands and writes
+
+    def _request_command(self, request: Request) -> None:
+        if not self._server.deliver(request.name, lambda: request.answer(lambda: self._command(request))):
+            request.answer(_lost)
+
+    def _command(self, request: Request) -> Ack:
+        server, exchange, controller, now_s = self._server, self._server.exchange, request.name, monotonic()
+        server.subscriptions.end_turn()
+        if exchange.accept_fast(controller, request.payload, now_s, request.encoding):
+            return self._ack()
+        if exchange.is_rate_limited(controller):
+            raise RequestRejected(f"more than {MAX_MESSAGES_PER_STEP} messages in one step; this one was not processed")
+        try:
+            command = codec.decode(Command, request.payload, request.encoding)
+        except BadMessage as error:
+            server.event(exchange.rejected(str(error), controller))
+            raise
+        return self._ack(exchange.command(controller, command, now_s))
+
+    def _ack(self, event: Event | None = None) -> Ack:
+        """Publish the event of a command or a write; return the reply, or raise `RequestRejected` with its text."""
+        exchange = self._server.exchange
+        if event is not None:
+            self._server.event(event)
+            if event.kind in REJECTIONS:
+                raise RequestRejected(event.text)
+        text = event.text if event is not None and event.kind is EventKind.WRITTEN else ""
+        return Ack(episode=exchange.episode, step=exchange.step, text=text)
+
     def _write(self, name: str, payload: bytes, encoding: str) -> None:
+        with suppress(BadMessage):  # it is reported by an event
+            self._server.event(self._decode_and_write(name, payload, encoding))
+
+    def _request_write(self, request: Request) -> None:
+        name, payload, encoding = request.name, request.payload, request.encoding
+        request.answer(lambda: self._ack(self._decode_and_write(name, payload, encoding)))
+
+    def _decode_and_write(self, name: str, payload: bytes, encoding: str) -> Event:
+        """Write an actuator; return the event, which is not published yet.
+
+        Raises:
+            BadMessage: the payload is not a write; its event is published.
+        """
         server = self._server
         try:
             write = codec.decode(Write, payload, encoding)
         except BadMessage as error:
             source = codec.text_field(payload, "source", MAX_SOURCE_NAME) or ANONYMOUS
-            server.event(server.exchange.rejected(f"{name}: {error}", source))
-            return
-        server.event(server.exchange.write(name, write, server.elapsed_s))
+            rejected = server.exchange.rejected(f"{name}: {error}", source)
+            server.event(rejected)
+            raise BadMessage(rejected.text) from None
+        return server.exchange.write(name, write, server.elapsed_s)
+
+    # Other requests
 
     def _set_faults(self, faults: FaultPlan) -> Message:
         server = self._server

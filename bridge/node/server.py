@@ -142,7 +142,7 @@ class NodeServer:
         controller, message = received
         payload, encoding = message.payload.to_bytes(), str(message.encoding)
         if self.injection is not None and self.injection.link.disturbs_commands:
-            self._receive_with_faults(controller, payload, encoding)
+            self.deliver(controller, lambda: self._receive_command(controller, payload, encoding))
         elif not self.exchange.accept_fast(controller, payload, monotonic(), encoding):
             self._receive_command(controller, payload, encoding)
         return True
@@ -152,15 +152,20 @@ class NodeServer:
         if event is not None:
             self.event(event)
 
-    def _receive_with_faults(self, controller: str, payload: bytes, encoding: str) -> None:
-        """Pass on a command as injected faults of the link allow: late, several times, or never."""
-        assert self.injection is not None
-        if controller not in self.exchange.claims.by_name:
-            self._receive_command(controller, payload, encoding)
-            return
+    def deliver(self, controller: str, receive: Callable[[], None]) -> bool:
+        """Receive a command as injected faults of the link allow: late, several times, or never.
+
+        Returns:
+            Whether it is received at all.
+        """
+        if self.injection is None or controller not in self.exchange.claims.by_name:
+            receive()
+            return True
         now_s = monotonic()
-        for delay_s in self.injection.link.incoming(controller, now_s):
-            self._run_after(now_s, delay_s, lambda: self._receive_command(controller, payload, encoding))
+        delays = self.injection.link.incoming(controller, now_s)
+        for delay_s in delays:
+            self._run_after(now_s, delay_s, receive)
+        return bool(delays)
 
     def _run_after(self, now_s: float, delay_s: float, task: Callable[[], None]) -> None:
         if delay_s <= 0.0:

@@ -21,7 +21,7 @@ from zenoh.handlers import Callback, FifoChannel
 
 from bridge.transport.wakeup import Wake
 from topics import codec, errors, keys
-from topics.errors import BadMessage, ZenostatError
+from topics.errors import BadMessage, RequestRejected, ZenostatError
 from topics.messages import ErrorReply, Message, Query
 
 COMMAND_QUEUE = 256
@@ -47,28 +47,50 @@ def _content(query: zenoh.Query) -> tuple[bytes, str]:
     return payload.to_bytes() if payload is not None else b"", str(encoding) if encoding is not None else ""
 
 
-def _is_valid(query: zenoh.Query, kind: type[Any]) -> bool:
+class Request:
+    """A request that waits for its reply, which any later task of the server's thread may send.
+
+    Args:
+        query: the query.
+        topic: of the query.
+        node: name of the node.
+
+    Attributes:
+        name: the last chunk of its key: a controller or an actuator, if the topic has a name.
+        payload, encoding: its message.
+    """
+
+    __slots__ = ("_key", "_query", "encoding", "name", "payload")
+
+    def __init__(self, query: zenoh.Query, topic: keys.Topic, node: str) -> None:
+        self._query: zenoh.Query | None = query
+        self.name = keys.last_chunk(str(query.key_expr))
+        self._key = topic.at(node, name=self.name)
+        self.payload, self.encoding = _content(query)
+
+    def answer(self, handler: Callable[[], Message]) -> None:
+        """Call `handler` and reply with what it returns or raises; only the first call replies."""
+        reply: Message
+        try:
+            reply = handler()
+        except ZenostatError as error:
+            reply = ErrorReply(**errors.to_wire(error))
+        query, self._query = self._query, None
+        if query is not None:
+            with query:
+                query.reply(self._key, codec.encode(reply), encoding=zenoh.Encoding(codec.encoding(type(reply))))
+
+
+def _is_valid(request: Request, kind: type[Any]) -> bool:
     try:
-        codec.decode(kind, *_content(query))
+        codec.decode(kind, request.payload, request.encoding)
     except BadMessage:
         return False
     return True
 
 
-def _handle(query: zenoh.Query, key: str, kind: type[Any], handler: Callable[[Any], Message]) -> None:
-    with query:
-        reply: Message
-        try:
-            reply = handler(codec.decode(kind, *_content(query)))
-        except ZenostatError as error:
-            reply = ErrorReply(**errors.to_wire(error))
-        query.reply(key, codec.encode(reply), encoding=zenoh.Encoding(codec.encoding(type(reply))))
-
-
-def _reject(query: zenoh.Query, key: str) -> None:
-    busy = ErrorReply(error="RequestRejected", message=f"the node has {MAX_PENDING} pending requests; try again later")
-    with query:
-        query.reply(key, codec.encode(busy), encoding=zenoh.Encoding(codec.encoding(ErrorReply)))
+def _reject() -> Message:
+    raise RequestRejected(f"the node has {MAX_PENDING} pending requests; try again later")
 
 
 Handler = Callable[[str, bytes, str], None]
@@ -91,6 +113,7 @@ class Subscriptions:
         self._thread_id = 0
         self._is_waiting = False
         self._is_command_next = False
+        self._turn = 0
         self._wake = Wake(session, keys.COMMAND.at(node, name=_WAKE))
         commands = session.declare_subscriber(keys.COMMAND.at(node, name="*"), FifoChannel(COMMAND_QUEUE))
         self._commands = self._close.enter_context(commands)
@@ -146,10 +169,15 @@ class Subscriptions:
         return None if controller == _WAKE else (controller, message)
 
     def run_pending(self, *, limit: int = _TASKS_PER_TURN) -> None:
-        """Run up to `limit` of the tasks that other threads have posted."""
-        while self._tasks and limit > 0:
+        """Run up to `limit` of the tasks that other threads have posted, or fewer if one ends the turn."""
+        self._turn = limit
+        while self._tasks and self._turn > 0:
+            self._turn -= 1
             self._tasks.popleft()()
-            limit -= 1
+
+    def end_turn(self) -> None:
+        """Run no further tasks in this turn: a step that a command has completed is simulated first."""
+        self._turn = 0
 
     # For any thread
 
@@ -253,18 +281,42 @@ class Subscriptions:
             handler: returns the reply.
             on_receipt: called first for each valid request, in the thread that receives it.
         """
-        key = topic.at(self._node)
+
+        def on_request(request: Request) -> None:
+            request.answer(lambda: handler(codec.decode(kind, request.payload, request.encoding)))
+
+        def receipt(request: Request) -> None:
+            if on_receipt is not None and _is_valid(request, kind):
+                on_receipt()
+
+        self.request_undecoded(topic, on_request, on_receipt=receipt)
+
+    def request_undecoded(
+        self,
+        topic: keys.Topic,
+        handler: Callable[[Request], None],
+        *,
+        on_receipt: Callable[[Request], None] = lambda _: None,
+    ) -> None:
+        """Handle requests in the server's thread; `handler` decodes and answers them, at once or later.
+
+        Args:
+            topic: of the requests; with a name, those of all names.
+            handler: is called with each request.
+            on_receipt: called first for each request, in the thread that receives it.
+        """
         waiting: deque[Callable[[], None]] = deque()
 
         def on_query(query: zenoh.Query) -> None:
+            request = Request(query, topic, self._node)
             if len(waiting) >= MAX_PENDING:
                 self.rate_limited += 1
-                _reject(query, key)
+                request.answer(_reject)
                 return
-            if on_receipt is not None and _is_valid(query, kind):
-                on_receipt()
-            waiting.append(lambda: _handle(query, key, kind, handler))
+            on_receipt(request)
+            waiting.append(lambda: handler(request))
             self.post(lambda: waiting.popleft()())  # noqa: PLW0108  # the first is determined when the task runs
 
+        key = topic.at(self._node, name="*")
         queryable = self._session.declare_queryable(key, Callback(on_query, indirect=False), complete=True)
         self._close.callback(queryable.undeclare)

@@ -138,6 +138,8 @@ RIGHTS = {  # topic: (controller, monitor)
     "command/{name}": ({SEND}, set()),
     "actuator/{name}": ({SEND}, set()),
     "rpc/claim": ({ASK}, set()),
+    "rpc/command/{name}": ({ASK}, set()),
+    "rpc/write/{name}": ({ASK}, set()),
     "rpc/reset": ({ASK}, set()),
     "rpc/stop": ({ASK}, set()),
     "rpc/snapshot": ({ASK}, set()),

@@ -13,11 +13,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from zenoh import KeyExpr
 
+from bridge.transport.access_control import Permission, may
 from topics import codec, keys, messages
 from topics.errors import InvalidConfig
 from topics.fault_plan import FaultPlan
 from topics.keys import TOPICS, Delivery, Role, Topic
-from topics.messages import ErrorReply, Message
+from topics.messages import Ack, ErrorReply, Message
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("agent_sdk", "bench", "bridge", "cli", "eplus_node", "examples", "models")
@@ -114,6 +115,17 @@ def test_what_the_node_streams_never_makes_it_wait(topic: Topic) -> None:
 def test_commands_and_writes_are_not_lost(topic: Topic) -> None:
     if topic.key.startswith(("command/", "actuator/")):
         assert topic.delivery is Delivery.BLOCK
+
+
+@pytest.mark.parametrize(
+    ("put", "request_row"),
+    [(keys.COMMAND, keys.COMMAND_REQUEST), (keys.ACTUATOR, keys.WRITE_REQUEST)],
+    ids=lambda t: t.key,
+)
+def test_what_is_put_can_also_be_asked_and_is_then_acknowledged(put: Topic, request_row: Topic) -> None:
+    assert (request_row.message, request_row.delivery, request_row.reply) == (put.message, Delivery.QUERY, Ack)
+    assert [may(role, request_row) for role in (Role.CONTROLLER, Role.MONITOR)] == [(Permission.ASK,), ()]
+    assert [may(role, put) for role in (Role.CONTROLLER, Role.MONITOR)] == [(Permission.SEND,), ()]
 
 
 @pytest.mark.parametrize("message", sorted(all_messages(), key=lambda m: m.__name__), ids=lambda m: m.__name__)

@@ -32,6 +32,7 @@ from topics.messages.enums import (
     TimeField,
 )
 from topics.messages.events import (
+    REJECTIONS,
     Event,
     EventKind,
 )
@@ -85,6 +86,7 @@ from topics.messages.status import (
 
 __all__ = [
     "ANONYMOUS",
+    "REJECTIONS",
     "SCHEMA_VERSION",
     "Ack",
     "Action",

@@ -34,6 +34,10 @@ class EventKind(StrEnum):
     BRANCH_CREATED = "branch_created"
 
 
+REJECTIONS = (EventKind.REJECTED, EventKind.LATE, EventKind.DUPLICATE)
+"""Kinds of events that report a message which was not accepted."""
+
+
 class Event(Message):
     """Something that happened on a node; `source` is the controller or device concerned.
 

@@ -156,10 +156,13 @@ class EpisodeStart(Message):
 class Ack(Message):
     """The node accepted a request. `episode`: of each slot, the episode that is running or starting.
 
-    After a reset, `episode_starts` has an entry for each slot that was reset.
+    After a reset, `episode_starts` has an entry for each slot that was reset. After a command or a write, `step` is the
+    current step of each slot, after which it takes effect, and `text` describes a write.
     """
 
     episode: list[Count]
+    step: list[Count] = Field(default_factory=list)
+    text: str = ""
     episode_starts: list[EpisodeStart] = Field(default_factory=list)
 
 
