@@ -6,7 +6,7 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +35,6 @@ from support.zeromq import (  # noqa: E402
     module_gateway,
 )
 
-from bridge.gateways.zeromq import node_state as view  # noqa: E402
 from bridge.gateways.zeromq.frames import split  # noqa: E402
 
 __all__ = ["gateway", "module_gateway"]
@@ -84,14 +83,14 @@ def test_episode_gives_the_same_samples_as_over_zenoh_to_the_bit(shared_node, ga
             if sample.flags[0] & messages.Flag.TRUNCATED:
                 break
             command = answering(sample, plan(manifest, sample.step[0]))
-            assert peer.ask("command/c", **command) == ("Ack", peer_accepted(episode))
+            assert peer.ask("command/c", **command) == ("Ack", peer_accepted(episode, sample.step))
             sample = peer.after(sample)
     assert len(through) == 97
     assert through == direct
 
 
-def peer_accepted(episode: int) -> dict[str, Any]:
-    return msgpack.unpackb(codec.encode(messages.Ack(episode=[episode])))
+def peer_accepted(episode: int, step: Sequence[int] = ()) -> dict[str, Any]:
+    return msgpack.unpackb(codec.encode(messages.Ack(episode=[episode], step=[*step])))
 
 
 def refused(status: messages.Status) -> tuple[int, int, int]:
@@ -166,10 +165,10 @@ def test_refusals__carry_the_reason_of_the_node(gateway):
         assert other.ask("command/c", **keeping(sample))[1]["message"].startswith(
             "'c' was claimed again through another"
         )
-        for _ in range(30):  # more than the node tells of in a step
+        for _ in range(30):  # more than the node publishes as events in a step
             kind, denied = peer.ask("command/c", **answering(sample, np.full(count, 99.0)))
             assert (kind, denied["error"]) == ("ErrorReply", "RequestRejected")
-        assert "rejected it without a reason" in denied["message"]
+            assert "its bounds are" in denied["message"]
         assert peer.ask("command/c", **keeping(sample))[0] == "Ack"
         assert peer.ask("rpc/weather", columns=["no such"])[1]["error"] == "UnknownName"
         assert peer.ask("rpc/scenario")[0] == "ScenarioText"
@@ -286,17 +285,22 @@ def test_end_of_the_node__published_and_answered(scratch, node, own_gateway, end
         assert (kind, denied["error"]) == ("ErrorReply", "NodeNotFound")
 
 
-def test_failure_of_the_engine__answers_the_pending_command(shared_node, gateway):
-    with Peer(gateway) as peer:
+def test_failure_of_the_engine_is_an_event_after_the_command_was_accepted(shared_node, gateway):
+    """stopped engine → the command is accepted, although its timestep never ends → killed engine → event, reset"""
+    with Peer(gateway) as peer, Peer(gateway) as watcher:
         peer.listen("sample")
         sample = peer.after(None)
+        watcher.listen("event")
+        watcher.listen("manifest")
+        watcher.hear(Manifest)  # the gateway knows of both subscriptions
         peer.ask("rpc/claim", controller="c")
         shared_node.engine.send_signal(signal.SIGSTOP)
-        peer.say("command/c", **keeping(sample))
-        until(lambda: peer.silent() and agent_status(shared_node).state is State.RUNNING, "the node computes")
+        assert peer.ask("command/c", **keeping(sample))[0] == "Ack"
+        until(lambda: agent_status(shared_node).state is State.RUNNING, "the node computes")
         shared_node.engine.kill()
-        kind, denied = peer.answer()
-        assert (kind, denied["error"]) == ("ErrorReply", "EngineDied")
+        assert watcher.event(EventKind.FAILED).error == "EngineDied"
+        failed = {"error": "RequestRejected", "message": "the node is failed"}
+        assert peer.ask("command/c", **keeping(sample)) == ("ErrorReply", failed)
         assert peer.ask("rpc/reset")[0] == "Ack"
         assert peer.ask("command/c", **keeping(peer.after(sample)))[0] == "Ack"
 
@@ -385,14 +389,6 @@ def test_an_envelope_comes_back_as_it_was():
     peer, rest = split([b"r", b"1", b"2", b"", b"t", b"p"], 3)
     assert (peer.route, peer.envelope, list(rest)) == (b"r", (b"1", b"2", b""), [b"t", b"p"])
     assert list(split([b"r", b"t", b""], 3)[1]) == [b"t", b""]
-
-
-def test_a_sample_follows_only_what_all_answered_slots_answered():
-    command = messages.Command(episode=[1, 4], step=[7, 2], values=b"")
-    assert view.leads_to(view.answers(command), [1, 4], [8, 3])
-    assert not view.leads_to(view.answers(command), [1, 4], [8, 2])
-    assert not view.leads_to(view.answers(command), [2, 4], [8, 3])
-    assert not view.leads_to(frozenset(), [1, 4], [8, 3])
 
 
 # The command line

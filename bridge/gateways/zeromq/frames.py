@@ -12,21 +12,23 @@ from dataclasses import dataclass
 
 from topics import codec, errors, keys
 from topics.errors import BadMessage, InvalidConfig, ZenostatError, did_you_mean
-from topics.keys import Delivery, Role, Topic
+from topics.keys import Role, Topic
 from topics.messages import ErrorReply, Message, Query
 
 _ENVELOPE = 8
 _SHOWN = 300
 
-QUERIES = {row.key: row for row in keys.TOPICS if row.reply is not None}
+_NAME = "{name}"
+
+QUERIES = {row.key: row for row in keys.TOPICS if row.reply is not None and not row.key.endswith(_NAME)}
 """Topics that can be queried, by their key below the node's root."""
 
 NAMED = {
-    row.key.removesuffix("{name}"): row
-    for row in keys.TOPICS
-    if row.sender is not Role.NODE and row.delivery is Delivery.BLOCK
+    key.removesuffix(_NAME): request
+    for put, request in ((keys.COMMAND, keys.COMMAND_REQUEST), (keys.ACTUATOR, keys.WRITE_REQUEST))
+    for key in (put.key, request.key)
 }
-"""Topics with a name that are sent to a node: commands and writes."""
+"""Topics with a name, which are queried as well: commands and writes; by what stands before the name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +42,7 @@ class Peer:
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """A valid request: its topic's row, node, name (of a command or write) and message."""
+    """A valid request: the row that is queried, the node, the name (of a command or write) and the message."""
 
     peer: Peer
     topic: bytes
@@ -49,11 +51,6 @@ class Request:
     name: str
     payload: bytes
     message: Message
-
-    @property
-    def key(self) -> str:
-        """The Zenoh key."""
-        return self.topic.decode()
 
 
 def split(frames: Sequence[bytes], fd: int) -> tuple[Peer, Sequence[bytes]]:
@@ -92,10 +89,10 @@ def _row(topic: bytes) -> tuple[Topic, str, str]:
     node, rest = _checked(chunks[keys.NODE_CHUNK], "the node"), "/".join(chunks[keys.NODE_CHUNK + 1 :])
     if rest in QUERIES:
         return QUERIES[rest], node, ""
-    verb, slash, name = rest.partition("/")
-    if verb + slash in NAMED:
-        return NAMED[verb + slash], node, _checked(name, f"the name after {verb}/")
-    known = [*QUERIES, *(row.key for row in NAMED.values())]
+    for prefix, row in NAMED.items():
+        if rest.startswith(prefix):
+            return row, node, _checked(rest.removeprefix(prefix), f"the name after {prefix}")
+    known = [*QUERIES, *(prefix + _NAME for prefix in NAMED)]
     raise BadMessage(f"no request {_short(rest.encode())}; {did_you_mean(rest[:_SHOWN], known, limit=len(known))}")
 
 

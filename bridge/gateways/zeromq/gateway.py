@@ -11,9 +11,8 @@ from dataclasses import dataclass, field
 
 import zenoh
 
-from bridge.gateways.zeromq.delivery import DeliveryQueues
+from bridge.gateways.zeromq.delivery import DeliveryQueues, NodeView
 from bridge.gateways.zeromq.frames import Peer, Request, answer, denied, read, split
-from bridge.gateways.zeromq.node_state import NodeView
 from bridge.gateways.zeromq.sockets import DEFAULT_COMMAND, DEFAULT_PUBLISH, Sockets, check_endpoint
 from bridge.gateways.zeromq.zenoh_side import BusMessage, BusSide
 from topics import codec, errors, keys
@@ -154,12 +153,9 @@ class Gateway:
         if message.key == keys.SAMPLE.at(node.name):
             self.counts.samples += 1
             node.latest[message.key.encode()] = _frames(message)
-            node.note_sample()
-            self._queues.sample(node, message.payload)
         elif message.key == keys.EVENT.at(node.name):
             event = codec.decode(Event, message.payload, message.encoding)
-            node.note_event(event)
-            self._queues.event(node, event)
+            node.stopped = node.stopped or event.kind is EventKind.STOPPED
 
     def _register_node(self, message: BusMessage | None) -> None:
         """Process the manifest of a new or changed node."""
@@ -170,7 +166,6 @@ class Gateway:
         except BadMessage:
             return
         node = self._nodes.setdefault(manifest.node, NodeView(manifest.node))
-        node.note_manifest(manifest)
         node.latest[message.key.encode()] = _frames(message)
         self._publish(message)
 
@@ -269,7 +264,7 @@ class Gateway:
         if request.node not in self._nodes:
             why = f"no node {request.node!r} on the bus; {did_you_mean(request.node, self._nodes)}"
             self._answer(request, denied(NodeNotFound(why)))
-        elif request.row in (keys.COMMAND, keys.CLAIM, keys.ACTUATOR):
+        elif request.row in (keys.COMMAND_REQUEST, keys.CLAIM):
             self._queues.take(request)
         else:
             self._query(request)
@@ -278,9 +273,11 @@ class Gateway:
         lost = NodeLost(f"node {request.node!r} is gone")
         fetched = request.row.sender is Role.NODE or request.row.delivery is not Delivery.QUERY
         question = None if fetched else request.payload
-        self._bus.ask(
-            request.row, request.node, question, lambda message: self._answer(request, message or denied(lost))
-        )
+
+        def then(reply: BusMessage | None) -> None:
+            self._answer(request, reply or denied(lost))
+
+        self._bus.ask(request.row, request.node, question, then, name=request.name)
 
     def _answer(self, request: Request, answered: Message | BusMessage) -> None:
         self._send(request.peer, request.topic, answered)

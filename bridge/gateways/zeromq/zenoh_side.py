@@ -12,7 +12,6 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 
 import zenoh
-from zenoh import CongestionControl
 from zenoh.handlers import Callback
 
 from topics import codec, errors, keys
@@ -44,7 +43,7 @@ ReplyCallback = Callable[[BusMessage | None], None]
 
 
 class BusSide:
-    """Puts, queries, subscriptions and liveliness tokens on an open session.
+    """Queries, subscriptions and liveliness tokens on an open session.
 
     Args:
         session: the session, which the caller closes.
@@ -104,12 +103,14 @@ class BusSide:
                 return BusMessage(str(reply.ok.key_expr), str(reply.ok.encoding), reply.ok.payload.to_bytes())
         return None
 
-    def ask(self, topic: Topic, node: str, question: bytes | None, then: ReplyCallback) -> None:
-        """Query a node; `then` is called in the gateway's thread."""
-        key, answered = topic.at(node), False
+    def ask(self, topic: Topic, node: str, question: bytes | None, then: ReplyCallback, *, name: str = "") -> None:
+        """Query a node; `then` is called once, in the gateway's thread."""
+        key, answered = topic.at(node, name=name), False
 
         def on_reply(reply: zenoh.Reply) -> None:
             nonlocal answered
+            if answered:  # a second node of that name
+                return
             answered = True
             if reply.ok is not None:
                 message = BusMessage(key, str(reply.ok.encoding), reply.ok.payload.to_bytes())
@@ -130,10 +131,6 @@ class BusSide:
             encoding=_encoding(topic) if question is not None else None,
             timeout=_QUERY_S,
         )
-
-    def put(self, key: str, topic: Topic, payload: bytes) -> None:
-        """Send a command or a write without loss."""
-        self._session.put(key, payload, encoding=_encoding(topic), congestion_control=CongestionControl.BLOCK)
 
     def token(self, node: str, controller: str) -> Callable[[], None]:
         """Declare a controller's token until each returned function has been called."""
