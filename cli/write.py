@@ -22,7 +22,7 @@ Point = Annotated[str, typer.Argument(help="Name of the actuator; `zenostat read
 Priority = Annotated[
     int, typer.Option(min=1, max=16, help="Priority; 1 is the highest, 8 is for manual operation (BACnet).")
 ]
-Source = Annotated[str | None, typer.Option(help="Value source, which is made unique. Default: user@host.")]
+Source = Annotated[str | None, typer.Option(help="Value source. Default: user@host.")]
 
 
 def write(
@@ -46,8 +46,8 @@ def write(
 
     duration_s = None if duration is None else seconds(duration)
     with connect_bus(connect or default_endpoint(keys), keys=keys, certificate=certificate) as bus:
-        event = bus.write(node, point, value, priority=priority, duration_s=duration_s, source=source or person())
-    out.print(f"{node}: {event.text}" + (f" for {duration}" if duration else ""), markup=False, soft_wrap=True)
+        ack = bus.write(node, point, value, priority=priority, duration_s=duration_s, source=source or person())
+    out.print(f"{node}: {ack.text}" + (f" for {duration}" if duration else ""), markup=False, soft_wrap=True)
 
 
 def relinquish(
@@ -66,8 +66,8 @@ def relinquish(
     from agent_sdk import connect as connect_bus
 
     with connect_bus(connect or default_endpoint(keys), keys=keys, certificate=certificate) as bus:
-        event = bus.write(node, point, None, priority=priority, source=source or person())
-    out.print(f"{node}: {event.text}", markup=False, soft_wrap=True)
+        ack = bus.write(node, point, None, priority=priority, source=source or person())
+    out.print(f"{node}: {ack.text}", markup=False, soft_wrap=True)
 
 
 def seconds(text: str) -> float:

@@ -19,7 +19,6 @@ from pydantic import ValidationError
 from zenoh import QueryTarget
 
 from agent_sdk.bus import fork_guard
-from agent_sdk.bus.actuator_write import put_write
 from agent_sdk.bus.controller_link import ControllerLink
 from agent_sdk.bus.listener import listen
 from agent_sdk.bus.sample import SampleView
@@ -32,6 +31,7 @@ from topics.errors import (
     BusError,
     InvalidAction,
     InvalidConfig,
+    NodeLost,
     NodeNotFound,
     PeerError,
     RequestRejected,
@@ -42,14 +42,13 @@ from topics.errors import (
 from topics.fault_plan import FaultPlan
 from topics.keys import Role
 from topics.messages import (
+    ANONYMOUS,
     Ack,
     BranchCreated,
     Claim,
     CreateBranch,
     DropSnapshot,
     ErrorReply,
-    Event,
-    EventKind,
     Manifest,
     Message,
     Mode,
@@ -290,9 +289,9 @@ class Bus:
         *,
         priority: int = 8,
         duration_s: float | None = None,
-        source: str = "anonymous",
-    ) -> Event:
-        """Write one actuator as a person or a device, and return the node's answer; effective from the next timestep.
+        source: str = ANONYMOUS,
+    ) -> Ack:
+        """Write one actuator as a person or a device, and return the node's reply; effective from the next timestep.
 
         Args:
             node: The node's name.
@@ -300,34 +299,36 @@ class Bus:
             value: In the actuator's unit; None relinquishes it at this priority.
             priority: 1 (highest) to 16; 8 is a manual operator's.
             duration_s: Simulated seconds after which the value is relinquished; None keeps it until it is relinquished.
-            source: Name of the writer; made unique on the bus, because it identifies the node's answer.
+            source: Name of the writer, which samples and events show; at most 128 characters.
 
         Raises:
             NodeNotFound: No such node.
+            NodeLost: It left the bus before it replied.
             UnknownName: No such actuator; the text lists similar names.
-            InvalidAction: Value, priority or duration out of range.
+            InvalidAction: Value, priority, duration or source out of range.
             RequestRejected: The node rejected the write, with its reason.
         """
         manifest = self.manifest(node)
         actuator_index(manifest.actuators).require([point])
-        unique = f"{source}-{os.getpid()}-{next(_numbers)}"
         try:
-            write = Write(value=value, priority=priority, duration_s=duration_s, source=unique)
+            write = Write(value=value, priority=priority, duration_s=duration_s, source=source)
         except ValidationError as error:
             raise InvalidAction(f"{point}: {codec.describe_validation_errors(error)}") from None
-        event = put_write(self.session, manifest, point, write)
-        if event.kind is EventKind.REJECTED:
-            raise RequestRejected(f"node {node!r} rejected the write: {event.text}")
-        return event
+        try:
+            return self._ask(keys.WRITE_REQUEST, node, write, Ack, name=point)
+        except NodeNotFound:
+            raise NodeLost(f"node {node!r} is gone") from None
+        except RequestRejected as error:
+            raise RequestRejected(f"node {node!r} rejected the write: {error}") from None
 
-    def _ask(self, topic: keys.Topic, node: str, request: Message | None, reply_type: type[M]) -> M:
+    def _ask(self, topic: keys.Topic, node: str, request: Message | None, reply_type: type[M], *, name: str = "") -> M:
         if self.role is not None and Permission.ASK not in may(self.role, topic):
             raise InvalidConfig(
                 f"a {self.role} may not query {topic.key}; connect with the certificate of another role"
             )
         try:
             replies = self.session.get(
-                topic.at(node),
+                topic.at(node, name=name),
                 payload=codec.encode(request) if request else None,
                 encoding=zenoh.Encoding(codec.encoding(type(request))) if request else None,
                 timeout=_REQUEST_TIMEOUT_S,

@@ -13,15 +13,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-import zenoh
 from support.cli import ZENOSTAT, run_in_process, run_program
 from support.nodes import NodeProgram, new_episode, until
 
 import agent_sdk
-from agent_sdk.bus import actuator_write
 from cli.write import seconds
 from topics.errors import InvalidAction, InvalidConfig, NodeLost, RequestRejected, UnknownName
-from topics.messages import EventKind, Message
+from topics.messages import Manifest
 
 POINT = "core_zn_cooling_setpoint"
 AIR = "core_zn_air_temperature"
@@ -45,7 +43,7 @@ def sources(link: agent_sdk.ControllerLink, steps: int) -> list[tuple[float, str
     for _ in range(steps):
         sample.send()
         sample = link.receive()
-        found.append((sample.effective[place], sample.value_source[POINT].rpartition("-")[0].rpartition("-")[0]))
+        found.append((sample.effective[place], sample.value_source[POINT]))
     return found
 
 
@@ -65,7 +63,7 @@ def test_a_write_rules_until_it_is_released(bus: agent_sdk.Bus) -> None:
     with bus.controller("office") as link:
         assert sources(link, 1) == [(26.0, "ann")]
         read = actuator_of(bus.endpoint)
-        assert (read["value"], read["unit"], read["value_source"].startswith("ann-")) == (26.0, "degC", True)
+        assert (read["value"], read["unit"], read["value_source"]) == (26.0, "degC", "ann")
         relinquished = run_program("relinquish", "office", POINT, *connect)
         assert (relinquished.returncode, relinquished.stdout) == (0, f"office: {POINT} relinquished at priority 8\n")
         ((value, who),) = sources(link, 1)
@@ -157,16 +155,17 @@ def test_times_that_are_none(text: str) -> None:
 
 
 def test_each_writer_hears_of_its_own_write(bus: agent_sdk.Bus) -> None:
-    """Four write at once, some of it refused; each is told what it wrote."""
+    """Four write at once under one name, some of it refused; each is told what it wrote."""
     values = [20.0, 26.0, 27.0, 40.0]
     heard: dict[float, list[str]] = {value: [] for value in values}
+    episode = bus.status("office").episode
 
     def write(value: float) -> None:
         for _ in range(5):
             try:
-                event = bus.write("office", POINT, value, source="somebody")
-                assert event.kind is EventKind.WRITTEN
-                heard[value].append(event.text)
+                ack = bus.write("office", POINT, value, source="somebody")
+                assert (ack.episode, ack.step) == (episode, [0])
+                heard[value].append(ack.text)
             except RequestRejected as refused:
                 heard[value].append(str(refused))
 
@@ -182,7 +181,14 @@ def test_each_writer_hears_of_its_own_write(bus: agent_sdk.Bus) -> None:
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"value": float("inf")}, {"value": 26.0, "priority": 0}, {"value": 26.0, "duration_s": 0.0}], ids=str
+    "wrong",
+    [
+        {"value": float("inf")},
+        {"value": 26.0, "priority": 0},
+        {"value": 26.0, "duration_s": 0.0},
+        {"value": 26.0, "source": "x" * 129},
+    ],
+    ids=str,
 )
 def test_a_write_that_cannot_be_is_not_sent(bus: agent_sdk.Bus, wrong: dict[str, Any]) -> None:
     before = bus.status("office").rejected
@@ -194,18 +200,17 @@ def test_a_write_that_cannot_be_is_not_sent(bus: agent_sdk.Bus, wrong: dict[str,
 
 
 def test_a_node_that_dies_under_a_write_is_named(node: NodeProgram, monkeypatch: pytest.MonkeyPatch) -> None:
-    put = actuator_write.put
+    with agent_sdk.connect(node.endpoint, affinity="off") as bus:
+        manifest = bus.manifest
 
-    def dies_first(session: zenoh.Session, key: str, message: Message) -> None:
-        node.kill()
-        put(session, key, message)
+        def and_dies(name: str) -> Manifest:
+            known = manifest(name)
+            node.kill()
+            return known
 
-    monkeypatch.setattr(actuator_write, "put", dies_first)
-    with (
-        agent_sdk.connect(node.endpoint, affinity="off") as bus,
-        pytest.raises(NodeLost, match="node 'office' is gone"),
-    ):
-        bus.write("office", POINT, 26.0)
+        monkeypatch.setattr(bus, "manifest", and_dies)
+        with pytest.raises(NodeLost, match="node 'office' is gone"):
+            bus.write("office", POINT, 26.0)
 
 
 # read
