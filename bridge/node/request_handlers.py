@@ -82,17 +82,21 @@ class RequestHandlers:
 
     def _command(self, request: Request) -> Ack:
         server, exchange, controller, now_s = self._server, self._server.exchange, request.name, monotonic()
-        server.subscriptions.end_turn()
-        if exchange.accept_fast(controller, request.payload, now_s, request.encoding):
-            return self._ack()
-        if exchange.is_rate_limited(controller):
-            raise RequestRejected(f"more than {MAX_MESSAGES_PER_STEP} messages in one step; this one was not processed")
-        try:
-            command = codec.decode(Command, request.payload, request.encoding)
-        except BadMessage as error:
-            server.event(exchange.rejected(str(error), controller))
-            raise
-        return self._ack(exchange.command(controller, command, now_s))
+        event = None
+        if not exchange.accept_fast(controller, request.payload, now_s, request.encoding):
+            if exchange.is_rate_limited(controller):
+                raise RequestRejected(
+                    f"more than {MAX_MESSAGES_PER_STEP} messages in one step; this one was not processed"
+                )
+            try:
+                command = codec.decode(Command, request.payload, request.encoding)
+            except BadMessage as error:
+                server.event(exchange.rejected(str(error), controller))
+                raise
+            event = exchange.command(controller, command, now_s)
+        reply = self._ack(event)
+        server.subscriptions.end_turn()  # what came after the command may refer to the step that it completes
+        return reply
 
     def _ack(self, event: Event | None = None) -> Ack:
         """Publish the event of a command or a write; return the reply, or raise `RequestRejected` with its text."""

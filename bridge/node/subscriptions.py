@@ -176,7 +176,7 @@ class Subscriptions:
             self._tasks.popleft()()
 
     def end_turn(self) -> None:
-        """Run no further tasks in this turn: a step that a command has completed is simulated first."""
+        """Run no further tasks in this turn, so that the server's thread simulates a step before them if it can."""
         self._turn = 0
 
     # For any thread

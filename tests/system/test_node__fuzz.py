@@ -37,6 +37,7 @@ draw = random.Random(seed)
 root = "zenostat/v2/office"
 nodes_own = ["sample", "manifest", "event", "sensor/outdoor_temperature", "wake", "nothing", "a/b/c", "@live/x"]
 verbs = ["claim", "reset", "snapshot", "drop", "branch", "stop", "pace", "pause", "resume", "step", "faults", "weather"]
+verbs += ["command/x", "write/x", "write/core_zn_cooling_setpoint", *([] if tame else [f"command/{own}"])]
 reading = ["rpc/status", "rpc/scenario", "rpc/weather", "manifest", "sample", "rpc/unknown", "command/x", "actuator/y"]
 names = ["x", "é", "名", "with space", "-", "a" * 3000, "'quoted'", "..", "%2F", "\t", "@at", "~"]
 points = ["core_zn_cooling_setpoint", "core_zn_heating_setpoint", "core_zn_coling_setpoint"]
@@ -82,6 +83,8 @@ def valid():
         ("pace", {"mode": "paced", "speed": 3600.0}), ("pause", {}), ("resume", {}), ("step", {"steps": 3}),
         ("faults", {"faults": []}), ("faults", {"faults": [{"kind": "bias", "points": "*", "offset": 1.0}]}),
         ("weather", {"columns": ["dry_bulb_temperature"]}),
+        ("write/core_zn_cooling_setpoint", {"value": draw.choice([None, 25.0, 99.0]), "source": "fuzz"}),
+        ("command/fuzz", {"episode": [draw.randrange(9)], "step": [draw.randrange(9)], "values": bytes(80)}),
     ])
 
 

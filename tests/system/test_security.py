@@ -121,8 +121,10 @@ def before_fence(bus: agent_sdk.Bus, inbox: zenoh.Subscriber, session: zenoh.Ses
         heard.append(payload)
 
 
-def ask(session: zenoh.Session, topic: keys.Topic, question: Any = None) -> list[bytes]:
-    replies = session.get(topic.at("office"), payload=codec.encode(question) if question else None, timeout=30)
+def ask(session: zenoh.Session, topic: keys.Topic, question: Any = None, name: str = "") -> list[bytes]:
+    replies = session.get(
+        topic.at("office", name=name), payload=codec.encode(question) if question else None, timeout=30
+    )
     return [reply.ok.payload.to_bytes() for reply in replies if reply.ok]
 
 
@@ -229,6 +231,8 @@ def test_a_monitor_s_attacks_leave_the_day_as_it_is(
                 replies.extend(ask(attacker, keys.CLAIM, Claim(controller="thief", priority=1)))
                 replies.extend(ask(attacker, keys.RESET, Reset(controller="thief")))
                 replies.extend(ask(attacker, keys.STOP, Stop(source="thief")))
+                replies.extend(ask(attacker, keys.WRITE_REQUEST, Write(value=29.0, priority=1), POINT))
+                replies.extend(ask(attacker, keys.COMMAND_REQUEST, command, link.name))
             assert ask(attacker, keys.STATUS), "the attacker is there, and what it sent before has been dropped"
 
         before = watcher.status("office")
@@ -252,6 +256,7 @@ def test_the_same_attacks_work_with_a_controller_s_certificate(
         codec.decode(Ack, ask(session, keys.CLAIM, Claim(controller="thief", priority=1, required=False))[0])
         episode = codec.decode(Ack, ask(session, keys.RESET, Reset(controller="thief"))[0]).episode
         session.put(keys.ACTUATOR.at("office", name=POINT), codec.encode(Write(value=29.0, source="thief")))
+        codec.decode(Ack, ask(session, keys.WRITE_REQUEST, Write(value=28.0, source="thief"), POINT)[0])
         session.put(keys.COMMAND.at("office", name="thief"), b"not msgpack")
         told = [codec.decode(Event, payload) for payload in before_fence(bus, events, session)]
         assert EventKind.WRITTEN in {event.kind for event in told if event.source == "thief"}
