@@ -24,8 +24,8 @@
 typedef unsigned char byte;
 
 static char root[200];
-static void *requests, *samples;
-static byte answer[8 * 1024 * 1024], sample[MOST];
+static void *requests, *published;
+static byte answer[8 * 1024 * 1024], sample[MOST], event[2 * MOST];
 
 static void fail(const char *what) {
     fprintf(stderr, "%s\n", what);
@@ -145,11 +145,32 @@ static void ask(const char *what, const void *payload, size_t length) {
     }
 }
 
+/* Receive the next sample; exit with the reason if the episode has failed or the node has stopped. */
 static void next_sample(void) {
-    char skipped[300];
-    zmq_recv(samples, skipped, sizeof skipped, 0);
-    zmq_recv(samples, skipped, sizeof skipped, 0);
-    if (zmq_recv(samples, sample, sizeof sample, 0) > (int)sizeof sample) fail("a sample that is too large");
+    char topic[300], encoding[300];
+    for (;;) {
+        int size = zmq_recv(published, topic, sizeof topic - 1, 0);
+        if (size < 0 || size >= (int)sizeof topic) fail("no message");
+        topic[size] = 0;
+        zmq_recv(published, encoding, sizeof encoding, 0);
+        if (!strcmp(strrchr(topic, '/'), "/sample")) {
+            if (zmq_recv(published, sample, sizeof sample, 0) > (int)sizeof sample) fail("a sample that is too large");
+            return;
+        }
+        if (zmq_recv(published, event, sizeof event, 0) > (int)sizeof event) fail("an event that is too large");
+        if (is_text(field(event, "kind"), "failed") || is_text(field(event, "kind"), "stopped")) {
+            const byte *at = field(event, "text");
+            uint32_t text = head(&at);
+            fprintf(stderr, "%.*s\n", (int)text, at);
+            exit(1);
+        }
+    }
+}
+
+static void subscribe(const char *what) {
+    char topic[300];
+    snprintf(topic, sizeof topic, "%s/%s", root, what);
+    zmq_setsockopt(published, ZMQ_SUBSCRIBE, topic, strlen(topic));
 }
 
 int main(int argc, char **argv) {
@@ -162,11 +183,11 @@ int main(int argc, char **argv) {
 
     snprintf(root, sizeof root, "zenostat/v2/%s", argc > 3 ? argv[3] : "office");
     requests = zmq_socket(context, ZMQ_REQ);
-    samples = zmq_socket(context, ZMQ_SUB);
-    if (zmq_connect(samples, argc > 2 ? argv[1] : "tcp://127.0.0.1:5556")) fail("PUBLISH is not an endpoint");
+    published = zmq_socket(context, ZMQ_SUB);
+    if (zmq_connect(published, argc > 2 ? argv[1] : "tcp://127.0.0.1:5556")) fail("PUBLISH is not an endpoint");
     if (zmq_connect(requests, argc > 2 ? argv[2] : "tcp://127.0.0.1:5557")) fail("COMMAND is not an endpoint");
-    snprintf((char *)request, sizeof request, "%s/sample", root);
-    zmq_setsockopt(samples, ZMQ_SUBSCRIBE, request, strlen((char *)request));
+    subscribe("sample");
+    subscribe("event");
 
     ask("manifest", "", 0);
     at = field(answer, "actuators");
@@ -203,7 +224,7 @@ int main(int argc, char **argv) {
     printf("%u timesteps to ", number(sample, "step"));
     episode = head(&at);
     printf("%.*s\n", (int)episode, at);
-    zmq_close(samples);
+    zmq_close(published);
     zmq_close(requests);
     zmq_ctx_destroy(context);
     return 0;

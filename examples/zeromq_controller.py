@@ -21,9 +21,10 @@ parser.add_argument("--node", default="office")
 arguments = parser.parse_args()
 root, controller, context = f"zenostat/v2/{arguments.node}", "drift", zmq.Context()
 
-samples, requests = context.socket(zmq.SUB), context.socket(zmq.REQ)
-samples.connect(arguments.publish)
-samples.subscribe(f"{root}/sample")
+published, requests = context.socket(zmq.SUB), context.socket(zmq.REQ)
+published.connect(arguments.publish)
+published.subscribe(f"{root}/sample")
+published.subscribe(f"{root}/event")
 requests.connect(arguments.command)
 
 
@@ -37,9 +38,20 @@ def request(key: str, **fields: object) -> dict:
     return reply
 
 
+def next_sample() -> dict:
+    """Return the next sample; exit with the reason if the episode has failed or the node has stopped."""
+    while True:
+        topic, _, payload = published.recv_multipart()
+        message = msgpack.unpackb(payload)
+        if topic.endswith(b"/sample"):
+            return message
+        if message["kind"] in ("failed", "stopped"):
+            raise SystemExit(message["text"])
+
+
 actuators = [actuator["name"] for actuator in request("manifest")["actuators"]]
 setpoint = actuators.index("core_zn_cooling_setpoint")
-sample = msgpack.unpackb(samples.recv_multipart()[2])  # a new subscriber receives the latest sample
+sample = next_sample()  # a new subscriber receives the latest sample
 request("rpc/claim", controller=controller, actuators=[actuators[setpoint]])
 while not sample["flags"][0] & 2:  # 2: the run period is over
     values = array.array("d", [0.0] * len(actuators))
@@ -54,6 +66,6 @@ while not sample["flags"][0] & 2:  # 2: the run period is over
         values=values.tobytes(),
     )
     while (sample["episode"], sample["step"]) == answered:  # skip repetitions of the answered sample
-        sample = msgpack.unpackb(samples.recv_multipart()[2])
+        sample = next_sample()
 print(f"{sample['step'][0]} timesteps to {sample['time'][0]}")
 context.destroy()

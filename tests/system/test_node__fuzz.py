@@ -150,11 +150,16 @@ what = {
     ),
     "writes": (point, codec.pack(value=80.0)),
     "requests": (keys.PACE.at("office"), b"\\xc1"),
+    "command requests": (
+        keys.COMMAND_REQUEST.at("office", name=own),
+        codec.pack(episode=[0], step=[0], operations=None, values=bytes(80)),
+    ),
+    "write requests": (keys.WRITE_REQUEST.at("office", name="core_zn_cooling_setpoint"), codec.pack(value=80.0)),
 }
 key, payload = what[kind]
 with open_session(connect=[endpoint]) as session:
     for number in range(10**9):
-        if kind == "requests":
+        if kind.endswith("requests"):
             session.get(key, payload=payload, handler=Callback(lambda reply: None, indirect=False), timeout=5)
         else:
             session.put(key, payload, congestion_control=zenoh.CongestionControl.BLOCK)
@@ -244,7 +249,9 @@ def test_valid_messages__leave_the_node_in_order(scratch: Path) -> None:
 
 
 @pytest.mark.variants
-@pytest.mark.parametrize("kind", ["malformed", "duplicates", "writes", "requests"])
+@pytest.mark.parametrize(
+    "kind", ["malformed", "duplicates", "writes", "requests", "command requests", "write requests"]
+)
 def test_a_flood_is_bounded_and_others_are_served(scratch: Path, kind: str) -> None:
     with node_and_bus(scratch) as (node, bus), bus.controller("office") as link:
         quiet = day(link)
