@@ -127,8 +127,10 @@ class Gateway:
     def run(self) -> None:
         """Forward messages until it is stopped."""
         while not self._stopped:
-            self._sockets.wait()
+            has_messages = self._sockets.wait()
             self._sockets.run_pending()
+            if not has_messages:
+                continue
             for prefix in self._sockets.subscriptions():
                 self._catch_up(prefix)
             for frames, fd in self._sockets.requests(self._queues.gone):

@@ -97,6 +97,7 @@ class Sockets:
             self._poller = zmq.Poller()
             for waited in (self._publisher, self._router, self._monitor, self._subscribers, self._woken):
                 self._poller.register(waited, zmq.POLLIN)
+            self._only_tasks = [(self._woken.fileno(), zmq.POLLIN)]
             undo.pop_all()
 
     def _socket(self, kind: int) -> zmq.Socket[bytes]:
@@ -131,9 +132,10 @@ class Sockets:
 
     # The sockets' own thread
 
-    def wait(self) -> None:
-        """Wait for a message, a task, or the next check of connections."""
-        self._poller.poll(int(CHECK_S * 1000) if self._connected or self._subscribed else None)
+    def wait(self) -> bool:
+        """Wait for a message, a task, or the next check of connections; return whether there is more than tasks."""
+        ready = self._poller.poll(int(CHECK_S * 1000) if self._connected or self._subscribed else None)
+        return ready != self._only_tasks or monotonic() - self._checked_s >= CHECK_S
 
     def run_pending(self) -> None:
         """Run the tasks that other threads have posted."""
