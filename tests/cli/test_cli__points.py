@@ -176,7 +176,7 @@ def test_each_writer_hears_of_its_own_write(bus: agent_sdk.Bus) -> None:
         thread.join()
     for value, texts in heard.items():
         assert len(texts) == 5
-        assert all(f"{POINT} = {value:g} degC" in text for text in texts)
+        assert all(f"{POINT} = {value:g}" in text for text in texts)
         assert all(("its bounds are" in text) == (value in (20.0, 40.0)) for text in texts)
 
 

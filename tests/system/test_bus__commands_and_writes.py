@@ -16,9 +16,9 @@ from zenoh.handlers import Callback
 
 from agent_sdk.bus.bus import Bus
 from bridge.exchange.step_exchange import MAX_MESSAGES_PER_STEP
+from bridge.node.publications import EVENTS_A_STEP
+from bridge.node.subscriptions import MAX_PENDING
 from bridge.transport.session import open_session
-from eplus_node.publications import EVENTS_A_STEP
-from eplus_node.subscriptions import MAX_PENDING
 from topics import codec, keys
 from topics.errors import InvalidConfig, NodeNotFound
 from topics.keys import Topic
@@ -150,7 +150,7 @@ def test_a_write_is_answered_as_its_event_says(client: Client) -> None:
     client.claim("c", required=False)
     rejected = {
         "no actuator 'chair'": write("chair", value=1.0),
-        f"{POINT} = 99 degC; its bounds are": write(value=99.0),
+        f"{POINT} = 99; its bounds are": write(value=99.0),
         f"priority 10 of '{POINT}' is claimed by 'c'": write(value=25.0, priority=10),
     }
     assert {reply.error for reply in rejected.values()} == {"RequestRejected"}
@@ -195,7 +195,7 @@ def test_a_command_is_answered_as_its_event_says(client: Client) -> None:
     client.claim("c", [POINT])
     client.claim("d", [other])
     rejected = {
-        f"{POINT} = 99 degC; its bounds are": command(client.command(**{POINT: 99})),
+        f"{POINT} = 99; its bounds are": command(client.command(**{POINT: 99})),
         f"{other!r} is not among the actuators that it claimed": command(client.command(**{other: 20})),
         "it answers episode [1] step [7]; the current ones": command(client.command(step=7)),
         "values has 0 bytes": command(right.model_copy(update={"values": b""})),
@@ -268,7 +268,7 @@ def test_each_of_a_hundred_rejections_has_its_reason_and_further_ones_are_not_pr
     client.claim("c")
     wrong = client.command(value=99.0)
     replies = [client.ask(keys.COMMAND_REQUEST, "c", wrong) for _ in range(MAX_MESSAGES_PER_STEP + 5)]
-    reasons = [f"{POINT} = 99 degC" in reply.message for reply in replies]
+    reasons = [f"{POINT} = 99; its bounds are" in reply.message for reply in replies]
     assert reasons == [True] * MAX_MESSAGES_PER_STEP + [False] * 5
     limit = f"more than {MAX_MESSAGES_PER_STEP} messages in one step"
     assert all(reply.message.startswith(limit) for reply in replies[MAX_MESSAGES_PER_STEP:])
@@ -276,8 +276,8 @@ def test_each_of_a_hundred_rejections_has_its_reason_and_further_ones_are_not_pr
     client.next_sample()
     told = [client.event("c").text for _ in range(EVENTS_A_STEP)]
     assert told == [reply.message for reply in replies[:EVENTS_A_STEP]]
-    assert f"{POINT} = 98 degC" in client.ask(keys.COMMAND_REQUEST, "c", client.command(value=98.0)).message
-    assert f"{POINT} = 98 degC" in client.event("c").text, "of the others there were no events"
+    assert f"{POINT} = 98; its bounds are" in client.ask(keys.COMMAND_REQUEST, "c", client.command(value=98.0)).message
+    assert f"{POINT} = 98; its bounds are" in client.event("c").text, "of the others there were no events"
     status = client.bus.status("office")
     assert (status.rejected, status.statistics.rate_limited) == (MAX_MESSAGES_PER_STEP + 1, 5)
 
