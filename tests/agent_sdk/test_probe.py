@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 from support import data_packs as packs
-from support.cli import run_in_process
 from support.nodes import SMALL, command_of, interrupted, nothing_left, programs_of
+from support.run_cli import run_in_process
 
 from agent_sdk.envs.building_env import BuildingEnv
 from agent_sdk.evaluation.probe import ProbeReport, ProbeRequest, probe

@@ -8,8 +8,8 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from support.cli import DAY, ZENOSTAT, plain, run_in_process, run_program
 from support.nodes import SMALL, NodeProgram, command_of, free_port, interrupted, programs_of, until
+from support.run_cli import DAY, ZENOSTAT, plain, run_in_process, run_program
 
 import agent_sdk
 

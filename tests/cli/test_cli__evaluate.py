@@ -10,8 +10,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from support.cli import ZENOSTAT, plain, run_in_process, run_program
 from support.nodes import SMALL, interrupted
+from support.run_cli import ZENOSTAT, plain, run_in_process, run_program
 
 from cli.evaluate import check_file, write
 from topics.errors import InvalidConfig

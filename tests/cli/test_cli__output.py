@@ -10,7 +10,7 @@ import re
 from pathlib import Path
 
 import pytest
-from support.cli import DAY, plain, run_in_process, run_program
+from support.run_cli import DAY, plain, run_in_process, run_program
 
 COMMANDS = (
     "node", "run", "evaluate", "monitor", "status", "read", "watch", "write", "relinquish", "points", "buildings",

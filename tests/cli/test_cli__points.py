@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.cli import ZENOSTAT, run_in_process, run_program
 from support.nodes import NodeProgram, new_episode, until
+from support.run_cli import ZENOSTAT, run_in_process, run_program
 
 import agent_sdk
 from cli.write import seconds

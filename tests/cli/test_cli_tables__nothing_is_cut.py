@@ -7,7 +7,7 @@ import re
 
 import pytest
 from rich.console import Console
-from support.cli import run_in_process, run_program
+from support.run_cli import run_in_process, run_program
 
 from cli.commands import app
 from cli.tables import fitted

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from support import data_packs as packs
 from support.builders import manifest
-from support.cli import run_in_process
 from support.nodes import SMALL, NodeProgram
+from support.run_cli import run_in_process
 
 import agent_sdk
 from agent_sdk.bus.sample import SampleView

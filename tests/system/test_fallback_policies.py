@@ -17,8 +17,8 @@ import numpy as np
 import psutil
 import pytest
 import zenoh
-from support.cli import run_in_process
 from support.nodes import COOLING, SMALL, NodeProgram, Program, begin_new_episode, free_port, until
+from support.run_cli import run_in_process
 from zenoh.handlers import FifoChannel
 
 import agent_sdk

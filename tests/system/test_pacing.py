@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.cli import run_in_process
 from support.nodes import SMALL, NodeProgram, begin_new_episode, free_port, until
+from support.run_cli import run_in_process
 
 import agent_sdk
 from agent_sdk import Bus

@@ -70,7 +70,10 @@ def test_episode_gives_the_same_samples_as_over_zenoh_to_the_bit(shared_node, ga
     through = []
     with Peer(gateway, getattr(zmq, kind)) as peer:
         peer.listen("sample")
-        until(lambda: not any(c.state.is_connected for c in agent_status(shared_node).controllers), "the direct one has gone")
+        until(
+            lambda: not any(c.state.is_connected for c in agent_status(shared_node).controllers),
+            "the direct one has gone",
+        )
         while (last := peer.hear(Sample)).step != [96]:
             pass  # the gateway hears by itself
         manifest = Manifest(**peer.ask("manifest")[1])
@@ -250,7 +253,10 @@ def test_killed_gateway_breaks_nothing_of_the_node(shared_node, episode_bus):
         assert peer.ask("command/c", **keeping(peer.after(None)))[0] == "Ack"
         gateway.process.kill()
         gateway.process.wait()
-        until(lambda: [c.state for c in episode_bus.status("office").controllers] == ["disconnected"], "the node misses it")
+        until(
+            lambda: [c.state for c in episode_bus.status("office").controllers] == ["disconnected"],
+            "the node misses it",
+        )
     with episode_bus.controller("office") as link:
         assert [sample.step for sample in link][-1] == 96
 
