@@ -74,7 +74,7 @@ def _quantities(manifest: Manifest) -> list[_Quantity]:
         quantity.names.append(point.name)
         quantity.columns.append(column)
     if "1" in by_unit:
-        by_unit["1"].title, by_unit["1"].path = "occupants and other counts", "count"
+        by_unit["1"].title, by_unit["1"].path = "counts and ratios (1)", "count"
     plots = list(by_unit.values())
     if manifest.actuators:
         names, columns = [a.name for a in manifest.actuators], list(range(len(manifest.actuators)))
