@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -25,6 +26,33 @@ def test_gymnasium_environment(scratch):
     said = _run("gymnasium_environment.py", "--days", "1")
     assert "96 timesteps to 2017-07-02T00:00:00" in said
     assert "{'heating': 20.0, 'cooling': 25.0}" in said
+
+
+def test_own_plant_controller():
+    """A cooler tank has a lower lift, so a higher COP; both keep the room warm, so both need the same heat."""
+    said = _run("own_plant_controller.py")
+    rows = re.findall(r"^(.+): ([\d.]+) kWh, ([\d.]+) K h too cold at (\S+)$", said, flags=re.MULTILINE)
+    assert [(name, cold, end) for name, _, cold, end in rows] == [
+        ("tank at 50 degC", "0.00", "2026-01-14T00:00:00"),
+        ("curve", "0.00", "2026-01-14T00:00:00"),
+    ]
+    hot, curve = (float(kwh) for _, kwh, _, _ in rows)
+    assert 0.0 < curve < hot
+
+
+def test_own_plants_heat_balance():
+    """In steady state the radiators give what the walls lose, and the compressor's heat equals both."""
+    plant = runpy.run_path(str(EXAMPLES / "own_plant.py"))
+    room = plant["HeatPumpRoom"]()
+    room.reset(seed=0)
+    room.amplitude = 0.0
+    for _ in range(20_000):
+        values = room.step({"compressor": 900.0, "circulation": 0.8})
+    radiators = 0.8 * plant["RADIATOR_W_K"] * (values["tank_temperature"] - values["room_temperature"])
+    walls = plant["WALL_W_K"] * (values["room_temperature"] - values["outdoor_temperature"])
+    assert radiators == pytest.approx(walls, rel=1e-6)
+    assert values["cop"] * 900.0 == pytest.approx(walls, rel=1e-6)
+    assert values["electricity"] == 900.0 * 60.0
 
 
 def test_controller_on_the_bus(scratch):
