@@ -77,7 +77,7 @@ def reopen_files(folder: str) -> None:
             path = os.path.join(folder, base) if access == os.O_RDWR or base in _COPIED_FILES else os.devnull
         if path not in (link, os.devnull):
             shutil.copyfile(link, path)
-        reopened = os.open(path, flags & ~(os.O_CREAT | os.O_EXCL | os.O_TRUNC))
+        reopened = os.open(path, flags & ~(os.O_CREAT | os.O_EXCL | os.O_TRUNC | os.O_TMPFILE))
         os.lseek(reopened, offset, os.SEEK_SET)
         os.dup2(reopened, descriptor)
         os.close(reopened)
