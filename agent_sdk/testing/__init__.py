@@ -1,12 +1,14 @@
-"""Test kit: a fake building, and conformance checks for your own controllers, rewards and environments."""
+"""Test kit: a fake building, and conformance checks for plants, controllers, rewards and environments of your own."""
 
 from agent_sdk.testing.check_controller import check_controller
 from agent_sdk.testing.check_environment import check_environment
+from agent_sdk.testing.check_plant import check_plant
 from agent_sdk.testing.check_reward import check_reward
 from agent_sdk.testing.climate import Climate
 from agent_sdk.testing.fake_building import FakeBuilding
 from agent_sdk.testing.fake_env import FakeEnv
 from agent_sdk.testing.fake_link import FakeLink
+from agent_sdk.testing.fake_plant import FakePlant
 from agent_sdk.testing.rc_zones import RCZones, Zone, ZoneStep
 from agent_sdk.testing.report import ConformanceError, Report, Result
 
@@ -16,6 +18,7 @@ __all__ = [
     "FakeBuilding",
     "FakeEnv",
     "FakeLink",
+    "FakePlant",
     "RCZones",
     "Report",
     "Result",
@@ -23,5 +26,6 @@ __all__ = [
     "ZoneStep",
     "check_controller",
     "check_environment",
+    "check_plant",
     "check_reward",
 ]
