@@ -1,0 +1,68 @@
+"""The layers: `bridge` imports neither models nor a simulator, and the source check would notice."""
+
+from __future__ import annotations
+
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def check() -> dict[str, Any]:
+    return runpy.run_path(str(ROOT / ".ci" / "check_source.py"))
+
+
+def test_this_source_passes(check: dict[str, Any]) -> None:
+    assert check["main"]() == 0
+
+
+@pytest.mark.parametrize(
+    ("path", "text", "fault"),
+    [
+        ("bridge/a.py", "import models\n", "1: bridge must not import models"),
+        ("bridge/a.py", "from models.scenario import schema\n", "1: bridge must not import models.scenario"),
+        ("bridge/a.py", "def f():\n    from eplus_node import node\n", "2: bridge must not import eplus_node"),
+        ("bridge/b/c.py", "def f():\n    import pyenergyplus.api\n", "2: bridge must not import pyenergyplus.api"),
+        ("agent_sdk/a.py", "class A:\n    import models\n", "2: agent_sdk must not import models"),
+        ("agent_sdk/a.py", "from pyenergyplus.api import API\n", "1: agent_sdk must not import pyenergyplus.api"),
+        ("topics/a.py", "if True:\n    import bridge.node\n", "2: topics must not import bridge.node"),
+    ],
+)
+def test_an_import_against_the_layers_is_a_fault(
+    check: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str], path: str, text: str, fault: str
+) -> None:
+    (tmp_path / path).parent.mkdir(parents=True)
+    (tmp_path / path).write_text(text)
+    assert check["main"](tmp_path) == 1
+    assert f"{path}:{fault}" in capsys.readouterr().out.splitlines()
+
+
+def test_allowed_imports_are_no_faults(check: dict[str, Any], tmp_path: Path) -> None:
+    for path, text in (
+        ("bridge/a.py", "import topics\nimport bridge.node\nimport json\n"),
+        ("eplus_node/a.py", "from bridge import node\nfrom models import cache\nimport pyenergyplus.api\n"),
+        ("cli/a.py", "def f():\n    import agent_sdk\n"),
+    ):
+        (tmp_path / path).parent.mkdir(exist_ok=True)
+        (tmp_path / path).write_text(text)
+    assert check["main"](tmp_path) == 0
+
+
+@pytest.mark.process
+def test_all_modules_of_bridge_load_without_models_and_energyplus() -> None:
+    program = """
+import importlib, pkgutil, sys, bridge
+for module in pkgutil.walk_packages(bridge.__path__, "bridge."):
+    if not module.name.endswith("__main__"):
+        importlib.import_module(module.name)
+print(sorted({name.split(".")[0] for name in sys.modules} & {"models", "pyenergyplus", "eplus_node", "agent_sdk"}))
+"""
+    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == "[]\n"
