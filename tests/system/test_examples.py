@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import re
 import runpy
+import signal
 import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 
+import gymnasium as gym
+import numpy as np
 import pytest
 from support import data_packs as packs
 from support.nodes import SMALL, NodeProgram
@@ -38,6 +42,26 @@ def test_own_plant_controller():
     ]
     hot, curve = (float(kwh) for _, kwh, _, _ in rows)
     assert 0.0 < curve < hot
+
+
+def test_array_plant(scratch):
+    """Two slots with a heater at 0 and 800 W: each tank is where the exponential solution says."""
+    endpoint = f"unixsock-stream/{scratch}/bus"
+    command = [sys.executable, str(EXAMPLES / "array_plant.py"), "--slots", "2", "--listen", endpoint]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as node:
+        try:
+            assert node.stdout.readline() == f"tanks on {endpoint}\n"
+            with closing(gym.make_vec("zenostat/Plant-v1", 2, connect=endpoint, node="tanks", reward=None)) as envs:
+                start, _ = envs.reset(seed=1)
+                power = np.array([[0.0], [800.0]], np.float32)
+                for _ in range(60):
+                    values, *_ = envs.step(power)
+        finally:
+            node.send_signal(signal.SIGINT)
+    steady = 20.0 + power[:, 0] / 2.0
+    assert np.allclose(values[:, 0], steady + (start[:, 0] - steady) * np.exp(-3600.0 * 2.0 / 8.4e5), atol=1e-4)
+    assert values[:, 1].tolist() == [0.0, 48000.0]
+    assert node.returncode == 0
 
 
 def test_own_plants_heat_balance():
