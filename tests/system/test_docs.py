@@ -151,8 +151,9 @@ def _steps(page: str, block: Block, endpoint: str) -> Iterator[tuple[str, int, s
 
 
 def _put_files(home: Path) -> None:
-    """The files that the pages name: a scenario of one's own, a Sinergym configuration, a signal."""
+    """The files that the pages name: a scenario and a plant of one's own, a Sinergym configuration, a signal."""
     (home / "mine.yaml").write_text(of_language("docs/scenarios.md", "yaml")[0].text)
+    (home / "tank.py").write_text(of_language("docs/own-plants.md", "python")[0].text)
     configuration = packs.sinergym() / "sinergym/data/default_configuration/5ZoneAutoDXVAV.yaml"
     (home / "sinergym.yaml").write_text(configuration.read_text())
     (home / "grid.csv").write_text("intensity\n" + "380\n" * 8760)
