@@ -15,7 +15,9 @@ from topics.errors import NodeLost
 
 def reset(
     node: Node,
-    seed: Annotated[int | None, typer.Option(min=0, metavar="N", help="Seed of the episode, such as of its weather.")] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, metavar="N", help="Seed of the episode, such as of its weather.")
+    ] = None,
     connect: Connect = None,
     keys: Keys = None,
     certificate: CertificateName = None,

@@ -16,6 +16,8 @@ import pytest
 from support import data_packs as packs
 from support.nodes import SMALL, NodeProgram
 
+from agent_sdk.testing import check_plant
+
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
@@ -62,6 +64,10 @@ def test_array_plant(scratch):
     assert np.allclose(values[:, 0], steady + (start[:, 0] - steady) * np.exp(-3600.0 * 2.0 / 8.4e5), atol=1e-4)
     assert values[:, 1].tolist() == [0.0, 48000.0]
     assert node.returncode == 0
+
+
+def test_own_plant_keeps_the_rules_of_plants():
+    assert not check_plant(f"{EXAMPLES}/own_plant.py:HeatPumpRoom", max_steps=2880).skipped
 
 
 def test_own_plants_heat_balance():
