@@ -76,9 +76,15 @@ def node(
         "weather": weather or None,
         "connect": connect or [],
         "listen": [] if no_listen else [listen or default_endpoint(keys)],
-        "shrink_caches": None if plant and not no_shrink_caches else not no_shrink_caches,
-        "plant_arguments": options.parse_arguments(plant_argument or []) or None,
+        "shrink_caches": not no_shrink_caches,
     }
+    if plant is None:
+        if plant_argument:
+            raise InvalidConfig("--plant-argument needs --plant FILE.py:CLASS")
+        del settings["plant"]
+    else:
+        settings["plant_arguments"] = options.parse_arguments(plant_argument or [])
+        settings["shrink_caches"] = False if no_shrink_caches else None
     _run(settings, is_endpoint_explicit=listen is not None)
 
 
@@ -101,16 +107,13 @@ def _run(settings: dict[str, Any], *, is_endpoint_explicit: bool) -> None:
 
 def _read(settings: dict[str, Any]) -> tuple[NodeSettings, Callable[..., Node]]:
     """Validate settings; return them and the function that creates the node."""
-    if settings["plant"] is not None:
+    if "plant" in settings:
         from bridge.python_plant.node import plant_node, read_settings
 
         return read_settings(settings), plant_node
     from eplus_node.config import read_config
     from eplus_node.node import energyplus_node
 
-    if settings.pop("plant_arguments") is not None:
-        raise InvalidConfig("--plant-argument needs --plant FILE.py:CLASS")
-    del settings["plant"]
     return read_config(settings), energyplus_node
 
 

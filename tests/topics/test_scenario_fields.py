@@ -92,7 +92,7 @@ def test_each_option_sets_its_argument(monkeypatch: pytest.MonkeyPatch) -> None:
     values = {
         "scenario": "mine.yaml", "building": "b", "weather": "w", "begin": "07-01", "end": "07-02",
         "steps_per_hour": 6, "output_dir": "/o", "keep_last": 2, "baseline": True, "branches": 3,
-        "unresponsive_s": 4.5, "shrink_caches": False, "faults": "f.yaml",
+        "unresponsive_s": 4.5, "shrink_caches": False, "faults": "f.yaml", "plant": "tank.py:Tank",
     }  # fmt: skip
     flags = {name: option for name, option in options().items() if name in NODE_ARGUMENTS}
     assert flags.keys() == values.keys()
