@@ -22,12 +22,13 @@ from typing import Any
 
 from rich.console import Console
 
-from bench import branches, growth, monitors, processor, resets, steps, vector
+from bench import branches, growth, monitors, plants, processor, resets, steps, vector
 from topics import VERSION
 
 PARTS: Mapping[str, Any] = {
     "steps": steps,
     "processor": processor,
+    "plants": plants,
     "resets": resets,
     "branches": branches,
     "vector": vector,

@@ -32,7 +32,8 @@ class Chain:
     """Steps an engine with bare bytes; `with Chain(run, folder, placement) as chain`.
 
     Args:
-        run: a `bench.worker.InProcess` that simulates in a process forked from this one.
+        run: a `bench.worker.InProcess` that simulates in a process forked from this one; None: no engine, and the node
+            sends back what it receives.
         folder: for the socket.
         placement: `node` or `together`; see `bridge.runtime.affinity`.
     """
@@ -40,13 +41,9 @@ class Chain:
     def __init__(self, run: Any, folder: Path, placement: Affinity) -> None:
         core, _ = affinity.pick_cores(placement)
         endpoint = f"unixsock-stream/{folder}/chain"
-        self._action: NDArray[np.float64] = run.action
+        self._action: NDArray[np.float64] = run.action if run is not None else np.zeros(1)
         with ExitStack() as undo:
-            orders, frames = os.pipe(), os.pipe()  # fork both processes before this one opens a Zenoh session
-            self._fork(undo, lambda: _engine(run, orders[0], frames[1], core), (orders[1], frames[0]))
-            self._fork(undo, lambda: _node(endpoint, frames[0], orders[1], core), (orders[0], frames[1]))
-            for end in (*orders, *frames):
-                os.close(end)
+            self._start(undo, run, endpoint, core)  # fork before this process opens a Zenoh session
             with affinity.threads_started_on(core):
                 session = undo.enter_context(open_session(connect=[endpoint], wait=True))
                 samples = undo.enter_context(session.declare_subscriber(_SAMPLE, FifoChannel(16)))
@@ -71,6 +68,16 @@ class Chain:
         """Send a command and wait for the next sample."""
         self._put(self._action.tobytes())
         np.frombuffer(self._recv().payload.to_bytes()).astype(np.float32)
+
+    def _start(self, undo: ExitStack, run: Any, endpoint: str, core: int | None) -> None:
+        if run is None:
+            self._fork(undo, lambda: _echo(endpoint, core), ())
+            return
+        orders, frames = os.pipe(), os.pipe()
+        self._fork(undo, lambda: _engine(run, orders[0], frames[1], core), (orders[1], frames[0]))
+        self._fork(undo, lambda: _node(endpoint, frames[0], orders[1], core), (orders[0], frames[1]))
+        for end in (*orders, *frames):
+            os.close(end)
 
     @staticmethod
     def _fork(undo: ExitStack, work: Callable[[], None], unused: tuple[int, ...]) -> None:
@@ -108,3 +115,12 @@ def _node(endpoint: str, frames: int, orders: int, core: int | None) -> None:
         while frame := os.read(frames, _MAX_BYTES):
             samples.put(frame)
             os.write(orders, commands.recv().payload.to_bytes())
+
+
+def _echo(endpoint: str, core: int | None) -> None:
+    affinity.set_affinity(core)
+    with open_session(listen=[endpoint]) as session:
+        commands = session.declare_subscriber(_COMMAND, FifoChannel(16))
+        samples = session.declare_publisher(_SAMPLE)
+        while True:
+            samples.put(commands.recv().payload.to_bytes())

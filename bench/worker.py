@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from bench import scenes
+from bench import plant_workers, scenes
 from bench.listeners import listening
 from bench.pace import EndOfBursts, Pace
 
@@ -265,6 +265,10 @@ ACROSS = {"env": environment, "engines": engines, "slots": slots, "vector": vect
 def main() -> None:
     """Run the worker that the command line names."""
     kind, scene, options = sys.argv[1], sys.argv[2], json.loads(sys.argv[3])
+    if kind in plant_workers.KINDS:
+        with suppress(EndOfBursts):
+            plant_workers.KINDS[kind](Pace(), **options)
+        return
     node_settings, core = scenes.settings(scene, options.pop("sensors", None)), options.pop("core", None)
     if core is not None:
         os.sched_setaffinity(0, {core})

@@ -63,13 +63,16 @@ class NodeProgram:
     Args:
         folder: for its socket (if `listen` names nothing else) and its scratch files.
         before: the words before its own on its command line, say of a network namespace.
+        module: that runs the node.
         settings: of `eplus_node.config.NodeConfig`.
 
     Raises:
         ZenostatError: what the node said when it could not start; it has ended by then.
     """
 
-    def __init__(self, folder: Path, *, before: tuple[str, ...] = (), **settings: Any) -> None:
+    def __init__(
+        self, folder: Path, *, before: tuple[str, ...] = (), module: str = "eplus_node", **settings: Any
+    ) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         self.folder = folder
         given = {"listen": [f"unixsock-stream/{folder}/bus"], "folder": str(folder / "run"), "affinity": "off"}
@@ -77,7 +80,7 @@ class NodeProgram:
         self.name: str = given["name"]
         self.endpoint: str = (given["listen"] or given["connect"])[0]
         self.process = subprocess.Popen(
-            [*before, sys.executable, "-P", "-m", "eplus_node"],
+            [*before, sys.executable, "-P", "-m", module],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             process_group=0,

@@ -1,0 +1,145 @@
+"""A plant without engines, in the node's own process: everything that a node answers, it answers for this one too."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.in_process_plant import FATAL
+from support.nodes import NodeProgram
+
+import agent_sdk
+from agent_sdk.bus.bus import Bus
+from agent_sdk.envs.building_env import BuildingEnv
+from topics.errors import ForkFailed, InvalidConfig, PlantFailed, RequestRejected
+from topics.messages import Mode, State
+
+TESTS = Path(__file__).parents[1]
+STEPS = 20
+SETTINGS = {"module": "support.in_process_plant", "name": "plain", "steps": STEPS}
+
+
+@pytest.fixture
+def plain(scratch: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A place for a node, with the modules of the tests to be imported by its process."""
+    monkeypatch.setenv("PYTHONPATH", f"{TESTS}{os.pathsep}{TESTS.parent}")
+    return scratch / "node"
+
+
+@pytest.fixture
+def node(plain: Path) -> Iterator[NodeProgram]:
+    with NodeProgram(plain, **SETTINGS) as program:
+        yield program
+
+
+@pytest.fixture
+def env(node: NodeProgram) -> Iterator[BuildingEnv]:
+    with BuildingEnv(connect=node.endpoint, node="plain", affinity="off") as environment:
+        yield environment
+
+
+def act(env: BuildingEnv, value: float) -> tuple[float, bool]:
+    observation, _, _, truncated, _ = env.step(np.array([value], np.float32))
+    return float(observation[0]), truncated
+
+
+def test_an_episode_through_gymnasium(env: BuildingEnv) -> None:
+    """Each command acts within its step, and the last step of the run period is truncated."""
+    env.reset(seed=0)
+    results = [act(env, float(k)) for k in range(1, STEPS + 1)]
+    assert results == [(float(k), k == STEPS) for k in range(1, STEPS + 1)]
+    observation, info = env.reset()
+    assert (observation[0], info["step"], info["engine_start"]) == (1.0, 0, "reset")
+
+
+def test_seeds(env: BuildingEnv) -> None:
+    """A seed reaches the plant; without one the plant continues its own sequence."""
+    assert [env.reset(seed=seed)[0][0] for seed in (7, None, None, 7)] == [7.0, 8.0, 9.0, 7.0]
+
+
+def test_a_relinquished_actuator_reaches_the_plant_as_nan(bus: Bus) -> None:
+    """Its own control then applies: for this plant 0.0, and no effective value."""
+    with bus.controller("plain") as link:
+        sample = link.reset(seed=3)
+        seen = [(sample["measured"], sample.effective.tolist())]
+        for value in (4.0, None):
+            sample.send({"command": value})
+            sample = link.receive()
+            seen.append((sample["measured"], sample.effective.tolist()))
+    np.testing.assert_equal(seen, [(3.0, [np.nan]), (4.0, [4.0]), (0.0, [np.nan])])
+
+
+def test_snapshots_and_branches_are_refused_in_the_plants_words(env: BuildingEnv) -> None:
+    """The episode continues after a refusal, and nothing of the copy remains in the status."""
+    env.reset(seed=0)
+    act(env, 4.0)
+    with pytest.raises(ForkFailed, match=r"^the empty plant cannot be copied$"):
+        env.snapshot()
+    with pytest.raises(ForkFailed, match=r"^the empty plant cannot be copied$"):
+        env.branch()
+    assert act(env, 5.0) == (5.0, False)
+    status = env.link.bus.status("plain", memory=True)
+    assert (status.snapshots, status.branches, status.step) == ([], [], [2])
+
+
+def test_weather_is_refused(bus: Bus) -> None:
+    with pytest.raises(RequestRejected, match="this plant has no weather"):
+        bus.weather("plain", ["dry_bulb_temperature"])
+
+
+def test_status_and_manifest(bus: Bus, node: NodeProgram) -> None:
+    """They describe a plant without weather, without engines and with a timestep of a second."""
+    with bus.controller("plain") as link:
+        sample = link.reset(seed=0)
+        for value in (1.0, 2.0, 3.0):
+            sample.send({"command": value})
+            sample = link.receive()
+        status = bus.status("plain", memory=True)
+    assert (status.state, status.step, status.time, status.steps) == (
+        State.WAITING, [3], ["2001-01-01T00:00:03"], STEPS,
+    )  # fmt: skip
+    assert (status.building, status.weather, status.mode) == ("empty", "", Mode.LOCKSTEP)
+    assert (status.engine_rss_bytes, status.engine_private_bytes) == (0, 0)
+    assert status.node_rss_bytes > 0
+    manifest = bus.manifest("plain")
+    assert (manifest.step_s, manifest.begin, manifest.end) == (1.0, "2001-01-01T00:00:00", "2001-01-01T00:00:20")
+    assert [point.name for point in (*manifest.sensors, *manifest.actuators)] == ["measured", "command"]
+
+
+def test_its_error_fails_the_episode_and_a_reset_begins_another(env: BuildingEnv) -> None:
+    env.reset(seed=0)
+    with pytest.raises(PlantFailed, match=r"^the command 1313 broke the plant$"):
+        act(env, FATAL)
+    status = env.link.bus.status("plain")
+    assert (status.state, status.failure_error) == (State.FAILED, "PlantFailed")
+    env.reset(seed=2)
+    assert act(env, 6.0) == (6.0, False)
+
+
+def test_slots_have_episodes_of_their_own(plain: Path) -> None:
+    """A slot that is reset begins at its seed, and the other one keeps its sample and its command."""
+    with (
+        NodeProgram(plain, **SETTINGS, slots=2) as node,
+        agent_sdk.connect(node.endpoint, affinity="off") as bus,
+        bus.controller("plain") as link,
+    ):
+        link.reset(seed=5)
+        link.send(np.array([[1.0], [2.0]]))
+        sample = link.receive()
+        assert np.frombuffer(sample.message.values).tolist() == [1.0, 2.0]
+        sample = link.reset(seed=9, slots=[1])
+        assert np.frombuffer(sample.message.values).tolist() == [1.0, 9.0]
+        assert (sample.message.episode, sample.message.step) == ([1, 2], [1, 0])
+
+
+def test_a_baseline_that_the_plant_lacks_ends_the_start(plain: Path) -> None:
+    with pytest.raises(InvalidConfig, match="the empty plant has no baseline"):
+        NodeProgram(plain, **SETTINGS, baseline=True)
+
+
+def test_a_stop_request_ends_the_node(bus: Bus, node: NodeProgram) -> None:
+    bus.stop("plain")
+    assert node.process.wait() == 0
