@@ -11,7 +11,7 @@ from rich.table import Table
 from bench import helics_peer, pace
 from bench.pace import Worker
 
-STEPS = 5000
+STEPS = 3000
 KINDS: dict[str, tuple[str, dict[str, Any]]] = {
     "thread and two queues": ("plant-queues", {}),
     "bare bytes over Zenoh": ("plant-echo", {"placement": "apart"}),
@@ -38,7 +38,7 @@ def measure(*, quick: bool) -> dict[str, Any]:
             title: stack.enter_context(Worker(kind, "no scene", **options)) for title, (kind, options) in kinds.items()
         }
         measurements = {title: pace.steps_of(worker, STEPS) for title, worker in workers.items()}
-        rounds = pace.rounds(measurements, 3 if quick else 15)
+        rounds = pace.rounds(measurements, 3 if quick else 9)
     return {
         "us": {title: pace.figures(rounds, title) for title in kinds},
         "ratio": {title: pace.figures(rounds, title, REFERENCE) for title in kinds},
