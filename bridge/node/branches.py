@@ -12,6 +12,7 @@ import os
 import shutil
 import threading
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic
@@ -185,15 +186,15 @@ class BranchManager:
         parent.check_slot(request.slot)
         snapshot = self.find(request.snapshot) if request.snapshot else None
         name, folder = self._allocate("b", from_snapshot=snapshot is not None)
-        try:
+        with ExitStack() as undo:
+            undo.callback(shutil.rmtree, folder, ignore_errors=True)
             full_name = keys.check_name(f"{parent.manifest.node}.{name}", "a branch's name")
             origin = snapshot.plant if snapshot is not None else parent.plant
             plant = origin.fork([request.slot] * request.slots, folder)
+            undo.callback(plant.close)
             server = self._branch_server(full_name, plant, request, snapshot)
             branch = self._start(Branch(server, request.controller, folder, self._cpus, self._on_end))
-        except BaseException:
-            shutil.rmtree(folder, ignore_errors=True)
-            raise
+            undo.pop_all()
         return branch
 
     def _start(self, branch: Branch) -> Branch:

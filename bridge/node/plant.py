@@ -6,10 +6,11 @@ plant computes. A plant has one or more slots, independent copies that step toge
 Values cross this interface as raw bytes of native float64, so that a timestep creates no object per point:
 
     commands   shape (slots, actuators); NaN: the actuator is relinquished, and the plant's own control applies
-    values     shape (slots, sensors + meters), in the order of the description
+    values     shape (slots, sensors + meters), in the order of the description; all finite
     effective  shape (slots, actuators); what acted in the latest timestep; NaN: unknown
 
-The life of a plant, all in the node's thread unless noted:
+A plant computes in processes of its own, for which `bridge.engine` has the client, or in the node's. Its life, all in
+the node's thread unless noted:
 
     create ─▶ start ─▶ step … ─▶ close
                 ▲        │
@@ -18,7 +19,10 @@ The life of a plant, all in the node's thread unless noted:
                          └─▶ fork ─▶ a plant of its own: step, fork, close
 
 `values` and `effective` describe the latest sample of each slot; sample 0 follows `start`. After a `SimulatorError` the
-plant does not step again until all slots have been started.
+node calls `end`, and the plant does not step again until all slots have been started. Any other exception is an error
+in the program, and the node ends with it.
+
+Other threads read `description`, `simulators` and `memory_bytes` at any time, for the status of the node.
 """
 
 from __future__ import annotations
@@ -124,7 +128,8 @@ class PlantContext:
         folder: for the plant's files; the node removes it at the end.
         placement: of each slot.
         cpus: cores that forks may use; empty leaves them to the system.
-        baseline: whether each slot has a second copy that receives no commands.
+        baseline: whether each slot has a second copy that receives no commands. A factory whose plant cannot have one
+            raises `InvalidConfig`.
         registry: where the plant registers its engine processes, so that a node that ends can kill them at any time.
     """
 
@@ -212,7 +217,10 @@ class RunningPlant(Protocol):
         """Make a running `step` or `start` raise a `SimulatorError` soon; thread-safe."""
 
     def end(self, *, failed: bool = False) -> None:
-        """End the simulators; those that have not failed may finish files that are kept. Idempotent."""
+        """End the simulators; those that have not failed may finish files that are kept. Idempotent.
+
+        `start` may follow: it begins new ones.
+        """
 
     def close(self) -> None:
         """End everything and release all resources; idempotent."""
@@ -263,7 +271,11 @@ class Plant(RunningPlant, Protocol):
 
 
 PlantFactory = Callable[[PlantContext], Plant]
-"""Creates a plant; does not start a simulator."""
+"""Creates a plant; does not start a simulator.
+
+Raises:
+    InvalidConfig: the plant lacks what the context asks for.
+"""
 
 
 def without_weather() -> RequestRejected:

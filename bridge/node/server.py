@@ -101,9 +101,10 @@ class NodeServer:
         self._close.enter_context(self.session.liveliness().declare_token(token))
 
     def close(self) -> None:
-        """End the plant's simulators and leave the bus; idempotent."""
+        """End the plant's simulators, leave the bus and close the plant; idempotent."""
         self.plant.end(failed=self.exchange.state is State.FAILED)
         self._close.close()
+        self.plant.close()
 
     # The loop
 

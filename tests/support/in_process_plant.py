@@ -1,14 +1,23 @@
-"""A node whose plant computes in the node's own process: `bench.empty_plant`, and a command at which it fails."""
+"""A node whose plant computes in the node's own process: `bench.empty_plant`, and a command at which it fails.
+
+If the environment variable `COPIES` names a folder, the plant can be copied; the folder has a file for each open copy.
+"""
 
 from __future__ import annotations
 
+import itertools
+import os
 from collections.abc import Sequence
+from pathlib import Path
 
 from bench.empty_plant import EmptyPlant, empty_node
+from bridge.node.plant import PlantContext, SlotPlacement
 from bridge.node.program import main
 from topics.errors import PlantFailed
+from topics.messages import EngineStart, EpisodeStart
 
 FATAL = 1313.0
+COPIES = "ZENOSTAT_TEST_COPIES"
 
 
 class FragilePlant(EmptyPlant):
@@ -21,5 +30,33 @@ class FragilePlant(EmptyPlant):
         return last
 
 
+class CopyablePlant(FragilePlant):
+    """Is copied by assignment, as a plant without processes can be."""
+
+    _numbers = itertools.count(1)
+    _file: Path | None = None
+
+    def fork(self, slots: Sequence[int], folder: Path, *, baseline: bool = False) -> CopyablePlant:
+        copy = CopyablePlant(self.description.run_period.steps, PlantContext(folder, (SlotPlacement(),) * len(slots)))
+        copy._file = Path(os.environ[COPIES], str(next(self._numbers)))
+        copy._file.touch()
+        for target, slot in enumerate(slots):
+            copy._copy_slot(target, self, slot)
+        return copy
+
+    def restore(self, saved: CopyablePlant, episode: Sequence[int]) -> list[EpisodeStart]:
+        for slot in range(len(self._steps)):
+            self._copy_slot(slot, saved, slot)
+        return [EpisodeStart(engine_start=EngineStart.SNAPSHOT, weather="") for _ in self._steps]
+
+    def _copy_slot(self, slot: int, other: EmptyPlant, origin: int) -> None:
+        self._steps[slot], self._values[slot] = other._steps[origin], other._values[origin]
+        self._effective[slot] = other._effective[origin]
+
+    def close(self) -> None:
+        if self._file is not None:
+            self._file.unlink(missing_ok=True)
+
+
 if __name__ == "__main__":
-    main(lambda settings: empty_node(settings, FragilePlant))
+    main(lambda settings: empty_node(settings, CopyablePlant if COPIES in os.environ else FragilePlant))

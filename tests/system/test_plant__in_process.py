@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.in_process_plant import FATAL
-from support.nodes import NodeProgram
+from support.in_process_plant import COPIES, FATAL
+from support.nodes import NodeProgram, until
 
 import agent_sdk
 from agent_sdk.bus.bus import Bus
@@ -83,6 +83,29 @@ def test_snapshots_and_branches_are_refused_in_the_plants_words(env: BuildingEnv
     assert act(env, 5.0) == (5.0, False)
     status = env.link.bus.status("plain", memory=True)
     assert (status.snapshots, status.branches, status.step) == ([], [], [2])
+
+
+def test_a_plant_that_can_be_copied_has_snapshots_and_branches(
+    plain: Path, scratch: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each continues from its sample, independent of the others, and each copy is closed in the end."""
+    copies = scratch / "copies"
+    copies.mkdir()
+    monkeypatch.setenv(COPIES, str(copies))
+    with (
+        NodeProgram(plain, **SETTINGS) as node,
+        BuildingEnv(connect=node.endpoint, node="plain", affinity="off") as env,
+    ):
+        env.reset(seed=0)
+        act(env, 4.0)
+        with env.snapshot() as snapshot:
+            with env.branch() as branch:
+                assert (act(branch, 9.0), act(env, 5.0)) == ((9.0, False), (5.0, False))
+                assert len([*copies.iterdir()]) == 2
+            until(lambda: len([*copies.iterdir()]) == 1, "the branch's plant is closed")
+            observation, info = env.reset(options={"snapshot": snapshot})
+            assert (observation[0], info["step"], info["engine_start"]) == (4.0, 1, "snapshot")
+        until(lambda: not [*copies.iterdir()], "the snapshot's plant is closed")
 
 
 def test_weather_is_refused(bus: Bus) -> None:
