@@ -10,6 +10,7 @@ from rich.table import Table
 
 from bench import helics_peer, pace
 from bench.pace import Worker
+from topics.extras import install_command
 
 STEPS = 3000
 KINDS: dict[str, tuple[str, dict[str, Any]]] = {
@@ -60,5 +61,5 @@ def show(results: dict[str, Any], console: Console) -> None:
         table.add_row(title, "skipped", "", "")
     console.print(table)
     if results["skipped"]:
-        console.print("HELICS is not installed: pip install 'zenostat[bench]'")
+        console.print(f"HELICS is not installed: {install_command('bench')}", markup=False)
     console.print(f"other load {results['others']['median']:.0%}")
