@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import shutil
@@ -176,7 +177,11 @@ class EngineClient:
         reply = read_process_id(self._frames, self._watchdog())
         if reply < 0:
             self.receive()
-            raise ForkFailed(f"cannot fork an engine of {self.rss_bytes / 1e6:.0f} MB: {os.strerror(-reply)}")
+            # An engine with threads replies EBUSY: its fork would lose them.
+            reason = (
+                "its process has threads, which a fork would lose" if reply == -errno.EBUSY else os.strerror(-reply)
+            )
+            raise ForkFailed(f"cannot fork an engine of {self.rss_bytes / 1e6:.0f} MB: {reason}")
         pid = read_process_id(frames, self._watchdog(reply)) or reply
         if not pid:
             raise EngineDied(self._exit_report())

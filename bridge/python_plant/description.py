@@ -5,17 +5,20 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import inspect
+import json
 import re
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import datetime, timedelta
 from math import inf, isfinite
+from numbers import Real
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 from topics.errors import InvalidConfig, ZenostatError, did_you_mean
 from topics.keys import check_name
+from topics.messages import TimeField
 
 BEGIN = datetime(2001, 1, 1)
 """Default time of sample 0: a Monday, in a year without a leap day."""
@@ -57,7 +60,7 @@ class ClassDescription:
 def split_name(plant: str) -> tuple[str, str]:
     """Return file or module, and class, of `tank.py:Tank` or `package.module:Tank`; raise `InvalidConfig`."""
     place, _, name = plant.rpartition(":")
-    if not place or not name.isidentifier():
+    if not place or (place.startswith(".") and not place.endswith(".py")) or not name.isidentifier():
         raise InvalidConfig(f"plant {plant!r}: write it as FILE:CLASS or MODULE:CLASS, for example tank.py:Tank")
     return place, name
 
@@ -82,11 +85,14 @@ def _load_file(path: Path) -> Any:
     if not path.is_file():
         raise InvalidConfig(f"plant: no file {path}")
     sys.path.insert(0, str(path.parent.absolute()))  # as for a script: modules beside the file can be imported
-    spec = importlib.util.spec_from_file_location(path.stem, path)
+    # The file must not replace another module, of the standard library for example.
+    known = path.stem in sys.modules or path.stem in sys.stdlib_module_names
+    name = f"plant_{path.stem}" if known else path.stem
+    spec = importlib.util.spec_from_file_location(name, path)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    sys.modules[path.stem] = module  # for pickles of its classes
+    sys.modules[name] = module  # for pickles of its classes
     spec.loader.exec_module(module)
     return module
 
@@ -96,7 +102,7 @@ def _load_module(name: str) -> Any:
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
-        if error.name is None or not name.startswith(error.name):
+        if error.name is None or not f"{name}.".startswith(f"{error.name}."):
             raise
         raise InvalidConfig(f"plant: no module {name!r}; name a file as FILE.py:CLASS") from None
 
@@ -110,9 +116,13 @@ def create(plant: str, arguments: Mapping[str, Any]) -> Any:
     """
     cls = load_class(plant)
     try:
-        inspect.signature(cls).bind(**arguments)
+        signature = inspect.signature(cls)
+    except ValueError:  # a class of a compiled module
+        return cls(**arguments)
+    try:
+        signature.bind(**arguments)
     except TypeError as error:
-        raise InvalidConfig(f"plant {plant!r}: {error}; its arguments: {inspect.signature(cls)}") from None
+        raise InvalidConfig(f"plant {plant!r}: {error}; its arguments: {signature}") from None
     return cls(**arguments)
 
 
@@ -123,28 +133,20 @@ def describe(plant: Any) -> ClassDescription:
         InvalidConfig: lists everything that is missing or wrong.
     """
     name, errors = type(plant).__name__, list[str]()
-    step_s = _number(plant, "step_s", errors, None)
-    if step_s is not None and not 0.0 < step_s <= MAX_STEP_S:
-        errors.append(f"step_s = {step_s:g}: the length of a timestep in seconds, above 0 and at most {MAX_STEP_S:g}")
-    duration_s = _number(plant, "duration_s", errors, DURATION_S)
-    steps = 0
-    if step_s and duration_s is not None and 0.0 < step_s <= MAX_STEP_S:
-        steps = round(duration_s / step_s)
-        if steps < 1 or abs(steps * step_s - duration_s) > 1e-9 * duration_s:
-            errors.append(f"duration_s = {duration_s:g}: a positive multiple of step_s = {step_s:g}")
+    step_s, steps, begin = _run_period(plant, errors)
     sensors = _points(plant, "sensors", errors, required=True)
     meters = _points(plant, "meters", errors)
     actuators = _points(plant, "actuators", errors, required=True, has_default=True)
-    measured = [point.name for point in (*sensors, *meters)]
-    errors += [f"{name!r} is both a sensor and a meter" for name in dict.fromkeys(measured) if measured.count(name) > 1]
-    errors += [f"has no method {method}" for method in ("reset(seed)", "step(commands)") if not _has(plant, method)]
-    has_save, has_restore = _has(plant, "save"), _has(plant, "restore")
-    if has_save is not has_restore:
-        errors.append(f"has {'save' if has_save else 'restore'}() without {'restore(state)' if has_save else 'save()'}")
-    begin = _begin(plant, errors)
+    if sensors == meters == () and not errors:
+        errors.append(f"measures nothing: at least one sensor or meter expected, {_EXAMPLE}")
+    both = sorted({point.name for point in sensors} & {point.name for point in meters})
+    errors += [f"{point!r} is both a sensor and a meter" for point in both]
+    time, reward, forkable = _time(plant, errors), _reward(plant, errors), getattr(plant, "forkable", False)
+    if not isinstance(forkable, bool):
+        errors.append(f"forkable = {forkable!r}: True or False expected")
+    has_state = _check_methods(plant, errors)
     if errors:
         raise InvalidConfig("\n".join(f"plant {name}: {error}" for error in errors))
-    assert step_s is not None
     return ClassDescription(
         name=re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "-", name).lower(),
         step_s=step_s,
@@ -153,26 +155,58 @@ def describe(plant: Any) -> ClassDescription:
         sensors=sensors,
         meters=meters,
         actuators=actuators,
-        time=tuple(getattr(plant, "time", ())),
-        reward=getattr(plant, "reward", None),
-        forkable=bool(getattr(plant, "forkable", False)),
-        has_state=has_save,
+        time=time,
+        reward=reward,
+        forkable=forkable,
+        has_state=has_state,
     )
 
 
-def _has(plant: Any, method: str) -> bool:
-    return callable(getattr(plant, method.partition("(")[0], None))
+def _run_period(plant: Any, errors: list[str]) -> tuple[float, int, datetime]:
+    """Return length and number of timesteps, and the time of sample 0."""
+    begin = _begin(plant, errors)
+    step_s = _number(plant, "step_s", errors)
+    duration_s = _number(plant, "duration_s", errors, DURATION_S)
+    if step_s is None:
+        return 0.0, 0, begin
+    if not 0.0 < step_s <= MAX_STEP_S:
+        errors.append(f"step_s = {step_s:g}: the length of a timestep in seconds, above 0 and at most {MAX_STEP_S:g}")
+    elif timedelta(seconds=step_s).total_seconds() != step_s:
+        errors.append(f"step_s = {step_s!r}: a whole number of microseconds expected, for example {step_s:.3f}")
+    elif duration_s is not None:
+        return step_s, _steps(step_s, duration_s, begin, errors), begin
+    return step_s, 0, begin
 
 
-def _number(plant: Any, name: str, errors: list[str], default: float | None) -> float | None:
+def _steps(step_s: float, duration_s: float, begin: datetime, errors: list[str]) -> int:
+    steps = round(duration_s / step_s)
+    if steps < 1 or abs(steps * step_s - duration_s) > 1e-9 * duration_s:
+        errors.append(f"duration_s = {duration_s:g}: a positive multiple of step_s = {step_s:g} expected")
+        return 0
+    try:
+        begin + timedelta(seconds=duration_s)
+    except OverflowError:
+        errors.append(f"duration_s = {duration_s:g}: an episode from {begin:%Y-%m-%d} would end after the year 9999")
+    return steps
+
+
+def _number(plant: Any, name: str, errors: list[str], default: float | None = None) -> float | None:
     value = getattr(plant, name, default)
-    if value is None:
+    if value is None and default is None:
         errors.append(f"has no attribute {name}, for example {name} = 60.0")
-    elif isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
+    elif not _is_finite(value):
         errors.append(f"{name} = {value!r}: a number of seconds expected")
     else:
         return float(value)
     return None
+
+
+def _is_finite(value: Any) -> TypeGuard[float]:
+    """Return whether a value is a finite number, of Python or NumPy."""
+    try:
+        return isinstance(value, Real) and not isinstance(value, bool) and isfinite(value)
+    except OverflowError:  # a large integer
+        return False
 
 
 def _begin(plant: Any, errors: list[str]) -> datetime:
@@ -187,6 +221,62 @@ def _begin(plant: Any, errors: list[str]) -> datetime:
         errors.append(f"begin = {begin!r}: a datetime without a time zone expected")
         return BEGIN
     return begin
+
+
+def _time(plant: Any, errors: list[str]) -> tuple[str, ...]:
+    time = getattr(plant, "time", ())
+    known = [str(field) for field in TimeField]
+    if isinstance(time, str) or not isinstance(time, Sequence):
+        errors.append(f"time = {time!r}: a tuple of time features expected, for example ('hour',)")
+        return ()
+    errors += [
+        f"time: no time feature {name!r}; {did_you_mean(str(name), known)}" for name in time if name not in known
+    ]
+    return tuple(map(str, time))
+
+
+def _reward(plant: Any, errors: list[str]) -> dict[str, Any] | None:
+    reward = getattr(plant, "reward", None)
+    if reward is None:
+        return None
+    try:
+        if isinstance(reward, Mapping) and isinstance(reward.get("kind"), str):
+            return dict(json.loads(json.dumps(dict(reward), allow_nan=False)))
+    except (TypeError, ValueError):
+        pass
+    errors.append(f"reward = {reward!r}: a mapping with its kind and parameters expected")
+    return None
+
+
+def _check_methods(plant: Any, errors: list[str]) -> bool:
+    """Check the methods of a plant; return whether it can save its state."""
+    required = [("reset", "seed"), ("step", "commands")]
+    errors += [f"has no method {method}({argument})" for method, argument in required if not _has(plant, method)]
+    has_save, has_restore = _has(plant, "save"), _has(plant, "restore")
+    if has_save is not has_restore:
+        errors.append(f"has {'save' if has_save else 'restore'}() without {'restore(state)' if has_save else 'save()'}")
+    for method, argument in (*required, ("save", ""), ("restore", "state")):
+        if _has(plant, method) and not _takes(getattr(plant, method), 1 if argument else 0):
+            errors.append(f"{method}{_signature(getattr(plant, method))}: {method}({argument}) expected")
+    return has_save and has_restore
+
+
+def _has(plant: Any, method: str) -> bool:
+    return callable(getattr(plant, method, None))
+
+
+def _takes(method: Any, count: int) -> bool:
+    try:
+        inspect.signature(method).bind(*[None] * count)
+    except TypeError:
+        return False
+    except ValueError:  # a method of a compiled module
+        return True
+    return not inspect.iscoroutinefunction(method)
+
+
+def _signature(method: Any) -> str:
+    return f"{inspect.signature(method)}{', which is a coroutine' if inspect.iscoroutinefunction(method) else ''}"
 
 
 def _points(
@@ -209,7 +299,9 @@ def _points(
 
 
 def _point(name: Any, spec: Any, *, has_default: bool) -> Point:
-    check_name(str(name), "a point's name")
+    if not isinstance(name, str):
+        raise ValueError("a name is a text")
+    check_name(name, "a point's name")
     parts = (spec,) if isinstance(spec, str) else spec
     most = 4 if has_default else 3
     if not isinstance(parts, Sequence) or not 1 <= len(parts) <= most or not isinstance(parts[0], str):
@@ -220,12 +312,12 @@ def _point(name: Any, spec: Any, *, has_default: bool) -> Point:
         raise ValueError(f"low {low:g} is not below high {high:g}")
     if default is not None and not (-inf if low is None else low) <= default <= (inf if high is None else high):
         raise ValueError(f"the default {default:g} is out of bounds")
-    return Point(str(name), parts[0], low, high, default)
+    return Point(name, parts[0], low, high, default)
 
 
 def _bound(value: Any) -> float | None:
     if value is None:
         return None
-    if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
+    if not _is_finite(value):
         raise ValueError(f"{value!r}: a finite number or None expected")
     return float(value)

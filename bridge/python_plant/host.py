@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import errno
+import io
 import json
 import os
 import pickle
@@ -91,7 +92,7 @@ class PlantHost:
             return function(*arguments)
         except ZenostatError as error:
             raise PlantError(str(error)) from None
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             raise PlantError(f"{self._name}.{method}() raised an error\n{users_traceback(error)}") from None
 
     @property
@@ -109,8 +110,8 @@ class PlantHost:
         numbers = []
         for name in self._values:
             try:
-                value = float(values[name])
-            except (TypeError, ValueError):
+                value = nan if isinstance(values[name], str | bytes) else float(values[name])
+            except (TypeError, ValueError, OverflowError):
                 value = nan
             if not isfinite(value):
                 raise PlantError(
@@ -233,6 +234,12 @@ class PlantHost:
         os._exit(1)  # the node reads the log and removes the folder
 
 
+def _print_lines() -> None:
+    """Let each line that is printed appear at once: a buffer would be lost at the end, and doubled by a fork."""
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(line_buffering=True)
+
+
 def serve(orders_descriptor: int, frames_descriptor: int, parent: int) -> NoReturn:
     """Read the specification from the socket and serve the node."""
     die_with_parent(parent)
@@ -241,30 +248,32 @@ def serve(orders_descriptor: int, frames_descriptor: int, parent: int) -> NoRetu
     spec = json.loads(orders.recv(length, socket.MSG_WAITALL))
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the node handles Ctrl-C
     signal.signal(signal.SIGTERM, lambda *_: leave(0))
+    _print_lines()
     set_up_process(spec)
     PlantHost(orders, socket.socket(fileno=frames_descriptor), spec).run()
 
 
-def print_description() -> int:
+def print_description() -> NoReturn:
     """Print the description of the plant that standard input names, as JSON; the exit code is 1 after an error."""
     request = json.loads(sys.stdin.readline())
     die_with_parent(request["parent"])
     reply = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # what the user's module prints is no description
+    _print_lines()
     try:
         fields = dataclasses.asdict(describe(create(request["plant"], request["arguments"])))
         text, code = json.dumps(fields), 0
     except ZenostatError as error:
         text, code = json.dumps(to_wire(error)), 1
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         message = f"plant {request['plant']!r} cannot be created\n{users_traceback(error)}"
         text, code = json.dumps({"error": "PlantFailed", "message": message}), 1
     with reply:
         reply.write(text)
-    return code
+    os._exit(code)  # threads of the user's must not delay the end
 
 
 if __name__ == "__main__":
     if sys.argv[1:] == ["describe"]:
-        sys.exit(print_description())
+        print_description()
     serve(*map(int, sys.argv[1:4]))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
@@ -89,7 +90,12 @@ def plan_class(plant: str, arguments: Mapping[str, Any], unresponsive_s: float) 
     request = json.dumps({"plant": plant, "arguments": dict(arguments), "parent": os.getpid()})
     environment = {**os.environ, **PYTHON.environment}
     process = subprocess.Popen(
-        [*HOST, "describe"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment
+        [*HOST, "describe"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        env=environment,
+        process_group=0,  # Ctrl-C in the terminal is for the node
     )
     with process:
         try:
@@ -100,10 +106,14 @@ def plan_class(plant: str, arguments: Mapping[str, Any], unresponsive_s: float) 
     try:
         fields = json.loads(output)
     except ValueError:
-        raise EngineDied(f"the process of plant {plant!r} ended with code {process.returncode}") from None
+        raise EngineDied(f"plant {plant!r} could not be created: its process {_end(process.returncode)}") from None
     if "error" in fields:
         raise errors.from_wire(fields)
     return ClassPlan(plant, dict(arguments), _describe(fields), fields["forkable"], fields["has_state"])
+
+
+def _end(code: int) -> str:
+    return f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with code {code}"
 
 
 def _communicate(process: subprocess.Popen[str], request: str, plant: str, unresponsive_s: float) -> str:
