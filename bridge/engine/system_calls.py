@@ -52,6 +52,8 @@ def clone() -> int:
     return int(child)
 
 
+_NOT_AGAIN = os.O_CREAT | os.O_EXCL | os.O_TRUNC | getattr(os, "O_TMPFILE", 0)
+"""Flags with which a file is created, of no use to open it again."""
 _COPIED_FILES = ("eplusout.err", "engine.log")
 """Written files that explain why an engine failed."""
 
@@ -61,11 +63,12 @@ def reopen_files(folder: str) -> None:
 
     Files open for reading are reopened at the same offset, even if they have been removed. Files open for writing are
     copied into `folder` if they explain why an engine failed or are also read; all others are replaced by /dev/null.
+    Standard output is the node's, and stays.
     """
     for name in os.listdir("/proc/self/fd"):
         descriptor, link = int(name), f"/proc/self/fd/{name}"
         try:
-            if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+            if descriptor == 1 or not stat.S_ISREG(os.fstat(descriptor).st_mode):
                 continue
             flags = fcntl.fcntl(descriptor, fcntl.F_GETFL)
             offset = os.lseek(descriptor, 0, os.SEEK_CUR)
@@ -77,7 +80,7 @@ def reopen_files(folder: str) -> None:
             path = os.path.join(folder, base) if access == os.O_RDWR or base in _COPIED_FILES else os.devnull
         if path not in (link, os.devnull):
             shutil.copyfile(link, path)
-        reopened = os.open(path, flags & ~(os.O_CREAT | os.O_EXCL | os.O_TRUNC | os.O_TMPFILE))
+        reopened = os.open(path, flags & ~_NOT_AGAIN)
         os.lseek(reopened, offset, os.SEEK_SET)
         os.dup2(reopened, descriptor)
         os.close(reopened)

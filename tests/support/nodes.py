@@ -35,6 +35,9 @@ SMALL: dict[str, Any] = {
 }
 """A summer weekday (96 timesteps) of a building of five zones that has no EMS programs of its own."""
 
+HOST = "bridge.python_plant.host"
+"""In the command line of a process of a plant that is a Python class."""
+
 ZONES = ("core_zn", "perimeter_zn_1", "perimeter_zn_2", "perimeter_zn_3", "perimeter_zn_4")
 COOLING = {f"{zone}_cooling_setpoint": ("Zone Temperature Control", "Cooling Setpoint", zone.upper()) for zone in ZONES}
 
@@ -58,20 +61,20 @@ def free_port() -> int:
 
 
 class NodeProgram:
-    """A node as a program: `python -P -m eplus_node`, its settings on standard input.
+    """A node as a program: `python -P -m eplus_node`, its settings on standard input; with `plant` that of a class.
 
     Args:
         folder: for its socket (if `listen` names nothing else) and its scratch files.
         before: the words before its own on its command line, say of a network namespace.
-        module: that runs the node.
-        settings: of `eplus_node.config.NodeConfig`.
+        module: that runs the node; by default chosen from the settings.
+        settings: of `eplus_node.config.NodeConfig`, or of `bridge.python_plant.node.PlantSettings`.
 
     Raises:
         ZenostatError: what the node said when it could not start; it has ended by then.
     """
 
     def __init__(
-        self, folder: Path, *, before: tuple[str, ...] = (), module: str = "eplus_node", **settings: Any
+        self, folder: Path, *, before: tuple[str, ...] = (), module: str = "", **settings: Any
     ) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         self.folder = folder
@@ -80,7 +83,7 @@ class NodeProgram:
         self.name: str = given["name"]
         self.endpoint: str = (given["listen"] or given["connect"])[0]
         self.process = subprocess.Popen(
-            [*before, sys.executable, "-P", "-m", module],
+            [*before, sys.executable, "-P", "-m", module or ("bridge.python_plant" if "plant" in settings else "eplus_node")],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             process_group=0,
@@ -167,6 +170,12 @@ def engines_of(node_pid: int) -> list[psutil.Process]:
     """The engines of a node, the one that simulates its episode last; before it, one may wait to be forked."""
     engines = [child for child in psutil.Process(node_pid).children() if "eplus_node.engine" in command_of(child)]
     return sorted(engines, key=lambda engine: (engine.create_time(), engine.pid))
+
+
+def hosts_of(node_pid: int) -> list[psutil.Process]:
+    """The processes of a node's plant that is a Python class, oldest first."""
+    hosts = [child for child in psutil.Process(node_pid).children() if HOST in command_of(child)]
+    return sorted(hosts, key=lambda host: (host.create_time(), host.pid))
 
 
 def command_of(process: psutil.Process) -> list[str]:

@@ -1,0 +1,483 @@
+"""A Python class as a plant, in real processes: exact, repeatable, copied to the bit, and named when it fails."""
+
+from __future__ import annotations
+
+import random
+import signal
+from collections.abc import Iterator
+from math import nan
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from support.nodes import NodeProgram, hosts_of, nothing_left, runs, until
+
+import agent_sdk
+from agent_sdk.envs.building_env import BuildingEnv
+from topics.errors import (
+    EngineDied,
+    EngineUnresponsive,
+    ForkFailed,
+    InvalidConfig,
+    PlantFailed,
+    RequestRejected,
+    ZenostatError,
+)
+from topics.messages import CreateBranch, State
+
+TANK = '''
+import os, random, signal, sys, threading, time
+from helper import LOSS
+
+class Tank:
+    """A tank with a heater, a valve, and deeds that no plant should do."""
+
+    step_s = 60.0
+    duration_s = 600.0
+    sensors = {"temperature": ("degC", 0.0, 100.0), "noise": "1"}
+    meters = {"electricity": "J"}
+    actuators = {"heater": ("W", 0.0, 3000.0), "valve": ("1", 0.0, 1.0, 0.25), "deed": ("1", 0.0, 20.0)}
+
+    def __init__(self, loss=LOSS, deed=""):
+        self.loss = loss
+        self.do(deed)
+
+    def reset(self, seed):
+        self.random = random.Random(seed)
+        self.temperature = 20.0
+        if seed == 13:
+            raise ValueError("thirteen")
+        return {"temperature": self.temperature, "noise": self.random.random(), "electricity": 0.0}
+
+    def step(self, commands):
+        heat = commands.get("heater", 0.0)
+        self.temperature += heat / 1000.0 - commands["valve"] - self.loss * (self.temperature - 20.0)
+        values = {"temperature": self.temperature, "noise": self.random.random(), "electricity": heat * 60.0}
+        return self.do(DEEDS[int(commands.get("deed", 0.0))], values)
+
+    def do(self, deed, values=None):
+        if deed == "raise":
+            self.cool()
+        if deed == "exit":
+            sys.exit("enough")
+        if deed == "leave":
+            os._exit(3)
+        if deed == "kill":
+            os.kill(os.getpid(), signal.SIGKILL)
+        if deed == "hang":
+            time.sleep(1e6)
+        if deed == "compute":
+            until_s = time.process_time() + 2.0
+            while time.process_time() < until_s:
+                pass
+        if deed == "print":
+            print("printed by the tank")
+        if deed == "thread":
+            threading.Thread(target=time.sleep, args=(1e6,), daemon=True).start()
+        if deed == "keep":
+            self.kept = threading.Lock()
+        if deed in WRONG:
+            values["temperature"] = WRONG[deed]
+        if deed == "missing":
+            del values["temperature"]
+        if deed == "unknown":
+            values["temprature"] = 0.0
+        return [1.0] if deed == "list" else values
+
+    def cool(self):
+        raise RuntimeError("the tank leaks")
+
+    def save(self):
+        return self.__dict__
+
+    def restore(self, state):
+        self.__dict__.update(state)
+
+WRONG = {"nan": float("nan"), "inf": float("inf"), "text": "20.0", "none": None, "huge": 10**400}
+DEEDS = ["", "raise", "exit", "leave", "kill", "hang", "compute", "print", "thread", "keep", *WRONG]
+DEEDS += ["missing", "unknown", "list"]
+
+class Forkable(Tank):
+    forkable = True
+    save = restore = None
+
+class Neither(Tank):
+    save = restore = None
+
+class Lost(Tank):
+    def restore(self, state):
+        self.cool()
+
+class NoActuators(Neither):
+    actuators = {}
+    step_s = 0.1
+    duration_s = 1.0
+
+    def step(self, commands):
+        return super().step({"valve": 0.25})
+
+class Daily(Tank):
+    step_s = 86400.0
+    duration_s = 10 * 86400.0
+'''
+DEEDS = ["", "raise", "exit", "leave", "kill", "hang", "compute", "print", "thread", "keep"]
+DEEDS += ["nan", "inf", "text", "none", "huge", "missing", "unknown", "list"]
+SOON = {"unresponsive_s": 1.0}
+
+
+@pytest.fixture(scope="module")
+def tank(module_folder: Path) -> Path:
+    """The file of the class; beside it modules of the user's with the names of the product's packages."""
+    folder = module_folder / "mine"
+    folder.mkdir()
+    (folder / "tank.py").write_text(TANK)
+    (folder / "helper.py").write_text("from models import LOSS\n")
+    (folder / "models.py").write_text("LOSS = 0.125\n")
+    for name in ("bridge", "topics"):
+        (folder / f"{name}.py").write_text("raise AssertionError\n")
+    return folder / "tank.py"
+
+
+@pytest.fixture(scope="module")
+def own(module_folder: Path, tank: Path) -> Iterator[BuildingEnv]:
+    """An environment whose plant is the tank, for all tests that reset it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TMPDIR", str(module_folder))
+        patch.setattr("tempfile.tempdir", None)
+        with nothing_left(module_folder):
+            yield from made(f"{tank}:Tank")
+
+
+@pytest.fixture(scope="module")
+def forkable(own: BuildingEnv, tank: Path) -> Iterator[BuildingEnv]:
+    """One whose plant is copied by a fork."""
+    yield from made(f"{tank}:Forkable")
+
+
+def made(plant: str, **settings: Any) -> Iterator[BuildingEnv]:
+    with gym.make("zenostat/Plant-v1", plant=plant, reward=None, affinity="off", **SOON | settings) as env:
+        yield env.unwrapped
+
+
+def action(heater: float = 0.0, valve: float = 0.25, deed: str = "") -> NDArray[np.float32]:
+    return np.array([heater, valve, DEEDS.index(deed)], np.float32)
+
+
+def trajectory(env: BuildingEnv, steps: int = 10) -> list[bytes]:
+    """What the tank measures in some timesteps from here, with commands that depend on the step only."""
+    seen = []
+    for _ in range(steps):
+        step = env.sample.step
+        env.step(action(heater=100.0 * (step + 1), valve=step / 16.0))
+        seen.append(env.sample.values.tobytes())
+    return seen
+
+
+def calculated(seed: int, steps: int, loss: float = 0.125) -> list[bytes]:
+    """The same without the product: the tank's own equations."""
+    draws = random.Random(seed)
+    draws.random()
+    temperature, seen = 20.0, []
+    for step in range(steps):
+        heat = 100.0 * (step + 1)
+        temperature += heat / 1000.0 - step / 16.0 - loss * (temperature - 20.0)
+        seen.append(np.array([temperature, draws.random(), heat * 60.0]).tobytes())
+    return seen
+
+
+# Trajectories
+
+
+def test_an_episode_is_what_the_class_computes_to_the_bit(own: BuildingEnv) -> None:
+    _, info = own.reset(seed=7)
+    assert own.sample.values.tolist() == [20.0, random.Random(7).random(), 0.0]
+    assert (info["time"], info["step"]) == ("2001-01-01T00:00:00", 0)
+    assert trajectory(own) == calculated(7, 10)
+    assert own.sample.truncated
+    assert own.sample.time.isoformat() == "2001-01-01T00:10:00"
+    assert own.manifest.building == "tank"
+    assert (own.manifest.weather, own.manifest.location, own.manifest.latitude_deg) == ("", "", None)
+
+
+def test_equal_seeds_give_equal_episodes_and_none_continues_their_sequence(own: BuildingEnv) -> None:
+    def sequence(seed: int | None) -> list[bytes]:
+        own.reset(seed=seed)
+        return trajectory(own, 1)
+
+    first = [sequence(seed) for seed in (5, None, None)]
+    again = [sequence(seed) for seed in (5, None, None)]
+    assert first == again
+    assert len({episode[0] for episode in first}) == 3
+    assert sequence(2**64 - 1) == calculated(2**64 - 1, 1)
+
+
+def test_slots_and_baseline_have_the_same_episodes(own: BuildingEnv, tank: Path) -> None:
+    arguments = {"plant": f"{tank}:Tank", "reward": None, "affinity": "off"}
+    envs = gym.make_vec("zenostat/Plant-v1", num_envs=2, baseline=True, plant_arguments={"loss": 0.5}, **arguments)
+    try:
+        envs.reset(seed=[3, 4])
+        link = envs.unwrapped.link
+        envs.step(np.array([action(heater=100.0, valve=0.0)] * 2))
+        message = link.current().message
+        values = np.frombuffer(message.values).reshape(2, 3)
+        assert [row.tobytes() for row in values] == [calculated(seed, 1, 0.5)[0] for seed in (3, 4)]
+        baseline = np.frombuffer(message.baseline).reshape(2, 3)
+        assert baseline[:, 0].tolist() == [19.75, 19.75], "its valve has its default"
+        assert baseline[:, 1].tolist() == values[:, 1].tolist(), "the same seeds"
+    finally:
+        envs.close()
+
+
+# Commands
+
+
+def test_what_nobody_commands_has_its_default_or_is_missing(own: BuildingEnv) -> None:
+    _, info = own.reset(seed=1)
+    np.testing.assert_array_equal(info["effective"], [nan, 0.25, nan])
+    sample = own.link.current()
+    sample.send({"heater": 500.0, "valve": 1.0})
+    sample = own.link.receive()
+    np.testing.assert_array_equal(sample.effective, [500.0, 1.0, nan])
+    assert [sample.value_source[name] for name in ("heater", "valve", "deed")] == ["agent", "agent", ""]
+    assert sample["temperature"] == 20.0 + 0.5 - 1.0
+    sample.send({"heater": None, "valve": None})
+    sample = own.link.receive()
+    np.testing.assert_array_equal(sample.effective, [nan, 0.25, nan])
+    assert sample["temperature"] == 19.5 - 0.25 + 0.125 * 0.5
+
+
+# Failures
+
+
+@pytest.mark.parametrize(
+    ("deed", "error", "texts"),
+    [
+        ("raise", PlantFailed, ["Tank.step() raised an error", "RuntimeError: the tank leaks", "in cool", "in step"]),
+        ("exit", PlantFailed, ["Tank.step() raised an error", "SystemExit: enough"]),
+        ("nan", PlantFailed, ["Tank.step() returned nan for 'temperature' at step 2", "a finite number expected"]),
+        ("inf", PlantFailed, ["returned inf for 'temperature' at step 2"]),
+        ("text", PlantFailed, ["returned '20.0' for 'temperature' at step 2"]),
+        ("none", PlantFailed, ["returned None for 'temperature' at step 2"]),
+        ("huge", PlantFailed, ["for 'temperature' at step 2"]),
+        ("missing", PlantFailed, ["step() at step 2 returned no value for 'temperature'"]),
+        ("unknown", PlantFailed, ["returned 'temprature', which is neither a sensor", "did you mean 'temperature'"]),
+        ("list", PlantFailed, ["returned list; a dict with the values of temperature, noise, electricity expected"]),
+        ("leave", EngineDied, ["ended with code 3 after sample 1"]),
+        ("kill", EngineDied, ["was killed by SIGKILL after sample 1"]),
+        ("hang", EngineUnresponsive, ["neither answered nor used processor time for 1 s after sample 1"]),
+    ],
+)
+def test_a_failed_step_is_named_and_the_next_reset_starts_another_process(
+    own: BuildingEnv, deed: str, error: type[ZenostatError], texts: list[str]
+) -> None:
+    own.reset(seed=2)
+    own.step(action())
+    (process,) = hosts_of(own.local_node.pid)
+    with pytest.raises(error) as raised:
+        own.step(action(deed=deed))
+    assert type(raised.value) is error
+    for text in texts:
+        assert text in str(raised.value)
+    assert "bridge/python_plant" not in str(raised.value), "the frames are the user's only"
+    until(lambda: not runs(process), "the process has ended")
+    _, info = own.reset(seed=2)
+    assert str(info["engine_start"]) == "started"
+    assert trajectory(own, 3) == calculated(2, 3)
+    (successor,) = hosts_of(own.local_node.pid)
+    assert successor.pid != process.pid
+
+
+def test_a_reset_that_fails_is_named_and_another_one_works(own: BuildingEnv) -> None:
+    with pytest.raises(PlantFailed, match=r"(?s)Tank.reset\(\) raised an error.*ValueError: thirteen"):
+        own.reset(seed=13)
+    own.reset(seed=1)
+    assert trajectory(own, 2) == calculated(1, 2)
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_process_that_waits_may_be_killed_or_stopped(own: BuildingEnv, number: signal.Signals) -> None:
+    own.reset(seed=2)
+    own.step(action())
+    hosts_of(own.local_node.pid)[0].send_signal(number)
+    with pytest.raises(EngineDied, match=r"after sample 1"):
+        own.step(action())
+    own.reset(seed=2)
+    assert trajectory(own, 2) == calculated(2, 2)
+
+
+def test_a_plant_that_computes_for_long_is_left_alone(own: BuildingEnv) -> None:
+    own.reset(seed=1)
+    own.step(action(deed="compute"))
+    assert own.sample.step == 1
+
+
+def test_what_a_class_prints_appears_at_once_in_the_nodes_standard_error(
+    own: BuildingEnv, capfd: pytest.CaptureFixture[str], tank: Path
+) -> None:
+    for env in made(f"{tank}:Tank"):  # its standard error is the one that is captured here
+        env.reset(seed=1)
+        env.step(action(deed="print"))
+        seen = [""]
+
+        def has_printed(seen: list[str] = seen) -> bool:
+            seen[0] += capfd.readouterr().err
+            return "printed by the tank\n" in seen[0]
+
+        until(has_printed, "the line has arrived")
+        assert trajectory(env, 1)
+        assert seen[0].count("printed by the tank") == 1
+
+
+# Snapshots and branches
+
+
+@pytest.fixture(params=["saved", "forked"])
+def copied(request: pytest.FixtureRequest) -> BuildingEnv:
+    """Environments whose plants are copied in either way."""
+    env: BuildingEnv = request.getfixturevalue("own" if request.param == "saved" else "forkable")
+    return env
+
+
+def test_copies_continue_to_the_bit(copied: BuildingEnv) -> None:
+    copied.reset(seed=11)
+    beginning = trajectory(copied, 4)
+    snapshot = copied.snapshot()
+    with copied.branch() as branch, copied.branch(snapshot=snapshot) as other:
+        ends = [trajectory(env, 6) for env in (branch, copied, other)]
+    copied.reset(options={"snapshot": snapshot})
+    np.testing.assert_array_equal(copied.sample.effective, [400.0, 3.0 / 16.0, 0.0])
+    ends.append(trajectory(copied, 6))
+    copied.reset(options={"snapshot": snapshot})
+    with copied.branch() as branch:
+        ends.append(trajectory(branch, 6))
+    assert [beginning + end for end in ends] == [calculated(11, 10)] * 5
+    snapshot.close()
+    until(lambda: len(hosts_of(copied.local_node.pid)) == 1, "the copies have ended")
+
+
+def test_a_copy_is_as_mortal_as_its_origin(copied: BuildingEnv) -> None:
+    copied.reset(seed=1)
+    with copied.branch() as branch:
+        with pytest.raises(PlantFailed, match="the tank leaks"):
+            branch.step(action(deed="raise"))
+        assert trajectory(copied, 2) == calculated(1, 2)
+    snapshot = copied.snapshot()
+    with pytest.raises(EngineDied):
+        copied.step(action(deed="leave"))
+    copied.reset(options={"snapshot": snapshot})
+    assert trajectory(copied, 1) == calculated(1, 3)[2:]
+    snapshot.close()
+
+
+def test_a_class_that_can_no_longer_be_copied_goes_on(own: BuildingEnv, forkable: BuildingEnv) -> None:
+    own.reset(seed=1)
+    own.step(action(valve=0.0, heater=100.0, deed="keep"))
+    with pytest.raises(ForkFailed, match=r"the state of Tank cannot be saved: .*cannot pickle '_thread.lock'"):
+        own.snapshot()
+    forkable.reset(seed=1)
+    forkable.step(action(valve=0.0, heater=100.0, deed="thread"))
+    with pytest.raises(ForkFailed, match=r"its process has threads, which a fork would lose"):
+        forkable.branch()
+    for env in (own, forkable):
+        assert trajectory(env, 1) == calculated(1, 2)[1:]
+    with pytest.raises(EngineDied):
+        forkable.step(action(deed="kill"))  # its thread would outlive the episode
+
+
+def test_a_class_that_cannot_be_copied_says_what_it_lacks(own: BuildingEnv, tank: Path) -> None:
+    for env in made(f"{tank}:Neither"):
+        env.reset(seed=1)
+        for copy in (env.snapshot, env.branch):
+            with pytest.raises(ForkFailed, match=r"save\(\) and restore\(state\), or forkable = True"):
+                copy()
+        assert trajectory(env, 2) == calculated(1, 2)
+    for env in made(f"{tank}:Lost"):
+        env.reset(seed=1)
+        with pytest.raises(PlantFailed, match=r"(?s)Lost.restore\(\) raised an error.*the tank leaks"):
+            env.snapshot()
+        assert trajectory(env, 2) == calculated(1, 2)
+        assert len(hosts_of(env.local_node.pid)) == 1
+
+
+# Starting
+
+
+def started(plant: str, **settings: Any) -> None:
+    gym.make("zenostat/Plant-v1", plant=plant, reward=None, affinity="off", **SOON | settings).close()
+
+
+@pytest.mark.parametrize(
+    ("deed", "error", "text"),
+    [
+        ("raise", PlantFailed, r"(?s)tank.py:Tank' cannot be created.*in __init__.*RuntimeError: the tank leaks"),
+        ("exit", PlantFailed, r"(?s)cannot be created.*SystemExit: enough"),
+        ("leave", EngineDied, r"could not be created: its process ended with code 3"),
+        ("kill", EngineDied, r"could not be created: its process was killed by SIGKILL"),
+        ("hang", EngineUnresponsive, r"could not be created: its process used no processor time for 1 s"),
+    ],
+)
+def test_a_class_that_cannot_be_created_is_named(
+    scratch: Path, tank: Path, deed: str, error: type[ZenostatError], text: str
+) -> None:
+    with pytest.raises(error, match=text) as raised:
+        started(f"{tank}:Tank", plant_arguments={"deed": deed})
+    assert type(raised.value) is error
+
+
+@pytest.mark.usefixtures("scratch")
+def test_settings_that_are_not_valid_are_named(tank: Path) -> None:
+    for settings, text in (
+        ({"plant_arguments": {"losses": 1.0}}, r"losses.*its arguments: \(loss=0.125, deed=''\)"),
+        ({"steps_per_hour": 4, "control": "zone"}, r"(?s)no setting 'steps_per_hour'.*no setting 'control'"),
+        ({"weather": "USA_CO_Denver"}, r"a plant of your own has no setting 'weather'"),
+    ):
+        with pytest.raises(InvalidConfig, match=text):
+            started(f"{tank}:Tank", **settings)
+    (tank.parent / "broken.py").write_text("class Tank:\n    step_s = = 60\n")
+    with pytest.raises(PlantFailed, match=r"(?s)broken.py:Tank' cannot be created.*line 2.*SyntaxError"):
+        started(f"{tank.parent}/broken.py:Tank")
+
+
+# Nodes
+
+
+def test_a_node_serves_a_plant_as_any_other(scratch: Path, tank: Path) -> None:
+    """Snapshots of two slots, writes with an expiry, faults, paced mode; a plant without actuators beside it."""
+    with (
+        NodeProgram(scratch / "node", plant=f"{tank}:Daily", slots=2, name="tank") as node,
+        agent_sdk.connect(node.endpoint, affinity="off") as bus,
+    ):
+        with bus.controller("tank", name="first") as link:
+            link.reset(seed=1)
+            branch = bus.branch("tank", CreateBranch(controller="first", slot=1))
+            assert bus.latest(branch).values == bus.latest("tank").values[len(bus.latest("tank").values) // 2 :]
+            bus.write("tank", "heater", 500.0, priority=5, source="person", duration_s=86400.0)
+            link.send()
+            assert link.receive().value_source("heater") == "person"
+            assert link.current().time.isoformat() == "2001-01-02T00:00:00"
+            bus.faults("tank", {"faults": [{"point": "temperature", "kind": "bias", "value": 5.0}]})
+            link.send()
+            sample = link.receive()
+            assert sample["temperature"] == sample.fault_free_values[0] + 5.0
+        with pytest.raises(RequestRejected, match="this plant has no weather"):
+            bus.weather("tank", ["Dry Bulb Temperature"])
+        assert bus.scenario("tank") == ""
+
+
+def test_a_plant_without_actuators_is_watched(scratch: Path, tank: Path) -> None:
+    with (
+        NodeProgram(scratch / "node", plant=f"{tank}:NoActuators", mode="free", name="tank") as node,
+        agent_sdk.connect(node.endpoint, affinity="off") as bus,
+    ):
+        until(lambda: bus.status("tank").state is State.ENDED, "it runs freely")
+        latest = bus.latest("tank")
+        assert (latest.step, latest.time, latest.elapsed_s) == ([10], ["2001-01-01T00:00:01"], [1.0])
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("deed", ["hang", "compute"])
+def test_a_node_ends_while_its_plant_is_created(scratch: Path, tank: Path, number: signal.Signals, deed: str) -> None:
+    (tank.parent / "slow.py").write_text(f"import time\ndeed = {deed!r}\ntime.sleep(1e6)\nwhile True: pass\n")
