@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import random
 import signal
-from collections.abc import Iterator
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from math import nan
 from pathlib import Path
 from typing import Any
@@ -17,6 +21,8 @@ from support.nodes import NodeProgram, hosts_of, nothing_left, runs, until
 
 import agent_sdk
 from agent_sdk.envs.building_env import BuildingEnv
+from bridge.python_plant.node import read_settings
+from bridge.python_plant.plant import PythonEngines, plan_class
 from topics.errors import (
     EngineDied,
     EngineUnresponsive,
@@ -70,15 +76,19 @@ class Tank:
         if deed == "hang":
             time.sleep(1e6)
         if deed == "compute":
-            until_s = time.process_time() + 2.0
+            until_s = time.process_time() + 1.5
             while time.process_time() < until_s:
                 pass
+        while deed == "compute for ever":
+            pass
         if deed == "print":
             print("printed by the tank")
         if deed == "thread":
             threading.Thread(target=time.sleep, args=(1e6,), daemon=True).start()
         if deed == "keep":
             self.kept = threading.Lock()
+        if deed == "break":
+            self.broken = True
         if deed in WRONG:
             values["temperature"] = WRONG[deed]
         if deed == "missing":
@@ -94,10 +104,13 @@ class Tank:
         return self.__dict__
 
     def restore(self, state):
+        if "broken" in state:
+            self.cool()
         self.__dict__.update(state)
 
 WRONG = {"nan": float("nan"), "inf": float("inf"), "text": "20.0", "none": None, "huge": 10**400}
-DEEDS = ["", "raise", "exit", "leave", "kill", "hang", "compute", "print", "thread", "keep", *WRONG]
+DEEDS = ["", "raise", "exit", "leave", "kill", "hang", "compute", "print", "thread", "keep", "break", *WRONG]
+DEEDS += ["compute for ever"]
 DEEDS += ["missing", "unknown", "list"]
 
 class Forkable(Tank):
@@ -106,10 +119,6 @@ class Forkable(Tank):
 
 class Neither(Tank):
     save = restore = None
-
-class Lost(Tank):
-    def restore(self, state):
-        self.cool()
 
 class NoActuators(Neither):
     actuators = {}
@@ -123,8 +132,8 @@ class Daily(Tank):
     step_s = 86400.0
     duration_s = 10 * 86400.0
 '''
-DEEDS = ["", "raise", "exit", "leave", "kill", "hang", "compute", "print", "thread", "keep"]
-DEEDS += ["nan", "inf", "text", "none", "huge", "missing", "unknown", "list"]
+DEEDS = ["", "raise", "exit", "leave", "kill", "hang", "compute", "print", "thread", "keep", "break"]
+DEEDS += ["nan", "inf", "text", "none", "huge", "compute for ever", "missing", "unknown", "list"]
 SOON = {"unresponsive_s": 1.0}
 
 
@@ -241,7 +250,7 @@ def test_what_nobody_commands_has_its_default_or_is_missing(own: BuildingEnv) ->
     sample.send({"heater": 500.0, "valve": 1.0})
     sample = own.link.receive()
     np.testing.assert_array_equal(sample.effective, [500.0, 1.0, nan])
-    assert [sample.value_source[name] for name in ("heater", "valve", "deed")] == ["agent", "agent", ""]
+    assert [sample.value_source[name] for name in ("heater", "valve", "deed")] == [own.link.name] * 2 + [""]
     assert sample["temperature"] == 20.0 + 0.5 - 1.0
     sample.send({"heater": None, "valve": None})
     sample = own.link.receive()
@@ -265,7 +274,7 @@ def test_what_nobody_commands_has_its_default_or_is_missing(own: BuildingEnv) ->
         ("missing", PlantFailed, ["step() at step 2 returned no value for 'temperature'"]),
         ("unknown", PlantFailed, ["returned 'temprature', which is neither a sensor", "did you mean 'temperature'"]),
         ("list", PlantFailed, ["returned list; a dict with the values of temperature, noise, electricity expected"]),
-        ("leave", EngineDied, ["ended with code 3 after sample 1"]),
+        ("leave", EngineDied, ["ended with code 3 after sample 1", "it printed no error"]),
         ("kill", EngineDied, ["was killed by SIGKILL after sample 1"]),
         ("hang", EngineUnresponsive, ["neither answered nor used processor time for 1 s after sample 1"]),
     ],
@@ -383,30 +392,25 @@ def test_a_class_that_can_no_longer_be_copied_goes_on(own: BuildingEnv, forkable
         forkable.branch()
     for env in (own, forkable):
         assert trajectory(env, 1) == calculated(1, 2)[1:]
-    with pytest.raises(EngineDied):
-        forkable.step(action(deed="kill"))  # its thread would outlive the episode
+        with pytest.raises(EngineDied):
+            env.step(action(deed="kill"))  # what it has would outlive the episode
 
 
 def test_a_class_that_cannot_be_copied_says_what_it_lacks(own: BuildingEnv, tank: Path) -> None:
-    for env in made(f"{tank}:Neither"):
-        env.reset(seed=1)
-        for copy in (env.snapshot, env.branch):
-            with pytest.raises(ForkFailed, match=r"save\(\) and restore\(state\), or forkable = True"):
-                copy()
-        assert trajectory(env, 2) == calculated(1, 2)
-    for env in made(f"{tank}:Lost"):
-        env.reset(seed=1)
-        with pytest.raises(PlantFailed, match=r"(?s)Lost.restore\(\) raised an error.*the tank leaks"):
-            env.snapshot()
-        assert trajectory(env, 2) == calculated(1, 2)
-        assert len(hosts_of(env.local_node.pid)) == 1
+    plan = plan_class(f"{tank}:Neither", {}, unresponsive_s=10.0)
+    with pytest.raises(ForkFailed, match=r"save\(\) and restore\(state\), or forkable = True"):
+        PythonEngines(plan, ()).fork([], tank.parent / "never")
+    own.reset(seed=1)
+    own.step(action(valve=0.0, heater=100.0, deed="break"))
+    with pytest.raises(PlantFailed, match=r"(?s)Tank.restore\(\) raised an error.*the tank leaks"):
+        own.snapshot()
+    assert trajectory(own, 1) == calculated(1, 2)[1:]
+    assert len(hosts_of(own.local_node.pid)) == 1
+    with pytest.raises(EngineDied):
+        own.step(action(deed="kill"))
 
 
 # Starting
-
-
-def started(plant: str, **settings: Any) -> None:
-    gym.make("zenostat/Plant-v1", plant=plant, reward=None, affinity="off", **SOON | settings).close()
 
 
 @pytest.mark.parametrize(
@@ -419,52 +423,61 @@ def started(plant: str, **settings: Any) -> None:
         ("hang", EngineUnresponsive, r"could not be created: its process used no processor time for 1 s"),
     ],
 )
-def test_a_class_that_cannot_be_created_is_named(
-    scratch: Path, tank: Path, deed: str, error: type[ZenostatError], text: str
-) -> None:
+def test_a_class_that_cannot_be_created_is_named(tank: Path, deed: str, error: type[ZenostatError], text: str) -> None:
     with pytest.raises(error, match=text) as raised:
-        started(f"{tank}:Tank", plant_arguments={"deed": deed})
+        plan_class(f"{tank}:Tank", {"deed": deed}, unresponsive_s=1.0)
     assert type(raised.value) is error
 
 
-@pytest.mark.usefixtures("scratch")
-def test_settings_that_are_not_valid_are_named(tank: Path) -> None:
-    for settings, text in (
-        ({"plant_arguments": {"losses": 1.0}}, r"losses.*its arguments: \(loss=0.125, deed=''\)"),
-        ({"steps_per_hour": 4, "control": "zone"}, r"(?s)no setting 'steps_per_hour'.*no setting 'control'"),
-        ({"weather": "USA_CO_Denver"}, r"a plant of your own has no setting 'weather'"),
-    ):
-        with pytest.raises(InvalidConfig, match=text):
-            started(f"{tank}:Tank", **settings)
+def test_a_file_that_is_no_python_is_named_with_its_line(tank: Path) -> None:
     (tank.parent / "broken.py").write_text("class Tank:\n    step_s = = 60\n")
     with pytest.raises(PlantFailed, match=r"(?s)broken.py:Tank' cannot be created.*line 2.*SyntaxError"):
-        started(f"{tank.parent}/broken.py:Tank")
+        plan_class(f"{tank.parent}/broken.py:Tank", {}, unresponsive_s=10.0)
+
+
+def test_threads_of_a_class_do_not_delay_its_check(tank: Path) -> None:
+    (tank.parent / "threads.py").write_text(
+        "import threading, time\nfrom tank import Tank as Base\nclass Tank(Base): pass\n"
+        "threading.Thread(target=time.sleep, args=(1e6,)).start()\n"
+    )
+    assert plan_class(f"{tank.parent}/threads.py:Tank", {}, unresponsive_s=1e6).has_state
+
+
+def test_settings_of_a_building_and_unknown_arguments_are_refused(scratch: Path, tank: Path) -> None:
+    with pytest.raises(InvalidConfig, match=r"(?s)has no setting 'steps_per_hour'.*has no setting 'weather'"):
+        read_settings({"plant": f"{tank}:Tank", "steps_per_hour": 4, "weather": "USA_CO_Denver"})
+    with pytest.raises(InvalidConfig, match=r"losses.*its arguments: \(loss=0.125, deed=''\)"):
+        gym.make("zenostat/Plant-v1", plant=f"{tank}:Tank", plant_arguments={"losses": 1.0})
+    with pytest.raises(InvalidConfig, match=r"a plant of your own has no setting 'weather'"):
+        gym.make("zenostat/Plant-v1", plant=f"{tank}:Tank", weather="USA_CO_Denver")
 
 
 # Nodes
 
 
 def test_a_node_serves_a_plant_as_any_other(scratch: Path, tank: Path) -> None:
-    """Snapshots of two slots, writes with an expiry, faults, paced mode; a plant without actuators beside it."""
+    """Two slots, timesteps of a day, a branch, a write with an expiry, faults."""
     with (
         NodeProgram(scratch / "node", plant=f"{tank}:Daily", slots=2, name="tank") as node,
         agent_sdk.connect(node.endpoint, affinity="off") as bus,
+        bus.controller("tank", name="first") as link,
     ):
-        with bus.controller("tank", name="first") as link:
-            link.reset(seed=1)
-            branch = bus.branch("tank", CreateBranch(controller="first", slot=1))
-            assert bus.latest(branch).values == bus.latest("tank").values[len(bus.latest("tank").values) // 2 :]
-            bus.write("tank", "heater", 500.0, priority=5, source="person", duration_s=86400.0)
-            link.send()
-            assert link.receive().value_source("heater") == "person"
-            assert link.current().time.isoformat() == "2001-01-02T00:00:00"
-            bus.faults("tank", {"faults": [{"point": "temperature", "kind": "bias", "value": 5.0}]})
-            link.send()
-            sample = link.receive()
-            assert sample["temperature"] == sample.fault_free_values[0] + 5.0
+        link.reset(seed=1)
+        branch = bus.branch("tank", CreateBranch(controller="first", slot=1))
+        assert bus.latest(branch).values == bus.latest("tank").values[24:]
+        event = bus.write("tank", "heater", 500.0, priority=5, source="person", duration_s=86400.0)
+        link.send()
+        sample = link.receive()
+        assert sample.value_source["heater"] == event.source
+        assert sample.effective.tolist()[:2] == [500.0, 0.25]
+        assert sample.time.isoformat() == "2001-01-02T00:00:00"
+        bus.faults("tank", {"faults": [{"kind": "bias", "points": "temperature", "offset": 5.0}]})
+        link.send()
+        sample = link.receive()
+        assert sample.value_source["heater"] == ""
+        assert sample["temperature"] == sample.fault_free_values[0] + 5.0
         with pytest.raises(RequestRejected, match="this plant has no weather"):
             bus.weather("tank", ["Dry Bulb Temperature"])
-        assert bus.scenario("tank") == ""
 
 
 def test_a_plant_without_actuators_is_watched(scratch: Path, tank: Path) -> None:
@@ -477,7 +490,73 @@ def test_a_plant_without_actuators_is_watched(scratch: Path, tank: Path) -> None
         assert (latest.step, latest.time, latest.elapsed_s) == ([10], ["2001-01-01T00:00:01"], [1.0])
 
 
+ENDS_WITHIN_S = 15.0
+"""Several times as long as it may take on a quiet machine."""
+NEVER = {"unresponsive_s": 1e6}
+
+
+def stop(node: NodeProgram) -> None:
+    with suppress(ZenostatError), agent_sdk.connect(node.endpoint, affinity="off") as bus:
+        bus.stop(node.name)
+
+
+TOLD: dict[str, Callable[[NodeProgram], object]] = {
+    "SIGTERM": lambda node: node.process.send_signal(signal.SIGTERM),
+    "SIGINT": lambda node: node.process.send_signal(signal.SIGINT),
+    "stop": stop,
+}
+
+
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-@pytest.mark.parametrize("deed", ["hang", "compute"])
-def test_a_node_ends_while_its_plant_is_created(scratch: Path, tank: Path, number: signal.Signals, deed: str) -> None:
-    (tank.parent / "slow.py").write_text(f"import time\ndeed = {deed!r}\ntime.sleep(1e6)\nwhile True: pass\n")
+@pytest.mark.parametrize("time", ["described", "started"])
+def test_a_node_ends_while_its_plant_is_created(scratch: Path, tank: Path, time: str, number: signal.Signals) -> None:
+    (scratch / "slow.py").write_text(SLOW)
+    if time == "described":
+        (scratch / "described").touch()
+    settings = {"name": "slow", "plant": f"{scratch}/slow.py:Slow", "listen": [f"unixsock-stream/{scratch}/bus"]}
+    process = subprocess.Popen(
+        [sys.executable, "-P", "-m", "bridge.python_plant"], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    )
+    with process:
+        process.stdin.write(json.dumps(settings | NEVER | {"folder": str(scratch / "run")}).encode() + b"\n")
+        process.stdin.flush()
+        until((scratch / "hangs").exists, "the class hangs")
+        process.send_signal(number)
+        assert process.wait(ENDS_WITHIN_S) == 0
+        assert process.stdout.read() == b""
+
+
+SLOW = """
+import pathlib, time
+folder = pathlib.Path(__file__).parent
+
+class Slow:
+    step_s = 60.0
+    sensors = {"temperature": "degC"}
+    actuators = {}
+
+    def __init__(self):
+        if (folder / "described").exists():
+            (folder / "hangs").touch()
+            time.sleep(1e6)
+        (folder / "described").touch()
+
+    def reset(self, seed):
+        return {}
+
+    def step(self, commands):
+        return {}
+"""
+
+
+@pytest.mark.parametrize(("deed", "told"), [("hang", "SIGTERM"), ("hang", "stop"), ("compute for ever", "SIGINT")])
+def test_a_node_ends_while_its_plant_steps(scratch: Path, tank: Path, told: str, deed: str) -> None:
+    with (
+        NodeProgram(scratch / "node", plant=f"{tank}:Tank", slots=2, name="tank", **NEVER) as node,
+        agent_sdk.connect(node.endpoint, affinity="off") as bus,
+        bus.controller("tank") as link,
+    ):
+        link.current().send({"deed": float(DEEDS.index(deed))})
+        until(lambda: bus.status("tank").state is State.RUNNING, "it steps")
+        TOLD[told](node)
+        assert node.process.wait(ENDS_WITHIN_S) == 0
