@@ -63,6 +63,10 @@ class ActionBinding:
         return dict.fromkeys(self.action.actuators, self.clip(value))
 
 
+_TEMPERATURE_UNITS = ("degC", "1", "")
+"""The unit of a schedule may be unknown, but that of a heater's power is not."""
+
+
 def bind_actions(manifest: Manifest) -> tuple[ActionBinding, ...]:
     """Return a binding for each action of a node's task, in order."""
     actuators = {a.name: a for a in manifest.actuators}
@@ -79,17 +83,19 @@ def role_of(action: Action | Actuator, actuator: Actuator) -> Role:
         control_type = actuator.control_type.casefold()
         return Role(control_type) if control_type in SETPOINTS else Role.OTHER
     for text in (action.name, actuator.name, actuator.key):
-        role = _role_from_name(text.casefold(), *bounds(action))
+        role = _role_from_name(text.casefold(), action.unit, *bounds(action))
         if role is not Role.OTHER:
             return role
     return Role.OTHER
 
 
-def _role_from_name(text: str, low: float, high: float) -> Role:
+def _role_from_name(text: str, unit: str, low: float, high: float) -> Role:
     if "charge" in text:
         return Role.STORAGE
     if (low, high) == (0.0, 1.0):
         return Role.AVAILABILITY if "avail" in text else Role.OTHER
+    if unit not in _TEMPERATURE_UNITS:
+        return Role.OTHER
     if "water" in text or "chw" in text or "hhw" in text:
         return Role.COLD_WATER if high <= _MAX_CHILLED_DEGC else Role.HOT_WATER
     if high >= _ZONE_SETPOINT_DEGC[0] and low <= _ZONE_SETPOINT_DEGC[1]:

@@ -84,6 +84,11 @@ def test_what_an_action_is(name: str, low: float | None, high: float | None, rol
     assert bind_actions(single(name, low, high))[0].role is role
 
 
+def test_the_power_of_a_heater_is_no_setpoint() -> None:
+    heater = actuator("heater", 0.0, 3000.0).model_copy(update={"unit": "W"})
+    assert bind_actions(manifest(actuators=[heater]))[0].role is Role.OTHER
+
+
 def test_thermostats_have_their_own_zone_and_switches_the_room_of_their_name() -> None:
     sensors = (
         sensor("bedroom01_air", key="BED1"),
