@@ -94,9 +94,10 @@ class EpisodeMetrics:
 class MetricsAccumulator:
     """Accumulate metrics over the samples of an episode, from sample 0.
 
-    Energy is taken from the meters `<fuel>:Facility` and `Electricity:HVAC`; without a meter, electricity is the
-    demand rate of the facility or the HVAC times the timestep. Comfort is measured against the band of the reward;
-    for `MultiZoneReward`, against each zone's setpoints.
+    Energy is taken from the meters `<fuel>:Facility` and `Electricity:HVAC`; of a plant that is no EnergyPlus model,
+    from meters named as the metrics, such as `electricity`. Without a meter, electricity is the demand rate of the
+    facility or the HVAC times the timestep. Comfort is measured against the band of the reward; for
+    `MultiZoneReward`, against each zone's setpoints.
 
     Args:
         manifest: manifest of the node.
@@ -194,13 +195,17 @@ class _EnergySource:
 def _energy_sources(manifest: Manifest) -> dict[str, _EnergySource]:
     """Return the sources of all fuels and of the HVAC's electricity that the node measures."""
     first = len(manifest.sensors)
-    meters = {m.meter.casefold(): (first + i, m) for i, m in enumerate(manifest.meters) if m.unit == "J"}
     meter_names = {fuel: f"{name}:Facility" for fuel, name in FUELS.items()} | {_HVAC: "Electricity:HVAC"}
+    meters = {
+        (meter.meter or meter_names.get(meter.name, "")).casefold(): (first + index, meter)
+        for index, meter in enumerate(manifest.meters)
+        if meter.unit == "J"
+    }
     sources = {}
     for name, meter_name in meter_names.items():
         if meter_name.casefold() in meters:
             index, meter = meters[meter_name.casefold()]
-            sources[name] = _EnergySource(index, 1.0 / J_PER_KWH, f"meter {meter.meter}")
+            sources[name] = _EnergySource(index, 1.0 / J_PER_KWH, f"meter {meter.meter or meter.name}")
     for name, variable in (("electricity", _FACILITY_POWER), (_HVAC, HVAC_POWER)):
         for index, sensor in enumerate(manifest.sensors):
             if name not in sources and sensor.variable.casefold() == variable.casefold() and sensor.unit == "W":

@@ -20,7 +20,7 @@ from agent_sdk.evaluation.metrics import EpisodeMetrics, MetricsAccumulator
 from agent_sdk.rewards import LinearReward, MultiZoneReward, OccupiedReward, read_reward
 from agent_sdk.testing import Climate, FakeBuilding, FakeLink
 from topics.errors import InvalidConfig, UnknownName
-from topics.messages import Aggregation, Manifest, Sample, Task
+from topics.messages import Aggregation, Manifest, Meter, Sample, Task
 from topics.points import value_index
 
 BEGIN = datetime(2017, 7, 1)
@@ -330,3 +330,17 @@ def test_what_faults_do_to_points_does_not_count() -> None:
     tally.add(view(OFFICE, 0, values))
     tally.add(told)
     assert tally.result() == tallied(OFFICE, values)
+
+
+def test_the_meters_of_a_plant_are_named_as_the_metrics() -> None:
+    of = manifest(
+        sensors=[sensor("core")],
+        meters=[
+            Meter(name="electricity", unit="J"),
+            Meter(name="natural_gas", unit="kWh"),
+            Meter(name="heat", unit="J"),
+        ],
+    )
+    found = tallied(of, [24.0, 0.0, 0.0, 0.0], [24.0, KWH, 5.0, KWH])
+    assert found.energy_kwh == pytest.approx({"electricity": 1.0})
+    assert MetricsAccumulator(of).sources["electricity_kwh"] == "meter electricity"
