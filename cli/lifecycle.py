@@ -15,9 +15,7 @@ from topics.errors import NodeLost
 
 def reset(
     node: Node,
-    seed: Annotated[
-        int | None, typer.Option(min=0, metavar="N", help="Seed of the episode, such as of its weather.")
-    ] = None,
+    seed: Annotated[int | None, typer.Option(min=0, metavar="N", help="Seed of the episode.")] = None,
     connect: Connect = None,
     keys: Keys = None,
     certificate: CertificateName = None,
@@ -32,8 +30,8 @@ def reset(
     with connect_bus(connect or default_endpoint(keys), keys=keys, certificate=certificate) as bus:
         steps = bus.manifest(node).steps
         ack = bus.reset(node, Reset(controller=person(), seed=seed))
-    weathers = ", ".join(dict.fromkeys(start.weather for start in ack.episode_starts))
-    text = f"{node}: episode {ack.episode[0]}, {steps} timesteps, {weathers}"
+    weathers = dict.fromkeys(start.weather for start in ack.episode_starts if start.weather)
+    text = ", ".join((f"{node}: episode {ack.episode[0]}", f"{steps} timesteps", *weathers))
     out.print(text, markup=False, soft_wrap=True)
 
 

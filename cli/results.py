@@ -10,9 +10,14 @@ from cli.tables import show
 if TYPE_CHECKING:
     from agent_sdk.evaluation.metrics import EpisodeMetrics
 
+_NOT_MEASURED = "not measured"
+
 
 def show_results(results: Mapping[str, tuple[EpisodeMetrics, float]], title: str) -> None:
-    """Print energy, peak power, comfort and timesteps per second, with one column for each key of `results`."""
+    """Print energy, peak power, comfort and timesteps per second, with one column for each key of `results`.
+
+    A quantity that no node measures is left out.
+    """
     pairs = list(results.values())
     rows = {
         "electricity (kWh)": [_number(r.energy_kwh.get("electricity"), 0) for r, _ in pairs],
@@ -25,9 +30,9 @@ def show_results(results: Mapping[str, tuple[EpisodeMetrics, float]], title: str
         "timesteps/s": [f"{rate:,.0f}" for _, rate in pairs],
         "late, rejected messages": [f"{r.late}, {r.rejected}" for r, _ in pairs],
     }
-    cells = [(name, *values) for name, values in rows.items()]
+    cells = [(name, *values) for name, values in rows.items() if {*values} != {_NOT_MEASURED}]
     show(title, ("", *results), cells, right=tuple(results), wrap=("", *results))
 
 
 def _number(value: float | None, digits: int) -> str:
-    return "not measured" if value is None else f"{value:,.{digits}f}"
+    return _NOT_MEASURED if value is None else f"{value:,.{digits}f}"

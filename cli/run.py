@@ -77,7 +77,7 @@ def run(
                 heading = controller if episodes == 1 else f"episode {number + 1}"
                 results[heading] = _episode(link, agent, bars)
     out.print(f"{node}: {episodes} episode{'s' if episodes > 1 else ''} controlled by {controller}")
-    show_results(results, f"{link.manifest.building}, {link.manifest.weather}")
+    show_results(results, ", ".join(filter(None, (link.manifest.building, link.manifest.weather))))
 
 
 def _episode(link: ControllerLink, agent: Agent, bars: Progress) -> tuple[EpisodeMetrics, float]:

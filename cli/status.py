@@ -50,7 +50,7 @@ def _print_node(node: Status) -> None:
     rows = {
         "state": f"{node.state} ({_pace(node)})",
         "fallback policy": _policy(node),
-        "building": f"{node.building}, {node.weather}",
+        "building": ", ".join(filter(None, (node.building, node.weather))),
         "episode": f"{node.episode[0]}, step {node.step[0]} of {node.steps}",
         "simulated time": node.time[0],
         "commands": messages,

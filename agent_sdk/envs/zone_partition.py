@@ -59,7 +59,7 @@ def partition(manifest: Manifest, shared: Sequence[str], observation_names: Sequ
     if order in ([], [""]):
         raise InvalidConfig(
             f"no action of node {manifest.node!r} belongs to a single zone; control='zone' gives each zone its own, "
-            "unless the scenario defines its actions"
+            "unless the scenario defines its actions; a plant of your own has no zones"
         )
     names, agents = _agent_names(order), {}
     for zone in order:
