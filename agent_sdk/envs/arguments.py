@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -56,12 +57,15 @@ def for_node(arguments: Mapping[str, Any], name: str, slots: int = 1) -> dict[st
             "(connect=) and node of a running one"
         )
     _check_points(settings, arguments)
+    _check_plant_arguments(settings.get("plant_arguments"))
     if "file" in settings:
         settings["scenario"] = settings.pop("file")
     # Relative paths refer to the caller's working directory, which may differ from the node's.
     for key in ("building", "config", "faults", "output_dir", "scenario", "weather"):
         if key in settings:
             settings[key] = _absolute(settings[key], always=key in ("config", "faults", "output_dir"))
+    if "plant_arguments" in settings and "plant" not in settings:
+        raise InvalidConfig("plant_arguments needs a class: plant='FILE.py:CLASS'")
     if "plant" in settings:
         settings["plant"] = _absolute_class(str(settings["plant"]))
     return settings | {"name": name} | ({"slots": slots} if slots > 1 else {})
@@ -74,6 +78,17 @@ def _check_points(settings: Mapping[str, Any], arguments: Mapping[str, Any]) -> 
         for point, spec in settings.get(key, {}).items():
             if isinstance(spec, str) or not isinstance(spec, list | dict):
                 raise InvalidConfig(f"{key} {point!r}: a tuple of EnergyPlus's names expected, got {spec!r}")
+
+
+def _check_plant_arguments(plant_arguments: Any) -> None:
+    for name, value in plant_arguments.items() if isinstance(plant_arguments, dict) else ():
+        try:
+            json.dumps(value)
+        except (TypeError, ValueError):
+            raise InvalidConfig(
+                f"plant_arguments: {name} = {value!r} cannot be sent to the plant's process; only numbers, texts, "
+                "lists and mappings can"
+            ) from None
 
 
 def _absolute_class(plant: str) -> str:

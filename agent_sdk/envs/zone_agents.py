@@ -76,6 +76,8 @@ class ZonesEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo has no types
     ) -> None:
         if not callable(reward) and reward not in ("shared", "own"):
             raise InvalidConfig(f"reward = {reward!r}; 'shared', 'own' or a function of (values, begin) expected")
+        if env_arguments.get("plant") is not None:
+            raise InvalidConfig("a plant of your own has no zones, so it has a single agent: zenostat/Plant-v1")
         if control is None and not {"connect", "link"} & set(env_arguments):
             control = "zone"
         is_data = building_reward is None or isinstance(building_reward, str | Mapping)

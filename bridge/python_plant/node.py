@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -17,6 +17,7 @@ from bridge.node.settings import NodeSettings
 from bridge.python_plant.plant import PythonPlant, plan_class
 from topics.codec import describe_validation_errors
 from topics.errors import InvalidConfig, did_you_mean
+from topics.scenario_fields import NODE_ARGUMENTS
 
 
 class PlantSettings(NodeSettings):
@@ -43,13 +44,17 @@ def read_settings(settings: Mapping[str, Any]) -> PlantSettings:
     set_fields = {name: value for name, value in settings.items() if value is not None or name == "deadline_s"}
     known = list(PlantSettings.model_fields)
     if unknown := [name for name in set_fields if name not in known]:
-        raise InvalidConfig(
-            "\n".join(f"a plant of your own has no setting {name!r}; {did_you_mean(name, known)}" for name in unknown)
-        )
+        raise InvalidConfig("\n".join(_unknown_setting(name, known) for name in unknown))
     try:
         return PlantSettings.model_validate(set_fields)
     except ValidationError as error:
         raise InvalidConfig(describe_validation_errors(error)) from None
+
+
+def _unknown_setting(name: str, known: Sequence[str]) -> str:
+    of_building = name in NODE_ARGUMENTS
+    hint = "its class defines points, time and reward" if of_building else did_you_mean(name, known)
+    return f"a plant of your own has no setting {name!r}; {hint}"
 
 
 def plant_node(settings: PlantSettings, observer: Observer | None = None, *, program: bool = False) -> Node:

@@ -45,6 +45,26 @@ def test_names_with_a_dot_are_no_paths(here: Path) -> None:
 
 
 @pytest.mark.parametrize("form", [str, Path])
+def test_the_file_of_a_plant_is_made_absolute_and_a_module_stays(here: Path, form: Any) -> None:
+    assert for_node({"plant": form("tank.py:Tank")}, "b")["plant"] == f"{here}/tank.py:Tank"
+    assert for_node({"plant": "my.tanks:Tank"}, "b")["plant"] == "my.tanks:Tank"
+
+
+def test_arguments_of_a_plant_need_one() -> None:
+    with pytest.raises(InvalidConfig, match=r"plant_arguments needs a class: plant='FILE.py:CLASS'"):
+        for_node({**BASE, "plant_arguments": {}}, "b")
+
+
+@pytest.mark.parametrize("value", [print, {1, 2}, [object()]])
+def test_arguments_of_a_plant_are_what_json_can_represent(value: Any) -> None:
+    assert for_node({"plant": "a:B", "plant_arguments": {"size": np.float64(2.0)}}, "b")["plant_arguments"] == {
+        "size": 2.0
+    }
+    with pytest.raises(InvalidConfig, match=r"plant_arguments: size = .* cannot be sent"):
+        for_node({"plant": "a:B", "plant_arguments": {"size": value}}, "b")
+
+
+@pytest.mark.parametrize("form", [str, Path])
 def test_paths_of_files_are_made_absolute(here: Path, form: Any) -> None:
     given = {"building": form("mine.idf"), "weather": form("mine.epw"), "output_dir": form("kept")}
     found = for_node(given, "b")
@@ -182,7 +202,7 @@ def test_numpys_numbers_are_numbers() -> None:
 
 
 def test_a_node_knows_every_setting_that_is_handed_on() -> None:
-    named = dict.fromkeys(set(NODE_ARGUMENTS) - {"file"}, None)
+    named = dict.fromkeys(set(NODE_ARGUMENTS) - {"file", "plant", "plant_arguments"}, None)
     with pytest.raises(InvalidConfig, match="no setting 'colour'") as raised:
         read_config({**named, "colour": "red"})
     assert str(raised.value).count("no setting") == 1

@@ -99,6 +99,11 @@ def test_no_zone_decides() -> None:
         fake(2, control="building")
 
 
+def test_a_plant_of_ones_own_has_no_zones() -> None:
+    with pytest.raises(InvalidConfig, match=r"a plant of your own has no zones"):
+        ZonesEnv(plant="tank.py:Tank")
+
+
 def test_discrete_zones_choose_each_for_itself() -> None:
     env = fake(2, control="zone", discrete=4)
     assert env.action_space("zone_1") == gym.spaces.Discrete(4)

@@ -444,8 +444,10 @@ def test_threads_of_a_class_do_not_delay_its_check(tank: Path) -> None:
 
 
 def test_settings_of_a_building_and_unknown_arguments_are_refused(scratch: Path, tank: Path) -> None:
-    with pytest.raises(InvalidConfig, match=r"(?s)has no setting 'steps_per_hour'.*has no setting 'weather'"):
+    with pytest.raises(InvalidConfig, match=r"(?s)no setting 'steps_per_hour'; its class.*no setting 'weather'; its"):
         read_settings({"plant": f"{tank}:Tank", "steps_per_hour": 4, "weather": "USA_CO_Denver"})
+    with pytest.raises(InvalidConfig, match=r"has no setting 'slot'; did you mean 'slots'"):
+        read_settings({"plant": f"{tank}:Tank", "slot": 4})
     with pytest.raises(InvalidConfig, match=r"losses.*its arguments: \(loss=0.125, deed=''\)"):
         gym.make("zenostat/Plant-v1", plant=f"{tank}:Tank", plant_arguments={"losses": 1.0})
     with pytest.raises(InvalidConfig, match=r"a plant of your own has no setting 'weather'"):
