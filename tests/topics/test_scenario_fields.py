@@ -85,7 +85,8 @@ def _settings(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> dict[str, Any
 
 
 def test_the_command_line_has_the_defaults_of_a_node(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert read_config(_settings(monkeypatch)).model_copy(update={"what": {}}) == NodeConfig()
+    config, _ = cli.node._read(_settings(monkeypatch))
+    assert config.model_copy(update={"what": {}}) == NodeConfig()
 
 
 def test_each_option_sets_its_argument(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -107,7 +108,7 @@ def test_the_settings_that_are_no_arguments_follow_their_options(monkeypatch: py
         monkeypatch, "--mode", "paced", "--speed", "60", "--grace", "1.5", "--deadline", "2.5", "--no-listen",
         "--connect", "tcp/127.0.0.1:1", "--slots", "2", "--name", "office",
     )  # fmt: skip
-    config = read_config(settings)
+    config, _ = cli.node._read(settings)
     assert (config.mode, config.speed, config.grace_s, config.deadline_s) == ("paced", 60.0, 1.5, 2.5)
     assert (config.listen, config.connect, config.slots, config.name) == ([], ["tcp/127.0.0.1:1"], 2, "office")
 
