@@ -224,7 +224,7 @@ class PlantHost:
 
     def _fail(self, text: str) -> NoReturn:
         """Send an error to the node and exit."""
-        raw = text.encode()
+        raw = text.encode(errors="backslashreplace")  # a text of the user's may have lone surrogates
         self._out[0], self._out[1] = FrameKind.FAILED, len(raw)
         try:
             self._frames.sendall(self._out)
