@@ -102,6 +102,7 @@ def plan_class(plant: str, arguments: Mapping[str, Any], unresponsive_s: float) 
             output = _communicate(process, request + "\n", plant, unresponsive_s)
         except BaseException:
             process.kill()
+            process.wait()  # after a KeyboardInterrupt, `with` does not wait
             raise
     try:
         fields = json.loads(output)
