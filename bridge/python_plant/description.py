@@ -85,9 +85,7 @@ def _load_file(path: Path) -> Any:
     if not path.is_file():
         raise InvalidConfig(f"plant: no file {path}")
     sys.path.insert(0, str(path.parent.absolute()))  # as for a script: modules beside the file can be imported
-    # The file must not replace another module, of the standard library for example.
-    known = path.stem in sys.modules or path.stem in sys.stdlib_module_names
-    name = f"plant_{path.stem}" if known else path.stem
+    name = _module_name(path.stem)
     spec = importlib.util.spec_from_file_location(name, path)
     assert spec is not None
     assert spec.loader is not None
@@ -95,6 +93,13 @@ def _load_file(path: Path) -> Any:
     sys.modules[name] = module  # for pickles of its classes
     spec.loader.exec_module(module)
     return module
+
+
+def _module_name(stem: str) -> str:
+    """Return a name that replaces no other module, of the standard library for example, and that pickles can have."""
+    if stem.isidentifier() and stem not in sys.modules and stem not in sys.stdlib_module_names:
+        return stem
+    return f"plant_{re.sub(r'[^0-9A-Za-z_]', '_', stem)}"
 
 
 def _load_module(name: str) -> Any:

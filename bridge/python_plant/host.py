@@ -31,6 +31,7 @@ from bridge.runtime.polling import Polling
 from topics.errors import ZenostatError, did_you_mean, to_wire
 
 _SAMPLE, _LAST, _STEP = float(FrameKind.SAMPLE), float(FrameKind.LAST), float(OrderKind.STEP)
+_TEXTS = (str, bytes)  # `float` would convert them
 _OWN_FILES = str(Path(__file__).parent)
 
 
@@ -110,7 +111,7 @@ class PlantHost:
         numbers = []
         for name in self._values:
             try:
-                value = nan if isinstance(values[name], str | bytes) else float(values[name])
+                value = nan if isinstance(values[name], _TEXTS) else float(values[name])
             except (TypeError, ValueError, OverflowError):
                 value = nan
             if not isfinite(value):
