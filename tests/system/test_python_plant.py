@@ -509,8 +509,7 @@ TOLD: dict[str, Callable[[NodeProgram], object]] = {
 }
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-@pytest.mark.parametrize("time", ["described", "started"])
+@pytest.mark.parametrize(("time", "number"), [("described", signal.SIGINT), ("started", signal.SIGTERM)])
 def test_a_node_ends_while_its_plant_is_created(scratch: Path, tank: Path, time: str, number: signal.Signals) -> None:
     (scratch / "slow.py").write_text(SLOW)
     if time == "described":
