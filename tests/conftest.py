@@ -60,6 +60,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: item.get_closest_marker("long") is None)
 
 
+@pytest.fixture(autouse=True)
+def _own_cores() -> Iterator[None]:
+    """Let each test begin on all cores: environments and commands place the thread that uses them."""
+    cores = os.sched_getaffinity(0)
+    yield
+    os.sched_setaffinity(0, cores)
+
+
 @contextmanager
 def _short_folder() -> Iterator[Path]:
     # Not pytest's own: the path of a unix socket has 108 bytes at most.

@@ -73,9 +73,7 @@ class NodeProgram:
         ZenostatError: what the node said when it could not start; it has ended by then.
     """
 
-    def __init__(
-        self, folder: Path, *, before: tuple[str, ...] = (), module: str = "", **settings: Any
-    ) -> None:
+    def __init__(self, folder: Path, *, before: tuple[str, ...] = (), module: str = "", **settings: Any) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         self.folder = folder
         given = {"listen": [f"unixsock-stream/{folder}/bus"], "folder": str(folder / "run"), "affinity": "off"}
@@ -83,7 +81,13 @@ class NodeProgram:
         self.name: str = given["name"]
         self.endpoint: str = (given["listen"] or given["connect"])[0]
         self.process = subprocess.Popen(
-            [*before, sys.executable, "-P", "-m", module or ("bridge.python_plant" if "plant" in settings else "eplus_node")],
+            [
+                *before,
+                sys.executable,
+                "-P",
+                "-m",
+                module or ("bridge.python_plant" if "plant" in settings else "eplus_node"),
+            ],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             process_group=0,

@@ -194,7 +194,7 @@ def test_settings__refused_by_the_node(given: dict[str, Any], message: str) -> N
     [
         ({"begin": "02-30"}, r"begin '02-30' is not a calendar date"),  # by its own node
         ({"sensors": {"inside": "Zone Air Temperature"}}, r"sensors 'inside': a tuple of EnergyPlus's names expected"),
-        ({"building": None}, r"name a building and a weather, a scenario, a file .file=., or the bus"),
+        ({"building": None}, r"name a building and a weather, a scenario, a file .file=., a class of your own"),
     ],
 )
 def test_settings__refused_by_the_environment(given: dict[str, Any], message: str) -> None:

@@ -440,13 +440,13 @@ def test_python_example(gateway):
     assert (done.stdout, done.stderr) == ("96 timesteps to 2017-07-04T00:00:00\n", "")
 
 
-def test_python_example_ends_with_the_reason_when_the_engine_dies(node, gateway):
-    node.engine.send_signal(signal.SIGSTOP)
+def test_python_example_ends_with_the_reason_when_the_engine_dies(shared_node, gateway):
+    shared_node.engine.send_signal(signal.SIGSTOP)
     command = [sys.executable, str(EXAMPLES / "zeromq_controller.py")]
     command += ["--publish", gateway.publish, "--command", gateway.command]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as program:
-        until(lambda: agent_status(node).state is State.RUNNING, "the node computes")
-        node.engine.kill()
+        until(lambda: agent_status(shared_node).state is State.RUNNING, "the node computes")
+        shared_node.engine.kill()
         out, err = program.communicate(timeout=90)
     assert (program.returncode, out) == (1, "")
     assert err == "the engine process was killed by SIGKILL after sample 0; it printed no error\n"
