@@ -16,7 +16,7 @@
     │   ├── PlantFailed         the code of a plant's class raised an error or returned invalid values
     │   ├── EngineDied          the engine process ended unexpectedly
     │   │   └── EngineUnresponsive  it neither answered nor used processor time, and was killed
-    │   └── ForkFailed          the system could not fork an engine: too little memory, too many processes
+    │   └── ForkFailed          a plant or its engine could not be copied: too little memory, or no way to copy it
     └── BusError                a peer cannot be reached
         ├── AddressInUse        another program listens at that endpoint
         ├── NameInUse           a node of that name is already on the bus
@@ -101,7 +101,7 @@ class EngineUnresponsive(EngineDied):
 
 
 class ForkFailed(SimulatorError):
-    """The system could not fork an engine; the engine itself continues to run."""
+    """A plant or its engine could not be copied; it continues to run."""
 
 
 class BusError(ZenostatError):

@@ -48,7 +48,7 @@ def _start(spec: EngineSpec) -> tuple[SocketPair, Process]:
             env={**os.environ, **spec.program.environment},
             stdin=subprocess.DEVNULL,
             stdout=2 if spec.program.prints else subprocess.DEVNULL,
-            stderr=log,
+            stderr=2 if spec.program.prints else log,
         )
     return ours, process
 

@@ -18,7 +18,7 @@ class EngineProgram:
     Attributes:
         command: starts it; the descriptors of its two sockets and the node's process id are appended.
         environment: variables that are added to those of the node.
-        prints: whether its standard output goes to the node's standard error.
+        prints: whether its standard output and standard error go to the node's standard error.
         failure: returns the error for a text that the engine sent before it ended, and its folder.
         explain: returns the reason why an engine ended, from its folder and the end of its output.
     """

@@ -51,6 +51,7 @@ HOST = (sys.executable, "-P", "-m", "bridge.python_plant.host")
 PYTHON = EngineProgram(
     command=HOST,
     failure=lambda text, _: PlantFailed(text),
+    explain=lambda *_: "its output is in that of the node",
     # A process with threads, such as those of linear algebra libraries, cannot be forked.
     environment=dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1"),
     prints=True,

@@ -83,6 +83,7 @@ class Tank:
             pass
         if deed == "print":
             print("printed by the tank")
+            print("logged by the tank", file=sys.stderr)
         if deed == "thread":
             threading.Thread(target=time.sleep, args=(1e6,), daemon=True).start()
         if deed == "keep":
@@ -274,7 +275,7 @@ def test_what_nobody_commands_has_its_default_or_is_missing(own: BuildingEnv) ->
         ("missing", PlantFailed, ["step() at step 2 returned no value for 'temperature'"]),
         ("unknown", PlantFailed, ["returned 'temprature', which is neither a sensor", "did you mean 'temperature'"]),
         ("list", PlantFailed, ["returned list; a dict with the values of temperature, noise, electricity expected"]),
-        ("leave", EngineDied, ["ended with code 3 after sample 1", "it printed no error"]),
+        ("leave", EngineDied, ["ended with code 3 after sample 1", "its output is in that of the node"]),
         ("kill", EngineDied, ["was killed by SIGKILL after sample 1"]),
     ],
 )
@@ -340,7 +341,7 @@ def test_what_a_class_prints_appears_at_once_in_the_nodes_standard_error(
 
         def has_printed(seen: list[str] = seen) -> bool:
             seen[0] += capfd.readouterr().err
-            return "printed by the tank\n" in seen[0]
+            return "printed by the tank\n" in seen[0] and "logged by the tank\n" in seen[0]
 
         until(has_printed, "the line has arrived")
         assert trajectory(env, 1)
