@@ -18,8 +18,9 @@ $(READY): pyproject.toml constraints.txt | $(VENV)
 	$(INSTALL) -e .
 	touch $@
 
-$(READY)-dev: pyproject.toml constraints.txt | $(VENV)
-	$(INSTALL) -e '.[dev]'
+# Of torch and what comes with it, 13,000 files, the tests import a part: these are compiled when they are imported.
+$(READY)-dev: $(READY)
+	$(INSTALL) --no-compile -e '.[dev]'
 	touch $(READY) $@
 
 demo: $(READY)  ## A building, its controller and its monitor in separate processes; results in demo/
