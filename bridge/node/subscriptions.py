@@ -108,6 +108,7 @@ class Subscriptions:
         self._session = session
         self._node = node
         self._tasks: deque[Callable[[], None]] = deque()
+        self._queues = [self._tasks]
         self.rate_limited = 0
         self._close = ExitStack()
         self._thread_id = 0
@@ -134,6 +135,8 @@ class Subscriptions:
         finally:
             closed.set()
             drain.join()
+            for queue in self._queues:  # a query ends once nothing refers to it; its sender would wait for minutes
+                queue.clear()
 
     def _drain(self, closed: threading.Event) -> None:
         while not closed.is_set():
@@ -206,9 +209,14 @@ class Subscriptions:
 
     # Subscribers and queryables besides commands
 
+    def _queue(self) -> deque[Callable[[], None]]:
+        queue: deque[Callable[[], None]] = deque()
+        self._queues.append(queue)
+        return queue
+
     def listen(self, topic: keys.Topic, handler: Handler) -> None:
         """Subscribe to a topic; the server's thread handles its messages."""
-        waiting: deque[Callable[[], None]] = deque()
+        waiting = self._queue()
 
         def on_message(message: zenoh.Sample) -> None:
             if len(waiting) >= MAX_PENDING:
@@ -305,7 +313,7 @@ class Subscriptions:
             handler: is called with each request.
             on_receipt: called first for each request, in the thread that receives it.
         """
-        waiting: deque[Callable[[], None]] = deque()
+        waiting = self._queue()
 
         def on_query(query: zenoh.Query) -> None:
             request = Request(query, topic, self._node)
