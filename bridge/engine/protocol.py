@@ -32,7 +32,7 @@ import struct
 from enum import IntEnum
 
 PROCESS_ID = struct.Struct("=q")
-"""Reply to a `FORK` order."""
+"""Reply to a `FORK` order; of a `SAVE` order, the result."""
 
 
 class FrameKind(IntEnum):

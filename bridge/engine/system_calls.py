@@ -5,14 +5,33 @@ from __future__ import annotations
 import ctypes
 import errno
 import fcntl
+import json
 import os
 import shutil
 import signal
+import socket
 import stat
+import struct
 import sys
 from typing import Any, NoReturn
 
 _scratch_folder = ""
+
+
+def receive_spec(orders: socket.socket, parent: int) -> dict[str, Any]:
+    """Set up an engine's process; return the fields of its `EngineSpec`, which the node sends first.
+
+    Args:
+        orders: the socket on which the node's orders arrive.
+        parent: the node's process id.
+    """
+    die_with_parent(parent)
+    length = struct.unpack("<I", orders.recv(4, socket.MSG_WAITALL))[0]
+    spec: dict[str, Any] = json.loads(orders.recv(length, socket.MSG_WAITALL))
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the node handles Ctrl-C
+    signal.signal(signal.SIGTERM, lambda *_: leave(0))
+    set_up_process(spec)
+    return spec
 
 
 def leave(code: int) -> NoReturn:

@@ -13,9 +13,7 @@ import io
 import json
 import os
 import pickle
-import signal
 import socket
-import struct
 import sys
 import traceback
 from array import array
@@ -25,7 +23,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from bridge.engine.protocol import PROCESS_ID, FrameKind, OrderKind
-from bridge.engine.system_calls import clone, die_with_parent, leave, reopen_files, set_up_process
+from bridge.engine.system_calls import clone, die_with_parent, leave, receive_spec, reopen_files, set_up_process
 from bridge.python_plant.description import create, describe
 from bridge.runtime.polling import Polling
 from topics.errors import ZenostatError, did_you_mean, to_wire
@@ -243,14 +241,9 @@ def _print_lines() -> None:
 
 def serve(orders_descriptor: int, frames_descriptor: int, parent: int) -> NoReturn:
     """Read the specification from the socket and serve the node."""
-    die_with_parent(parent)
     orders = socket.socket(fileno=orders_descriptor)
-    length = struct.unpack("<I", orders.recv(4, socket.MSG_WAITALL))[0]
-    spec = json.loads(orders.recv(length, socket.MSG_WAITALL))
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the node handles Ctrl-C
-    signal.signal(signal.SIGTERM, lambda *_: leave(0))
+    spec = receive_spec(orders, parent)
     _print_lines()
-    set_up_process(spec)
     PlantHost(orders, socket.socket(fileno=frames_descriptor), spec).run()
 
 
