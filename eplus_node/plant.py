@@ -69,12 +69,9 @@ class EnergyPlusEngines(EngineGroup):
         create_fork_folder(folder)
         # Linked before the fork: a failure after it would leave engines behind.
         links = {slot: self._link(self.weather_of(slot), folder / f"slot-{slot}.epw") for slot in set(slots)}
-        parents = [self.clients[slot] for slot in slots]
-        parents += [self.baselines[slot] for slot in slots] if baseline and self.baselines else []
-        forks = start_all(parents, lambda client: self._fork(client, folder))
+        forks = start_all(self.members(slots, baseline=baseline), lambda client: self._fork(client, folder))
         copy = EnergyPlusFork(self._plan, self.description, self._fork_cpus, [links[slot] for slot in slots])
-        copy.clients, copy.baselines = forks[: len(slots)], forks[len(slots) :]
-        copy.copy_effective(self, slots)
+        copy.adopt(forks, self, slots)
         return copy
 
     def _link(self, weather: EpisodeWeather, path: Path) -> EpisodeWeather:
@@ -229,8 +226,7 @@ class EnergyPlusPlant(EnergyPlusEngines):
         for pool, linked in zip(self._pools, weather, strict=True):
             pool.restore(linked)
         self._replaced, self._started = self.all, ()
-        self.clients, self.baselines = forks[: len(slots)], forks[len(slots) :]
-        self.copy_effective(saved, slots)
+        self.adopt(forks, saved, slots)
         self._starts = [EngineStart.SNAPSHOT] * len(slots)
         return self._episode_starts(slots)
 

@@ -123,9 +123,15 @@ class EngineGroup:
         """Return the resident memory of all engines, or only what belongs to a single process; thread-safe."""
         return sum(client.private_bytes if private else client.rss_bytes for client in self.all)
 
-    def copy_effective(self, other: EngineGroup, slots: Sequence[int]) -> None:
-        """Take over the effective values of some slots of another group."""
-        rows = other._rows(other.effective)
+    def members(self, slots: Sequence[int], *, baseline: bool) -> list[EngineClient]:
+        """Return the engines of some slots; with `baseline`, those of their baseline as well, last."""
+        engines = [self.clients[slot] for slot in slots]
+        return engines + [self.baselines[slot] for slot in slots] if baseline and self.baselines else engines
+
+    def adopt(self, engines: Sequence[EngineClient], source: EngineGroup, slots: Sequence[int]) -> None:
+        """Take over copies of the engines that `source.members(slots)` returned, with their effective values."""
+        self.clients, self.baselines = [*engines[: len(slots)]], [*engines[len(slots) :]]
+        rows = source._rows(source.effective)
         self.effective = b"".join([rows[slot] for slot in slots])
 
     def interrupt(self) -> None:

@@ -182,12 +182,9 @@ class PythonEngines(EngineGroup):
 
     def fork(self, slots: Sequence[int], folder: Path, *, baseline: bool = False) -> PythonEngines:
         """Copy the processes of some slots; see `RunningPlant.fork`."""
-        parents = [self.clients[slot] for slot in slots]
-        parents += [self.baselines[slot] for slot in slots] if baseline and self.baselines else []
-        copies = self._copy_all(parents, folder)
+        copies = self._copy_all(self.members(slots, baseline=baseline), folder)
         copy = PythonEngines(self._plan, self._copy_cpus)
-        copy.clients, copy.baselines = copies[: len(slots)], copies[len(slots) :]
-        copy.copy_effective(self, slots)
+        copy.adopt(copies, self, slots)
         return copy
 
     def _copy_all(self, clients: Sequence[EngineClient], folder: Path) -> list[EngineClient]:
@@ -321,10 +318,9 @@ class PythonPlant(PythonEngines):
         assert isinstance(saved, PythonEngines)
         copies = self._copy_all(saved.all, self._context.folder / f"restored-{next(self._numbers)}")
         self._replaced = self.all
-        slots = len(self.clients)
-        self.clients, self.baselines = copies[:slots], copies[slots:]
-        self.copy_effective(saved, range(slots))
-        return [EpisodeStart(engine_start=EngineStart.SNAPSHOT, weather="") for _ in range(slots)]
+        slots = range(len(self.clients))
+        self.adopt(copies, saved, slots)
+        return [EpisodeStart(engine_start=EngineStart.SNAPSHOT, weather="") for _ in slots]
 
     def clean_up(self) -> None:
         """End the processes that were replaced."""
