@@ -70,7 +70,7 @@ class _CheckContext:
 
     @property
     def description(self) -> ClassDescription:
-        """What the class declares."""
+        """Declarations of the class."""
         if self._description is None:
             self._description = describe(self.make())
         return self._description

@@ -77,7 +77,7 @@ class Site:
 
 @dataclass(frozen=True, slots=True)
 class PlantDescription:
-    """What does not change while a plant exists.
+    """Properties of a plant that do not change while it exists.
 
     Attributes:
         name: of the building or plant.
@@ -122,7 +122,7 @@ class SlotPlacement:
 
 @dataclass(frozen=True, slots=True)
 class PlantContext:
-    """What a node provides to its plant.
+    """Resources that a node provides to its plant.
 
     Attributes:
         folder: for the plant's files; the node removes it at the end.
@@ -150,7 +150,7 @@ class RunningPlant(Protocol):
 
     @property
     def description(self) -> PlantDescription:
-        """What the plant is."""
+        """Description of the plant."""
 
     @property
     def effective(self) -> bytes:

@@ -10,7 +10,7 @@ PointSpec = str | Sequence[str | float | None]
 
 
 class Plant(Protocol):
-    """What a class must have to be a plant. `None` as a bound means unbounded.
+    """Protocol of a class that can be a plant. `None` as a bound means unbounded.
 
     Further attributes are optional:
 

@@ -42,7 +42,7 @@ class Point:
 
 @dataclass(frozen=True, slots=True)
 class ClassDescription:
-    """What a plant's class declares. `forkable`, `has_state`: whether it can be copied by a fork, or by its state."""
+    """Declarations of a plant's class. `forkable`, `has_state`: whether it can be copied by a fork, or by its state."""
 
     name: str
     step_s: float
