@@ -45,3 +45,32 @@ FUELS = (
     "OtherFuel2",
 )
 """Resources whose meters count consumption, as in `Electricity:Facility`."""
+
+FACILITY_POWER = "Facility Total Electricity Demand Rate"
+"""Output variable of the whole building's electric power in W, with the key `Whole Building`."""
+
+OUTDOOR_TEMPERATURE = "Site Outdoor Air Drybulb Temperature"
+"""Output variable of the outdoor air, with the key `Environment`."""
+
+ZONE_HUMIDITY = "Zone Air Relative Humidity"
+
+END_USES = (
+    "Heating",
+    "Cooling",
+    "Fans",
+    "Pumps",
+    "HeatRejection",
+    "Humidifier",
+    "HeatRecovery",
+    "InteriorLights",
+    "ExteriorLights",
+    "InteriorEquipment",
+    "ExteriorEquipment",
+    "WaterSystems",
+    "Refrigeration",
+    "Cogeneration",
+)
+"""End uses as in the meters `Cooling:Electricity`, those of HVAC first."""
+
+HVAC_END_USES = END_USES[:7]
+"""End uses of heating, cooling and ventilation."""

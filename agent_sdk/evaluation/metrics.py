@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import timedelta
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent_sdk.bus.sample import SampleView
-from agent_sdk.rewards import REWARDS, MultiZoneReward, OccupiedReward, Reward, read_reward
-from agent_sdk.rewards.comfort_band import ComfortBand
-from agent_sdk.rewards.occupied import PEOPLE
-from agent_sdk.rewards.selectors import same_zone, temperatures
-from topics.energyplus_names import HVAC_POWER
-from topics.errors import InvalidConfig
+from agent_sdk.evaluation.comfort import comfort
+from agent_sdk.rewards import Reward
+from topics.energyplus_names import FACILITY_POWER, HVAC_POWER
 from topics.messages import Aggregation, Manifest
 
 J_PER_KWH = 3.6e6
@@ -28,7 +23,6 @@ FUELS = {
 }  # fmt: skip
 """Energy carriers, with their names in EnergyPlus's meters."""
 
-_FACILITY_POWER = "Facility Total Electricity Demand Rate"
 _HVAC = "hvac_electricity"
 
 
@@ -116,7 +110,7 @@ class MetricsAccumulator:
         self._to_kwh = np.array([meter.to_kwh for meter in meters.values()])
         electric = [name for name in ("electricity", _HVAC) if name in meters]
         self._electric = self._names.index(electric[0]) if electric else None
-        self._comfort = _comfort(manifest, reward)
+        self._comfort = comfort(manifest, reward)
         self.sources = {f"{name}_kwh": meter.source for name, meter in meters.items()}
         if electric:
             self.sources |= dict.fromkeys(("mean_power_w", "peak_kw"), meters[electric[0]].source)
@@ -206,66 +200,10 @@ def _energy_sources(manifest: Manifest) -> dict[str, _EnergySource]:
         if meter_name.casefold() in meters:
             index, meter = meters[meter_name.casefold()]
             sources[name] = _EnergySource(index, 1.0 / J_PER_KWH, f"meter {meter.meter or meter.name}")
-    for name, variable in (("electricity", _FACILITY_POWER), (_HVAC, HVAC_POWER)):
+    for name, variable in (("electricity", FACILITY_POWER), (_HVAC, HVAC_POWER)):
         for index, sensor in enumerate(manifest.sensors):
             if name not in sources and sensor.variable.casefold() == variable.casefold() and sensor.unit == "W":
                 note = ", read at its end (an approximation)" if sensor.aggregation is Aggregation.INSTANT else ""
                 source = f"sensor {sensor.name}, W times the timestep{note}"
                 sources[name] = _EnergySource(index, 1e-3 / (3600.0 / manifest.step_s), source)
     return sources
-
-
-class _Comfort:
-    """Zones with their comfort bands and occupant counts."""
-
-    def __init__(
-        self, source: str, zones: Sequence[int], people: Sequence[int | None], band: Callable[[Any, Any], Any]
-    ) -> None:
-        self.zones = np.array(zones, np.intp)
-        self.source = f"{len(zones)} zone{'s' if len(zones) > 1 else ''}, the band of the {source} reward"
-        self._band = band
-        self._always_occupied = np.array([index is None for index in people])
-        self._people = np.array([index or 0 for index in people], np.intp)
-
-    def outside(self, values: NDArray[np.float64], begin: Any) -> NDArray[np.float64]:
-        """Return the deviation from the band in K, shape (zones,)."""
-        low, high = self._band(values, begin)
-        air = values[self.zones]
-        outside: NDArray[np.float64] = np.maximum(np.maximum(low - air, air - high), 0.0)
-        return outside
-
-    def is_occupied(self, values: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return whether each zone is occupied; True without an occupant count."""
-        occupied: NDArray[np.bool_] = self._always_occupied | (values[self._people] > 0.0)
-        return occupied
-
-
-def _comfort(manifest: Manifest, reward: Reward | None) -> _Comfort | None:
-    settings = manifest.task.reward
-    # A node of another version may have a reward that is unknown in this process.
-    from_task = read_reward(settings) if settings is not None and settings.get("kind") in REWARDS else None
-    for candidate in (reward, from_task):
-        try:
-            if isinstance(candidate, ComfortBand):
-                return _from_band(candidate, manifest)
-            if isinstance(candidate, MultiZoneReward):
-                return _from_setpoints(candidate, manifest)
-        except InvalidConfig:  # the node lacks the temperatures
-            continue
-    return None
-
-
-def _from_band(reward: ComfortBand, manifest: Manifest) -> _Comfort:
-    band, zones = reward.season(manifest).band, temperatures(reward.kind, reward.temperatures, manifest).tolist()
-    if isinstance(reward, OccupiedReward):
-        zones, people = map(list, zip(*reward.pairs(zones, manifest), strict=True))
-    else:
-        people = same_zone(zones, PEOPLE, manifest)
-    return _Comfort(reward.kind, zones, people, lambda _, begin: band(begin))
-
-
-def _from_setpoints(reward: MultiZoneReward, manifest: Manifest) -> _Comfort:
-    air, heat, cool = map(list, zip(*reward._points(manifest), strict=True))  # noqa: SLF001
-    threshold = reward.threshold
-    people = same_zone(air, PEOPLE, manifest)
-    return _Comfort(reward.kind, air, people, lambda values, _: (values[heat] - threshold, values[cool] + threshold))

@@ -1,0 +1,1 @@
+"""Names, colors and roles of a node's points for pictures and reports."""

@@ -1,0 +1,361 @@
+"""Roles of a node's points in pictures and reports: which sensor is the temperature of which zone, and so on.
+
+Points of EnergyPlus are recognized by output variable and key, meter, and actuator type. Points of other plants, and
+setpoint schedules, are recognized by the words of their names.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+
+from bridge.display.colors import RGB, end_use_color, zone_color
+from bridge.display.labels import label, words, zone_labels
+from topics.energyplus_names import (
+    COOLING_SETPOINT,
+    COOLING_SETPOINT_VARIABLE,
+    END_USES,
+    FACILITY_POWER,
+    FUELS,
+    HEATING_SETPOINT,
+    HEATING_SETPOINT_VARIABLE,
+    HVAC_END_USES,
+    HVAC_POWER,
+    OCCUPANTS,
+    OUTDOOR_TEMPERATURE,
+    THERMOSTAT,
+    ZONE_HUMIDITY,
+    ZONE_TEMPERATURES,
+)
+from topics.messages import Actuator, Manifest, Meter
+
+_KWH = {"J": 1 / 3.6e6, "kJ": 1 / 3.6e3, "MJ": 1 / 3.6, "GJ": 1e3 / 3.6, "Wh": 1e-3, "kWh": 1.0, "MWh": 1e3}
+_POWERS = {HVAC_POWER.casefold(), FACILITY_POWER.casefold()}
+_KW = {"W": 1e-3, "kW": 1.0, "MW": 1e3}
+
+_ROOM_WORDS = {
+    "apartment", "bedroom", "building", "classroom", "core", "flat", "hall", "house", "indoor", "inside", "kitchen",
+    "living", "office", "perimeter", "room", "space", "zone",
+}  # fmt: skip
+_OUTDOOR_WORDS = {"ambient", "external", "outdoor", "outside"}
+_SETPOINT_WORDS = {"setpoint", "setpoints", "setpt", "sp"}
+_NO_PLACE = {
+    "air", "all", "building", "heating", "cooling", "return", "rl", "sch", "schedule", "temperature", "thermostat",
+    "zone", "zones",
+} | _SETPOINT_WORDS  # fmt: skip
+"""Words of a setpoint's name that do not tell its zone."""
+
+_END_USE_LABELS = {"humidifier": "humidification"}
+
+
+@dataclass(frozen=True, slots=True)
+class ZoneRoles:
+    """Points of one zone, as indices into `Manifest.points` and, for actuators, `Manifest.actuators`.
+
+    Attributes:
+        key: EnergyPlus's name of the zone; of another plant, the part of the names that its points share.
+        label: the name for readers, such as `Core bottom`.
+        color: color of the zone in all pictures of the building.
+        temperature, humidity, occupants: sensors; None where there is none.
+        heating_setpoint, cooling_setpoint: sensors of the setpoints that the thermostat uses.
+        heating_actuator, cooling_actuator: actuators of the setpoints; zones may share one, such as a schedule.
+    """
+
+    key: str
+    label: str
+    color: RGB
+    temperature: int | None = None
+    humidity: int | None = None
+    occupants: int | None = None
+    heating_setpoint: int | None = None
+    cooling_setpoint: int | None = None
+    heating_actuator: int | None = None
+    cooling_actuator: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class PowerSource:
+    """A point that gives a power: `values[index] * to_kw`, the mean of the timestep in kW."""
+
+    index: int
+    to_kw: float
+
+
+@dataclass(frozen=True, slots=True)
+class EndUse:
+    """A meter of an end use or, with the label `facility`, of all uses of a fuel.
+
+    Attributes:
+        label: `cooling`, `interior lights`.
+        fuel: `electricity`, `natural gas`.
+        index: index into `Manifest.points`.
+        to_kw: factor from the meter's value to the mean power of the timestep in kW.
+        color: color of the end use in all pictures.
+        is_hvac: whether it belongs to heating, cooling or ventilation.
+    """
+
+    label: str
+    fuel: str
+    index: int
+    to_kw: float
+    color: RGB
+    is_hvac: bool
+
+
+@dataclass(frozen=True, slots=True)
+class PointRoles:
+    """Roles of all points of a node.
+
+    Attributes:
+        zones: in the building's order.
+        outdoor_temperature: index into `Manifest.points`; None where the node lacks it.
+        facility_power, hvac_power: electric power of the whole building and of its HVAC.
+        end_uses: meters of end uses, those of HVAC first.
+        fuels: meters of the whole building, by fuel.
+        others: the points without a role, as indices by unit, in manifest order.
+        labels: names of `Manifest.points` for readers.
+        actuator_labels: names of `Manifest.actuators` for readers.
+    """
+
+    zones: tuple[ZoneRoles, ...] = ()
+    outdoor_temperature: int | None = None
+    facility_power: PowerSource | None = None
+    hvac_power: PowerSource | None = None
+    end_uses: tuple[EndUse, ...] = ()
+    fuels: tuple[EndUse, ...] = ()
+    others: dict[str, tuple[int, ...]] = field(default_factory=dict)
+    labels: tuple[str, ...] = ()
+    actuator_labels: tuple[str, ...] = ()
+
+
+def roles(manifest: Manifest) -> PointRoles:
+    """Return the roles of a node's points; points that are not recognized are in `others`."""
+    zones = _zones(manifest)
+    outdoor = _outdoor(manifest)
+    facility = _power(manifest, ("electricity:facility", "electricity", "electricity_facility"), FACILITY_POWER)
+    hvac = _power(manifest, ("electricity:hvac", "hvac_electricity", "electricity_hvac"), HVAC_POWER)
+    if facility is None and not any(point.unit in _KWH for point in manifest.meters):
+        facility = _plant_power(manifest, hvac)
+    end_uses, fuels = _meters(manifest)
+    assigned = {index for zone in zones for index in _sensors(zone)}
+    assigned |= {source.index for source in (facility, hvac) if source is not None}
+    assigned |= set() if outdoor is None else {outdoor}
+    assigned |= {meter.index for meter in (*end_uses, *fuels)}
+    assigned |= {i for i, sensor in enumerate(manifest.sensors) if sensor.variable.casefold() in _POWERS}
+    others: dict[str, list[int]] = {}
+    for index, point in enumerate(manifest.points):
+        if index not in assigned:
+            others.setdefault(point.unit, []).append(index)
+    return PointRoles(
+        zones=tuple(zones),
+        outdoor_temperature=outdoor,
+        facility_power=facility,
+        hvac_power=hvac,
+        end_uses=tuple(end_uses),
+        fuels=tuple(fuels),
+        others={unit: tuple(indices) for unit, indices in others.items()},
+        labels=tuple(label(name) for name in manifest.names),
+        actuator_labels=tuple(label(actuator.name) for actuator in manifest.actuators),
+    )
+
+
+def _sensors(zone: ZoneRoles) -> Iterator[int]:
+    points = (zone.temperature, zone.humidity, zone.occupants, zone.heating_setpoint, zone.cooling_setpoint)
+    return (index for index in points if index is not None)
+
+
+# Zones
+
+
+def _zones(manifest: Manifest) -> list[ZoneRoles]:
+    """Return the zones with a temperature, in the building's order."""
+    by_key = _energyplus_zones(manifest) or _named_zones(manifest)
+    place = {key: place for place, key in enumerate(by_key)}
+    labels = dict(zip(by_key, zone_labels(by_key), strict=True))
+    zones = []
+    for key, points in by_key.items():
+        heating = _setpoint_actuator(manifest, key, "heating")
+        cooling = _setpoint_actuator(manifest, key, "cooling")
+        zones.append(
+            ZoneRoles(
+                key=key,
+                label=labels[key],
+                color=zone_color(place[key]),
+                **points,
+                heating_actuator=heating,
+                cooling_actuator=cooling,
+            )
+        )
+    return zones
+
+
+_VARIABLES = {
+    "humidity": ZONE_HUMIDITY,
+    "occupants": OCCUPANTS,
+    "heating_setpoint": HEATING_SETPOINT_VARIABLE,
+    "cooling_setpoint": COOLING_SETPOINT_VARIABLE,
+}
+
+
+def _energyplus_zones(manifest: Manifest) -> dict[str, dict[str, int]]:
+    """Return the points of each zone by its name in EnergyPlus."""
+    by_variable: dict[tuple[str, str], int] = {}
+    names: dict[str, str] = {}
+    for index, sensor in enumerate(manifest.sensors):
+        variable, key = sensor.variable.casefold(), sensor.key.casefold()
+        by_variable.setdefault((variable, key), index)
+        if variable in ZONE_TEMPERATURES:
+            names.setdefault(key, sensor.key)
+    zones = {}
+    for key, name in names.items():
+        air = next(by_variable[v, key] for v in ZONE_TEMPERATURES if (v, key) in by_variable)
+        others = {role: by_variable.get((variable.casefold(), key)) for role, variable in _VARIABLES.items()}
+        zones[name] = {"temperature": air} | {role: index for role, index in others.items() if index is not None}
+    return zones
+
+
+_ENDINGS = {
+    "temperature": (("air", "temperature"), ("temperature",)),
+    "humidity": (("air", "humidity"), ("relative", "humidity"), ("humidity",)),
+    "occupants": (("occupants",), ("people",), ("occupancy",)),
+    "heating_setpoint": (("heating", "setpoint"),),
+    "cooling_setpoint": (("cooling", "setpoint"),),
+}
+"""Last words of the names of a zone's points, of plants without EnergyPlus's variables."""
+
+
+def _named_zones(manifest: Manifest) -> dict[str, dict[str, int]]:
+    """Return the points of each zone by the first words of their names, which they share."""
+    stems: dict[tuple[str, ...], dict[str, int]] = {}
+    for index, sensor in enumerate(manifest.sensors):
+        if sensor.variable:
+            continue
+        name = tuple(words(sensor.name))
+        for role, ending in ((role, ending) for role, endings in _ENDINGS.items() for ending in endings):
+            if name[-len(ending) :] == ending and (role != "temperature" or sensor.unit == "degC"):
+                stems.setdefault(name[: -len(ending)], {}).setdefault(role, index)
+                break
+    by_actuator = {tuple(words(actuator.name))[:-2] for actuator in manifest.actuators if _is_setpoint(actuator)}
+    return {
+        "_".join(stem) or "zone": points
+        for stem, points in stems.items()
+        if "temperature" in points
+        and not _OUTDOOR_WORDS.intersection(stem)
+        and (not stem or len(points) > 1 or _ROOM_WORDS.intersection(stem) or stem in by_actuator)
+    }
+
+
+def _is_setpoint(actuator: Actuator) -> bool:
+    name = words(actuator.name)
+    return len(name) > 1 and name[-1] in _SETPOINT_WORDS
+
+
+def _setpoint_actuator(manifest: Manifest, zone: str, kind: str) -> int | None:
+    """Return the actuator of a zone's setpoint: its thermostat's, else one that the words of a name assign to it."""
+    control = (HEATING_SETPOINT if kind == "heating" else COOLING_SETPOINT).casefold()
+    for index, actuator in enumerate(manifest.actuators):
+        if (
+            actuator.component_type.casefold() == THERMOSTAT.casefold()
+            and actuator.control_type.casefold() == control
+            and actuator.key.casefold() == zone.casefold()
+        ):
+            return index
+    zone_words, best, fewest = set(words(zone)), None, -1
+    for index, actuator in enumerate(manifest.actuators):
+        place = _place_of_setpoint(actuator, kind)
+        if place is not None and place <= zone_words and len(place) > fewest:
+            best, fewest = index, len(place)
+    return best
+
+
+def _place_of_setpoint(actuator: Actuator, kind: str) -> set[str] | None:
+    """Return the words that name the place of a schedule's or plant's setpoint (none: everywhere); else None."""
+    if actuator.component_type and not actuator.component_type.casefold().startswith("schedule"):
+        return None
+    if actuator.unit not in ("degC", "1", ""):
+        return None
+    name = set(words(actuator.name))
+    if kind not in name or not _SETPOINT_WORDS & name:
+        return None
+    return name - _NO_PLACE
+
+
+# Weather and power
+
+
+def _outdoor(manifest: Manifest) -> int | None:
+    for index, sensor in enumerate(manifest.sensors):
+        if sensor.variable.casefold() == OUTDOOR_TEMPERATURE.casefold():
+            return index
+    for index, sensor in enumerate(manifest.sensors):
+        name = set(words(sensor.name))
+        if not sensor.variable and sensor.unit == "degC" and "temperature" in name and name & _OUTDOOR_WORDS:
+            return index
+    return None
+
+
+def _power(manifest: Manifest, meters: Iterable[str], variable: str) -> PowerSource | None:
+    """Return the first of these meters, else the sensor of this output variable or, of a plant, of a meter's name."""
+    first = len(manifest.sensors)
+    names = {(meter.meter or meter.name).casefold(): i for i, meter in reversed(list(enumerate(manifest.meters)))}
+    for name in meters:
+        index = names.get(name)
+        if index is not None and manifest.meters[index].unit in _KWH:
+            return PowerSource(first + index, _meter_to_kw(manifest.meters[index], manifest))
+    for index, sensor in enumerate(manifest.sensors):
+        is_named = not sensor.variable and sensor.name.casefold().removesuffix("_power") in meters
+        if sensor.unit in _KW and (sensor.variable.casefold() == variable.casefold() or is_named):
+            return PowerSource(index, _KW[sensor.unit])
+    return None
+
+
+def _plant_power(manifest: Manifest, hvac: PowerSource | None) -> PowerSource | None:
+    """Return the only power sensor of a plant without EnergyPlus's variables."""
+    sensors = [
+        index
+        for index, sensor in enumerate(manifest.sensors)
+        if sensor.unit in _KW and not sensor.variable and (hvac is None or index != hvac.index)
+    ]
+    return PowerSource(sensors[0], _KW[manifest.sensors[sensors[0]].unit]) if len(sensors) == 1 else None
+
+
+def _meter_to_kw(meter: Meter, manifest: Manifest) -> float:
+    return _KWH[meter.unit] * 3600.0 / manifest.step_s
+
+
+def _meters(manifest: Manifest) -> tuple[list[EndUse], list[EndUse]]:
+    """Return the meters of end uses, HVAC first, and those of whole fuels."""
+    first = len(manifest.sensors)
+    end_uses: list[tuple[tuple[int, int], EndUse]] = []
+    fuels: list[EndUse] = []
+    seen: set[str] = set()
+    for index, meter in enumerate(manifest.meters):
+        name = (meter.meter or meter.name).casefold()
+        if meter.unit not in _KWH or name in seen:
+            continue
+        seen.add(name)
+        left, _, right = name.partition(":")
+        to_kw = _meter_to_kw(meter, manifest)
+        if left in _USE_RANK and right in _FUEL_RANK:
+            text, fuel = _USE_LABELS[left], _FUEL_LABELS[right]
+            is_hvac = _USE_RANK[left] < len(HVAC_END_USES)
+            use = EndUse(text, fuel, first + index, to_kw, end_use_color(text, fuel), is_hvac)
+            end_uses.append(((_USE_RANK[left], _FUEL_RANK[right]), use))
+        elif left in _FUEL_RANK and right in ("facility", ""):
+            fuel = _FUEL_LABELS[left]
+            fuels.append(EndUse("facility", fuel, first + index, to_kw, end_use_color("facility", fuel), is_hvac=False))
+    return [use for _, use in sorted(end_uses, key=lambda entry: entry[0])], fuels
+
+
+_USE_RANK = {use.casefold(): rank for rank, use in enumerate(END_USES)}
+_FUEL_RANK = {fuel.casefold(): rank for rank, fuel in enumerate(FUELS)}
+
+
+def _plain(name: str) -> str:
+    """Return `interior lights` for `InteriorLights`."""
+    text = "".join(f" {letter.lower()}" if letter.isupper() else letter for letter in name).strip()
+    return _END_USE_LABELS.get(text, text)
+
+
+_USE_LABELS = {use.casefold(): _plain(use) for use in END_USES}
+_FUEL_LABELS = {fuel.casefold(): _plain(fuel) for fuel in FUELS}
