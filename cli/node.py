@@ -48,6 +48,7 @@ def node(
     keys: Keys = None,
     certificate: CertificateName = None,
     slots: options.Slots = 1,
+    monitoring: options.Monitoring = True,
     baseline: options.Baseline = False,
     branches: options.Branches = 64,
     unresponsive_s: options.Unresponsive = 10.0,

@@ -34,6 +34,9 @@ def points(
     default: Annotated[
         bool, typer.Option("--default", help="Show only the points that a node has by default.")
     ] = False,
+    monitoring: Annotated[
+        bool, typer.Option("--monitoring", help="Show only the points that `--monitoring` adds to a node.")
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
     """List a building's points with units, bounds and locations. The first call for a building takes seconds.
@@ -48,7 +51,7 @@ def points(
     with err.status(f"reading the points of {building} with EnergyPlus"):
         model = read_building(catalog.find_building(building))
         discovered = discover(model, catalog.weathers()[0].path)
-    selected = _default_keys(discovered) if default else None
+    selected = _keys(discovered, default=default, monitoring=monitoring) if default or monitoring else None
     listed = [
         row
         for row in listing(discovered, model)
@@ -69,13 +72,19 @@ def points(
     )
 
 
-def _default_keys(discovered: PointCatalog) -> set[tuple[str, str, str]]:
-    """Return (kind, name, key), case-folded, of the points that a node has by default."""
+def _keys(discovered: PointCatalog, *, default: bool, monitoring: bool) -> set[tuple[str, str, str]]:
+    """Return (kind, name, key), case-folded, of the points that a node has by default, or for monitoring."""
+    from models.points.monitoring import monitoring_meters, monitoring_sensors
     from models.points.selection import default_actuators, default_meters, default_sensors
 
-    keys = {("sensor", *spec) for spec in default_sensors(discovered).values()}
-    keys |= {("meter", name, "") for name in default_meters(discovered).values()}
-    keys |= {("actuator", f"{a} / {b}", key) for a, b, key in default_actuators(discovered).values()}
+    keys: set[tuple[str, str, str]] = set()
+    if default:
+        keys |= {("sensor", *spec) for spec in default_sensors(discovered).values()}
+        keys |= {("meter", name, "") for name in default_meters(discovered).values()}
+        keys |= {("actuator", f"{a} / {b}", key) for a, b, key in default_actuators(discovered).values()}
+    if monitoring:
+        keys |= {("sensor", *spec) for spec in monitoring_sensors(discovered).values()}
+        keys |= {("meter", name, "") for name in monitoring_meters(discovered).values()}
     return {(kind, name.casefold(), key.casefold()) for kind, name, key in keys}
 
 

@@ -13,8 +13,10 @@ from models import catalog, energyplus
 from models.building import conflicts
 from models.building import model as building
 from models.building.model import Building
+from models.building.summary import floor_area_m2
 from models.points import discovery, selection
 from models.points.discovery import PointCatalog
+from models.points.monitoring import with_monitoring
 from models.points.selection import Points
 from models.scenario.episode_weather import WeatherSource
 from models.scenario.run_period import Period, check_steps_per_hour
@@ -75,7 +77,7 @@ def plan(config: NodeConfig) -> Plan:
         for source in valid_sources:
             errors.collect(lambda source=source: check_covers(source.header, period, source.name))  # type: ignore[misc]
     if model is not None and valid_sources:
-        chosen = errors.collect(lambda: _points(model, scenario, valid_sources[0].path))
+        chosen = errors.collect(lambda: _points(model, scenario, valid_sources[0].path, monitoring=config.monitoring))
     if chosen is not None:
         task = errors.collect(lambda: task_of(scenario, chosen))
     file = config.faults
@@ -107,6 +109,8 @@ def describe(plan: Plan) -> PlantDescription:
         task=plan.task,
         scenario=dump(plan.scenario),
         warnings=plan.warnings,
+        zones=tuple(plan.building.objects.get("Zone", {})),
+        floor_area_m2=floor_area_m2(plan.building),
     )
 
 
@@ -164,7 +168,7 @@ def _source(name: str, scenario: Scenario) -> WeatherSource:
     return WeatherSource(entry.name, entry.path, header, site)
 
 
-def _points(model: Building, scenario: Scenario, any_weather: Path) -> Points:
+def _points(model: Building, scenario: Scenario, any_weather: Path, *, monitoring: bool) -> Points:
     offered = discovery.discover(model, any_weather)
     actuators = None
     if scenario.actuators is not None:
@@ -180,6 +184,8 @@ def _points(model: Building, scenario: Scenario, any_weather: Path) -> Points:
                 reported = Aggregation.SUM if summed.get(spec[0].casefold()) else Aggregation.MEAN
                 spec.append(Aggregation.INSTANT if scenario.aggregation is Aggregation.INSTANT else reported)
     chosen = selection.select_points(model, offered, specs, scenario.meters, actuators)
+    if monitoring:
+        chosen = with_monitoring(model, offered, chosen)
     if actuators is not None:
         return chosen
     # Default actuators: those that have no effect are left out.

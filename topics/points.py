@@ -117,6 +117,12 @@ def value_index(manifest: Manifest) -> PointIndex:
     return PointIndex(manifest.names, "sensor or meter")
 
 
+def observed_indices(manifest: Manifest) -> NDArray[np.intp] | None:
+    """Return the indices of an agent's observation among the values of a sample; None if it has all of them."""
+    observed = [point.observed for point in manifest.points]
+    return None if all(observed) else np.flatnonzero(observed)
+
+
 def actuator_index(actuators: Iterable[Actuator], error: type[ZenostatError] = UnknownName) -> PointIndex:
     """Return the index of actuators among the values of a command."""
     return PointIndex((actuator.name for actuator in actuators), "actuator", error)

@@ -111,6 +111,13 @@ class ScenarioArguments(TypedDict, total=False):
         int | None,
         Doc("Keep output files only for this many finished episodes (1 or more), besides the running one's."),
     ]
+    monitoring: Annotated[
+        bool | None,
+        Doc(
+            "Also measure what pictures and reports need, without adding it to the observation: temperature, occupants "
+            "and setpoints of each conditioned zone, outdoor temperature, and the energy of each end use."
+        ),
+    ]
     baseline: Annotated[bool | None, Doc("Also run each episode under baseline control, for comparison.")]
     branches: Annotated[int | None, Doc("Maximum number of snapshots and branches at a time, 0 to 4096.")]
     unresponsive_s: Annotated[

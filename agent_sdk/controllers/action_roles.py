@@ -112,7 +112,7 @@ def temperature_sensors(manifest: Manifest) -> list[Sensor]:
     if rewarded:
         return [s for s in manifest.sensors if s.name in rewarded]
     for variable in ZONE_TEMPERATURES:
-        sensors = [s for s in manifest.sensors if s.variable.casefold() == variable]
+        sensors = [s for s in manifest.sensors if s.observed and s.variable.casefold() == variable]
         if sensors:
             return sensors
     return []
@@ -123,13 +123,12 @@ def _zone_points(
 ) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """Return indices of temperatures and occupant counts: by zone for thermostats, else by similar names, else all."""
     indices = value_index(manifest)
-    people = {s.key.casefold(): indices[s.name] for s in manifest.sensors if s.variable.casefold() == OCCUPANTS}
+    observed = [s for s in manifest.sensors if s.observed]
+    people = {s.key.casefold(): indices[s.name] for s in observed if s.variable.casefold() == OCCUPANTS}
     sensors = temperature_sensors(manifest)
     if actuators[0].component_type.casefold() == THERMOSTAT:
         zones = {a.key.casefold() for a in actuators}
-        measured = [
-            s for s in manifest.sensors if s.key.casefold() in zones and s.variable.casefold() in ZONE_TEMPERATURES
-        ]
+        measured = [s for s in observed if s.key.casefold() in zones and s.variable.casefold() in ZONE_TEMPERATURES]
     else:
         measured = _similar_sensors(action.name, [a.name for a in manifest.task.actions], sensors) or sensors
         zones = {s.key.casefold() for s in measured}

@@ -20,6 +20,7 @@ from agent_sdk.vec_normalization import load_normalization, normalization_of
 from topics.errors import InvalidConfig, UnknownName, did_you_mean
 from topics.extras import requires_extra
 from topics.messages import CommandOp, Manifest
+from topics.points import observed_indices
 
 with requires_extra("train", "training", "stable-baselines3"):
     import stable_baselines3 as sb3
@@ -97,6 +98,7 @@ class PolicyController(Controller):
         self._normalization = normalization if normalization is not None else normalization_of(model)
         self._model, self._predictor = model, Predictor(model)
         self._timestep = manifest.timestep
+        self._observed = observed_indices(manifest)
 
     def begin(self, sample: SampleView) -> None:  # noqa: ARG002
         """Reset the state of a recurrent model."""
@@ -105,6 +107,8 @@ class PolicyController(Controller):
     def act(self, sample: SampleView) -> Values:
         """Return the model's action without exploration."""
         values, fields = sample.values, self.manifest.task.time
+        if self._observed is not None:
+            values = values[self._observed]
         if fields:
             begin = sample.time - self._timestep if sample.step else sample.time
             values = np.concatenate([time_features(fields, begin, sample.time), values])
@@ -120,7 +124,9 @@ class PolicyController(Controller):
 def _dimension_names(manifest: Manifest, kind: str) -> list[str]:
     """Return the names of the dimensions of a node's observations or actions."""
     task = manifest.task
-    return [*task.time, *manifest.names] if kind == "observations" else [action.name for action in task.actions]
+    return (
+        [*task.time, *manifest.observed_names] if kind == "observations" else [action.name for action in task.actions]
+    )
 
 
 def _difference(trained: gym.Space[Any], current: gym.Space[Any], names: Sequence[str]) -> str:

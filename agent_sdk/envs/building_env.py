@@ -32,6 +32,7 @@ from agent_sdk.rewards import AnyReward, Reward
 from bridge.runtime.affinity import Affinity
 from topics.errors import BusError, EpisodeChanged, InvalidConfig, UsageError
 from topics.messages import CreateBranch, WeatherSeries
+from topics.points import observed_indices
 from topics.scenario_fields import OtherArguments, expand_arguments
 from topics.seeds import check_seed
 
@@ -49,9 +50,9 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
     Without `connect` it starts a local node on a private unix socket and ends it on `close()`; with `connect` and
     `node` it controls a node that runs elsewhere and adopts that node's scenario.
 
-    Observation: float32, shape (time fields + sensors + meters,), in the order of the manifest. Action: float32,
-    shape (actions,), within each action's bounds, or an index for each discrete action. An episode of N timesteps
-    has N steps; the last one is `truncated`. A violated limit of the scenario (`terminate`) makes the step
+    Observation: float32, shape (time fields + observed sensors + observed meters,), in the order of the manifest.
+    Action: float32, shape (actions,), within each action's bounds, or an index for each discrete action. An episode of
+    N timesteps has N steps; the last one is `truncated`. A violated limit of the scenario (`terminate`) makes the step
     `terminated`, and `info["terminated_by"]` describes it.
 
     `scenario`, `file` or `config`, or `building` and `weather`, define the simulation; every other argument overrides
@@ -127,7 +128,7 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
             undo.pop_all()
         self.render_mode, self._priority = render_mode, priority
         self._timestep = manifest.timestep
-        self._time = manifest.task.time
+        self._time, self._observed_indices = manifest.task.time, observed_indices(manifest)
 
         self._sample: SampleView | None = None
         self._ended = self._busy = False
@@ -345,6 +346,8 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
         return self.link.weather(columns)
 
     def _observed(self, values: NDArray[np.float64], begin: datetime, end: datetime) -> Observation:
+        if self._observed_indices is not None:
+            values = values[self._observed_indices]
         if not self._time:
             return values.astype(np.float32)
         return np.concatenate([time_features(self._time, begin, end), values], dtype=np.float32, casting="same_kind")

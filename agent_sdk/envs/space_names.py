@@ -41,8 +41,8 @@ class SpaceNames:
 
     @property
     def observation_names(self) -> tuple[str, ...]:
-        """Names of the values of an observation: time fields, sensors, meters."""
-        return (*map(str, self.manifest.task.time), *self.manifest.names)
+        """Names of the values of an observation: time fields, observed sensors, observed meters."""
+        return (*map(str, self.manifest.task.time), *self.manifest.observed_names)
 
     @property
     def action_names(self) -> tuple[str, ...]:

@@ -16,8 +16,8 @@ Floats = Box
 
 
 def observation_space(manifest: Manifest) -> Box[np.float32]:
-    """Return a float32 box, shape (time fields + sensors + meters,), with infinite bounds where a point has none."""
-    return _box([*(BOUNDS[field] for field in manifest.task.time), *map(bounds, manifest.points)])
+    """Return a float32 box, shape (time fields + observed points,), with infinite bounds where a point has none."""
+    return _box([*(BOUNDS[field] for field in manifest.task.time), *map(bounds, manifest.observed_points)])
 
 
 def action_space(manifest: Manifest) -> Space[Any]:

@@ -27,6 +27,7 @@ from agent_sdk.rewards import AnyReward
 from bridge.runtime.affinity import Affinity
 from topics.errors import BusError, EpisodeChanged, InvalidConfig, UsageError
 from topics.messages import CommandOp, WeatherSeries
+from topics.points import observed_indices
 from topics.scenario_fields import NodeArguments, expand_arguments
 
 Observations = NDArray[np.float32]
@@ -112,7 +113,7 @@ class BuildingVectorEnv(ConnectedEnv, VectorEnv[Observations, Any, NDArray[Any]]
         self.render_mode = render_mode
         self.metadata = {"render_modes": [*RENDER_MODES], "render_fps": 4, "autoreset_mode": self.autoreset_mode}
         self.envs = tuple(Slot(self, number) for number in range(num_envs))
-        self._timestep = timestep(manifest)
+        self._timestep, self._observed_indices = timestep(manifest), observed_indices(manifest)
         self._operations = None if self._actions.operations is None else self._actions.operations * num_envs
         self._sample: VectorSample | None = None
         self._busy = False
@@ -182,7 +183,7 @@ class BuildingVectorEnv(ConnectedEnv, VectorEnv[Observations, Any, NDArray[Any]]
         self._state.reset(None if is_all else slots)
         ends, steps = sample.times, sample.message.step
         begins = [end - self._timestep if step else end for end, step in zip(ends, steps, strict=True)]
-        self._observations[slots] = sample.observed(begins, ends)[slots]
+        self._observations[slots] = sample.observed(begins, ends, self._observed_indices)[slots]
         for slot in slots:
             self._done[slot], self._state.context[slot] = False, {}
             if self._histories:
@@ -281,7 +282,7 @@ class BuildingVectorEnv(ConnectedEnv, VectorEnv[Observations, Any, NDArray[Any]]
         if state.reward is not None:
             rewards[:], entries["reward_terms"], entries["reward_metrics"] = state.reward(values, begins)
         violations = state.limits.violated_slots(values) if state.limits is not None else {}
-        observations, live = sample.observed(begins, ends), self._all_slots.copy()
+        observations, live = sample.observed(begins, ends, self._observed_indices), self._all_slots.copy()
         terminated, truncated = np.zeros(count, np.bool_), sample.truncated
         self._infos.add_ends(entries, violations, truncated)
         infos = masked(entries, live) | select(self._infos.episode_start, self._all_slots)

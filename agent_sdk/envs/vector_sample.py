@@ -126,9 +126,17 @@ class VectorSample:
             sources[slot] = tuple(names[i] for i in row)
         return sources
 
-    def observed(self, begins: Sequence[datetime], ends: Sequence[datetime]) -> NDArray[np.float32]:
-        """Return the agent's observations, shape (slots, time fields + points)."""
-        values, fields = self.values, self._manifest.task.time
+    def observed(
+        self, begins: Sequence[datetime], ends: Sequence[datetime], indices: NDArray[np.intp] | None = None
+    ) -> NDArray[np.float32]:
+        """Return the agent's observations, shape (slots, time fields + observed points).
+
+        Args:
+            begins: Local standard time at which each slot's timestep begins.
+            ends: Local standard time at which it ends.
+            indices: Indices of the observed points, see `topics.points.observed_indices`; None: all.
+        """
+        values, fields = self.values if indices is None else self.values[:, indices], self._manifest.task.time
         slots, points = values.shape
         observed = np.empty((slots, len(fields) + points), np.float32)
         observed[:, len(fields) :] = values

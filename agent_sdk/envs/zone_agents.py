@@ -18,6 +18,7 @@ from agent_sdk.envs.space_names import by_name
 from agent_sdk.envs.zone_partition import BUILDING, ZoneAgent, partition
 from agent_sdk.envs.zone_rewards import SharedReward
 from agent_sdk.rewards import AnyReward, read_reward
+from agent_sdk.rewards.custom import NamedValues
 from topics.errors import EpisodeChanged, InvalidAction, InvalidConfig, UsageError, did_you_mean
 from topics.extras import requires_extra
 
@@ -90,7 +91,7 @@ class ZonesEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo has no types
         except InvalidConfig:
             self.env.close()
             raise
-        self._reward_function = reward if callable(reward) else None
+        self._reward_function, self._named_values = reward if callable(reward) else None, NamedValues(manifest)
         self.render_mode = self.env.render_mode
         self.possible_agents = list(self._agents)
         self.agents: list[str] = []
@@ -244,7 +245,7 @@ class ZonesEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo has no types
             terms = self._shared_reward(values, begin, reward)
         else:
             assert self._reward_function is not None
-            rewards = self._reward_function(dict(zip(self.env.manifest.names, values.tolist(), strict=True)), begin)
+            rewards = self._reward_function(self._named_values(values.tolist()), begin)
             if not isinstance(rewards, Mapping) or set(rewards) != set(self.agents):
                 raise InvalidConfig(
                     f"reward: the function returned {rewards!r}; a reward for each of {', '.join(self.agents)} expected"

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from topics.energyplus_names import THERMOSTAT
 from topics.errors import InvalidConfig, did_you_mean
 from topics.keys import safe_name
-from topics.messages import Action, Manifest
+from topics.messages import Action, Manifest, Sensor
 
 BUILDING = "building"
 """The agent of all actions that belong to no single zone."""
@@ -96,11 +96,16 @@ def _agent_names(zones: Iterable[str]) -> dict[str, str]:
 
 def _observed_by(zone: str, manifest: Manifest, shared: set[int]) -> list[int]:
     first = len(manifest.task.time)
-    count = first + len(manifest.names)
+    points = manifest.observed_points
+    count = first + len(points)
     if not zone:
         return list(range(count))
     keys = (_OUTDOORS, zone.casefold())
-    related = {first + index for index, sensor in enumerate(manifest.sensors) if sensor.key.casefold() in keys}
+    related = {
+        first + index
+        for index, point in enumerate(points)
+        if isinstance(point, Sensor) and point.key.casefold() in keys
+    }
     return [index for index in range(count) if index < first or index in related or index in shared]
 
 

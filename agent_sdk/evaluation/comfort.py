@@ -125,14 +125,14 @@ def _from_band(reward: ComfortBand, manifest: Manifest) -> Comfort:
     if isinstance(reward, OccupiedReward):
         zones, people = map(list, zip(*reward.pairs(zones, manifest), strict=True))
     else:
-        people = same_zone(zones, PEOPLE, manifest)
+        people = same_zone(zones, PEOPLE, manifest, observed=False)
     return Comfort(_of(reward), zones, people, lambda _, begin: band(begin))
 
 
 def _from_setpoints(reward: MultiZoneReward, manifest: Manifest) -> Comfort:
     air, heat, cool = map(list, zip(*reward._points(manifest), strict=True))  # noqa: SLF001
     threshold = reward.threshold
-    people = same_zone(air, PEOPLE, manifest)
+    people = same_zone(air, PEOPLE, manifest, observed=False)
     return Comfort(_of(reward), air, people, lambda values, _: (values[heat] - threshold, values[cool] + threshold))
 
 

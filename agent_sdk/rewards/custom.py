@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -82,25 +82,51 @@ class _UnknownPoint(KeyError):
 
 
 class _Values(dict[str, Any]):
-    """Values by name, whose KeyError can be distinguished from others in a custom function."""
+    """Values by name, whose KeyError can be distinguished from others in a custom function.
+
+    It contains the observed points, so that a function of all of them does not depend on points added for pictures;
+    `values[name]` reads the others too.
+    """
+
+    def __init__(self, observed: Iterable[tuple[str, Any]], unobserved: Mapping[str, Any]) -> None:
+        super().__init__(observed)
+        self._unobserved = unobserved
 
     def __missing__(self, name: Any) -> Any:
+        if name in self._unobserved:
+            return self._unobserved[name]
         raise _UnknownPoint(name)
+
+
+class NamedValues:
+    """The values of a sample by name, as a custom function receives them."""
+
+    def __init__(self, manifest: Manifest) -> None:
+        self.names = manifest.names
+        self._observed = None if manifest.observed_names == self.names else [p.observed for p in manifest.points]
+
+    def __call__(self, values: Iterable[Any]) -> dict[str, Any]:
+        """Return the values of all points, in manifest order, by name."""
+        if self._observed is None:
+            return _Values(zip(self.names, values, strict=True), {})
+        entries = list(zip(self.names, values, strict=True))
+        unobserved = dict(entry for entry, observed in zip(entries, self._observed, strict=True) if not observed)
+        return _Values((entry for entry, observed in zip(entries, self._observed, strict=True) if observed), unobserved)
 
 
 class _BoundFunction(BoundReward):
     def __init__(self, function: RewardFunction, manifest: Manifest) -> None:
-        self._function, self._names = function, manifest.names
+        self._function, self._values = function, NamedValues(manifest)
 
     def __call__(self, values: NDArray[np.float64], begin: Begin) -> Outcome:
         columns = values.tolist() if values.ndim == 1 else np.moveaxis(values, -1, 0)
-        result = self._evaluate(_Values(zip(self._names, columns, strict=True)), begin)
+        result = self._evaluate(self._values(columns), begin)
         named = result if isinstance(result, Mapping) else {"reward": result}
         terms: Terms = {str(name): self._term(name, term, values.shape[:-1]) for name, term in named.items()}
         total = sum(terms.values(), np.zeros(values.shape[:-1])[()])
         return Outcome(total, terms, {})
 
-    def _evaluate(self, values: _Values, begin: Begin) -> Any:
+    def _evaluate(self, values: dict[str, Any], begin: Begin) -> Any:
         """Call the function; add the reward's name to what it raises."""
         try:
             return self._function(values, begin)
@@ -108,7 +134,7 @@ class _BoundFunction(BoundReward):
             name = error.args[0]
             raise UnknownName(
                 f"reward: {_name(self._function)} reads {name!r}, which the node does not have; "
-                f"{did_you_mean(str(name), self._names)}"
+                f"{did_you_mean(str(name), self._values.names)}"
             ) from error
         except Exception as error:
             error.add_note(f"in the reward {_name(self._function)}")

@@ -50,7 +50,7 @@ class EnergyMeter:
 
 
 def _default(kind: str, manifest: Manifest) -> list[int]:
-    meters = {m.meter.casefold(): len(manifest.sensors) + i for i, m in enumerate(manifest.meters)}
+    meters = {m.meter.casefold(): len(manifest.sensors) + i for i, m in enumerate(manifest.meters) if m.observed}
     for meter in METERS:
         if meter in meters:
             return [meters[meter]]

@@ -51,9 +51,11 @@ def named(kind: str, name: str, manifest: Manifest, units: Sequence[str]) -> int
 
 
 def of_variables(manifest: Manifest, *variables: str) -> list[int]:
-    """Return the sensors of the first of these output variables, in lower case, that has any."""
+    """Return the observed sensors of the first of these output variables, in lower case, that has any."""
     for variable in variables:
-        sensors = [i for i, sensor in enumerate(manifest.sensors) if sensor.variable.casefold() == variable]
+        sensors = [
+            i for i, sensor in enumerate(manifest.sensors) if sensor.observed and sensor.variable.casefold() == variable
+        ]
         if sensors:
             return sensors
     return []
@@ -73,7 +75,7 @@ def powers(kind: str, names: Sequence[str] | None, manifest: Manifest) -> Indice
 
 
 def temperatures(kind: str, names: Sequence[str] | None, manifest: Manifest) -> Indices:
-    """Return the sensors of zone air temperatures in degC: those that are named, else all."""
+    """Return the sensors of zone air temperatures in degC: those that are named, else all observed ones."""
     if names is not None:
         return indices([named(kind, name, manifest, ["degC"]) for name in names])
     sensors = of_variables(manifest, *ZONE_TEMPERATURES)
@@ -85,11 +87,15 @@ def temperatures(kind: str, names: Sequence[str] | None, manifest: Manifest) -> 
     return indices(sensors)
 
 
-def same_zone(zones: Sequence[int], variable: str, manifest: Manifest) -> list[int | None]:
-    """Return, for each of these sensors, the sensor of another output variable with the same key, or None."""
+def same_zone(zones: Sequence[int], variable: str, manifest: Manifest, *, observed: bool = True) -> list[int | None]:
+    """Return, for each of these sensors, the sensor of another output variable with the same key, or None.
+
+    A reward reads observed points only unless it names others, so that no point changes it that is added for pictures;
+    with `observed=False` all points are searched, the observed ones first.
+    """
     by_key = {
         sensor.key.casefold(): i
-        for i, sensor in reversed(list(enumerate(manifest.sensors)))
-        if sensor.variable.casefold() == variable.casefold()
+        for i, sensor in sorted(enumerate(manifest.sensors), key=lambda entry: (entry[1].observed, -entry[0]))
+        if sensor.variable.casefold() == variable.casefold() and (sensor.observed or not observed)
     }
     return [by_key.get(manifest.sensors[zone].key.casefold()) for zone in zones]

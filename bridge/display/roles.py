@@ -170,7 +170,10 @@ def _sensors(zone: ZoneRoles) -> Iterator[int]:
 def _zones(manifest: Manifest) -> list[ZoneRoles]:
     """Return the zones with a temperature, in the building's order."""
     by_key = _energyplus_zones(manifest) or _named_zones(manifest)
-    place = {key: place for place, key in enumerate(by_key)}
+    places = {name.casefold(): place for place, name in enumerate(manifest.zones or by_key)}
+    names = {name.casefold(): name for name in manifest.zones}
+    by_key = {names.get(key.casefold(), key): points for key, points in by_key.items()}
+    by_key = dict(sorted(by_key.items(), key=lambda entry: places.get(entry[0].casefold(), len(places))))
     labels = dict(zip(by_key, zone_labels(by_key), strict=True))
     zones = []
     for key, points in by_key.items():
@@ -180,7 +183,7 @@ def _zones(manifest: Manifest) -> list[ZoneRoles]:
             ZoneRoles(
                 key=key,
                 label=labels[key],
-                color=zone_color(place[key]),
+                color=zone_color(places.get(key.casefold(), len(places))),
                 **points,
                 heating_actuator=heating,
                 cooling_actuator=cooling,
@@ -334,7 +337,7 @@ def _meters(manifest: Manifest) -> tuple[list[EndUse], list[EndUse]]:
         if meter.unit not in _KWH or name in seen:
             continue
         seen.add(name)
-        left, _, right = name.partition(":")
+        left, _, right = name.replace("_facility", ":facility").partition(":")
         to_kw = _meter_to_kw(meter, manifest)
         if left in _USE_RANK and right in _FUEL_RANK:
             text, fuel = _USE_LABELS[left], _FUEL_LABELS[right]

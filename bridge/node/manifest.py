@@ -25,6 +25,8 @@ def node_manifest(settings: NodeSettings, plant: Plant, *, instance: str, cpu: i
         node=settings.name,
         instance=instance,
         building=description.name,
+        zones=description.zones,
+        floor_area_m2=description.floor_area_m2,
         **site_fields(plant.site(0)),
         begin=run_period.begin.isoformat(),
         end=run_period.end.isoformat(),

@@ -83,6 +83,7 @@ class PlantDescription:
         name: of the building or plant.
         scenario: the text that `rpc/scenario` returns.
         warnings: texts for the manifest.
+        zones, floor_area_m2: as in the manifest.
     """
 
     name: str
@@ -94,6 +95,8 @@ class PlantDescription:
     task: Task = field(default_factory=Task)
     scenario: str = ""
     warnings: tuple[str, ...] = ()
+    zones: tuple[str, ...] = ()
+    floor_area_m2: float | None = None
 
 
 class WeatherTable(NamedTuple):

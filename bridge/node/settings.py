@@ -21,6 +21,7 @@ class NodeSettings(BaseModel):
         faults: a file with a fault plan.
         listen: endpoints; empty for a node that only connects to a router or another node.
         keys: a folder created by `zenostat keys init`; `certificate` names another certificate than `node`.
+        monitoring: also measure what pictures and reports need; a Python plant measures all its points anyway.
         unresponsive_s: time after which an engine that neither answers nor uses processor time is killed.
         folder: for temporary files; None uses the system's.
         cpu: the core of the node, and `engine_cpu` that of its engine; None lets `affinity` choose.
@@ -43,6 +44,7 @@ class NodeSettings(BaseModel):
     certificate: str | None = None
     slots: Annotated[int, Field(ge=1, le=256)] = 1
     baseline: bool = False
+    monitoring: bool = False
     branches: Annotated[int, Field(ge=0, le=4096)] = 64
     unresponsive_s: Annotated[float, Field(gt=0, le=1e9)] = UNRESPONSIVE_S
     folder: Path | None = None

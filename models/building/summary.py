@@ -77,6 +77,14 @@ def listed_summaries(entry: Entry) -> BuildingSummary:
 # Floor area
 
 
+def floor_area_m2(building: Building) -> float | None:
+    """Return the floor area of the zones that are part of the total, times their multipliers; None if unknown."""
+    try:
+        return sum(_counted_areas(building.objects).values()) or None
+    except (KeyError, TypeError, ValueError):  # a surface without corners, which EnergyPlus reports itself
+        return None
+
+
 def zone_areas(objects: Kinds) -> dict[str, float]:
     """Return each zone's floor area in m2 without multipliers: its own field, else the sum of its spaces and floors."""
     spaces = _folded(objects.get("Space", {}))

@@ -13,7 +13,10 @@ from topics.messages.status import Statistics
 
 
 class Sensor(Message):
-    """A measured point; of EnergyPlus, the output variable `variable` of the object `key`."""
+    """A measured point; of EnergyPlus, the output variable `variable` of the object `key`.
+
+    `observed`: whether it is part of an agent's observation; pictures, reports and metrics may use any point.
+    """
 
     name: SafeName
     variable: str = ""
@@ -22,16 +25,21 @@ class Sensor(Message):
     aggregation: Aggregation = Aggregation.INSTANT
     low: float | None = None
     high: float | None = None
+    observed: bool = True
 
 
 class Meter(Message):
-    """A meter: the consumption in the timestep (J for energy); of EnergyPlus, the meter `meter`."""
+    """A meter: the consumption in the timestep (J for energy); of EnergyPlus, the meter `meter`.
+
+    `observed`: as for `Sensor`.
+    """
 
     name: SafeName
     meter: str = ""
     unit: str
     low: float | None = None
     high: float | None = None
+    observed: bool = True
 
 
 class Actuator(Message):
@@ -106,19 +114,22 @@ class Versions(Message):
 class Manifest(Message):
     """Everything that a client needs to read a node's samples and to command the node.
 
-    `building`: name of the building or plant. `begin`, `end`: simulated time of the first and the last sample.
-    `step_s`: length of a timestep in seconds. `steps`: number of timesteps of an episode. `slots`: number of copies
-    that step together, each with its own episode. `branch_of`: the node that this one branched from. `baseline`:
-    whether samples include the building under baseline control. `speed`: simulated seconds per second of wall time,
-    in paced mode. `grace_s`: how long a controller may be disconnected before the fallback policy applies.
-    `deadline_s`: how long each step waits for commands. `faults_injected`: whether samples contain injected faults.
-    `statistics`: only in replies to queries.
+    `building`: name of the building or plant. `zones`: names of all its zones, in its own order. `floor_area_m2`: floor
+    area of the zones that EnergyPlus counts, with multipliers; None where it is unknown. `begin`, `end`: simulated time
+    of the first and the last sample. `step_s`: length of a timestep in seconds. `steps`: number of timesteps of an
+    episode. `slots`: number of copies that step together, each with its own episode. `branch_of`: the node that this
+    one branched from. `baseline`: whether samples include the building under baseline control. `speed`: simulated
+    seconds per second of wall time, in paced mode. `grace_s`: how long a controller may be disconnected before the
+    fallback policy applies. `deadline_s`: how long each step waits for commands. `faults_injected`: whether samples
+    contain injected faults. `statistics`: only in replies to queries.
     """
 
     node: SafeName
     instance: str
     branch_of: str = ""
     building: str
+    zones: tuple[str, ...] = ()
+    floor_area_m2: Annotated[float, Field(gt=0)] | None = None
     weather: str = ""
     location: str = ""
     latitude_deg: float | None = None
@@ -159,3 +170,13 @@ class Manifest(Message):
     def names(self) -> tuple[str, ...]:
         """Names of `Sample.values`: the sensors, then the meters."""
         return tuple(point.name for point in self.points)
+
+    @property
+    def observed_points(self) -> tuple[Sensor | Meter, ...]:
+        """The points of an agent's observation, in the order of `points`."""
+        return tuple(point for point in self.points if point.observed)
+
+    @property
+    def observed_names(self) -> tuple[str, ...]:
+        """Names of `observed_points`."""
+        return tuple(point.name for point in self.observed_points)

@@ -1,0 +1,92 @@
+"""Points that pictures, reports and metrics need, added to those of a run without being observed by the agent."""
+
+from __future__ import annotations
+
+import re
+
+from models.building.model import Building
+from models.points.discovery import PointCatalog
+from models.points.selection import Points, default_meters, default_sensors, select_points, thermostat_zones
+from topics.energyplus_names import (
+    COOLING_SETPOINT_VARIABLE,
+    END_USES,
+    FUELS,
+    HEATING_SETPOINT_VARIABLE,
+    OCCUPANTS,
+    ZONE_TEMPERATURE,
+    ZONE_TEMPERATURES,
+)
+
+_OUTDOORS = "outdoor_temperature"
+_ZONE_SENSORS = {
+    "air_temperature": ZONE_TEMPERATURE,
+    "occupants": OCCUPANTS,
+    "thermostat_heating_setpoint": HEATING_SETPOINT_VARIABLE,
+    "thermostat_cooling_setpoint": COOLING_SETPOINT_VARIABLE,
+}
+
+
+def with_monitoring(building: Building, available: PointCatalog, points: Points) -> Points:
+    """Return the points of a run, followed by unobserved ones; none is measured twice.
+
+    Added are `monitoring_sensors` after the sensors and `monitoring_meters` after the meters; a name that is taken gets
+    a number.
+    """
+    taken = {sensor.name for sensor in points.sensors} | {meter.name for meter in points.meters}
+    variables = {(_quantity(sensor.variable), sensor.key.casefold()) for sensor in points.sensors}
+    measured = {meter.meter.casefold() for meter in points.meters}
+    sensors = {
+        _free_name(name, taken): (variable, key)
+        for name, (variable, key) in monitoring_sensors(available).items()
+        if (_quantity(variable), key.casefold()) not in variables
+    }
+    meters = {
+        _free_name(name, taken): meter
+        for name, meter in monitoring_meters(available).items()
+        if meter.casefold() not in measured
+    }
+    added, unobserved = select_points(building, available, sensors, meters, {}), {"observed": False}
+    return Points(
+        sensors=(*points.sensors, *(sensor.model_copy(update=unobserved) for sensor in added.sensors)),
+        meters=(*points.meters, *(meter.model_copy(update=unobserved) for meter in added.meters)),
+        actuators=points.actuators,
+        system=(*points.system, *added.system),
+        meter_handles=(*points.meter_handles, *added.meter_handles),
+    )
+
+
+def monitoring_sensors(available: PointCatalog) -> dict[str, tuple[str, str]]:
+    """Return by name the outdoor temperature, and each conditioned zone's temperature, occupants and setpoints."""
+    sensors = {name: spec for name, spec in default_sensors(available).items() if name == _OUTDOORS}
+    for zone, name in thermostat_zones(available).items():
+        for suffix, variable in _ZONE_SENSORS.items():
+            if (variable.casefold(), zone.casefold()) in available.by_variable:
+                sensors[f"{name}_{suffix}"] = (variable, zone)
+    return sensors
+
+
+def monitoring_meters(available: PointCatalog) -> dict[str, str]:
+    """Return by name the default meters and those of all end uses of the model, such as `Cooling:Electricity`."""
+    names = {meter.name for meter in available.meters}
+    end_uses = [f"{end_use}:{fuel}" for end_use in END_USES for fuel in FUELS]
+    return default_meters(available) | {_snake_case(name): name for name in end_uses if name in names}
+
+
+def _quantity(variable: str) -> str:
+    """Return the output variable, case-folded; the same for those that measure the same."""
+    folded = variable.casefold()
+    return ZONE_TEMPERATURES[0] if folded in ZONE_TEMPERATURES else folded
+
+
+def _free_name(name: str, taken: set[str]) -> str:
+    """Return the name, with a number where it is taken, and add it to those that are."""
+    free, number = name, 2
+    while free in taken:
+        free, number = f"{name}_{number}", number + 1
+    taken.add(free)
+    return free
+
+
+def _snake_case(meter: str) -> str:
+    """Return `interior_lights_natural_gas` for `InteriorLights:NaturalGas`."""
+    return re.sub(r"(?<=[a-z])(?=[A-Z0-9])", "_", meter.replace(":", "_")).lower()
