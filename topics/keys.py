@@ -21,6 +21,7 @@ from topics.messages import (
     CreateBranch,
     DropSnapshot,
     Event,
+    Geometry,
     Manifest,
     Message,
     Pause,
@@ -103,6 +104,7 @@ FAULTS = Topic("rpc/faults", Role.CONTROLLER, FaultPlan, Delivery.QUERY, reply=A
 STATUS = Topic("rpc/status", Role.ANYONE, Query, Delivery.QUERY, reply=Status)
 SCENARIO = Topic("rpc/scenario", Role.ANYONE, Query, Delivery.QUERY, reply=ScenarioText)
 WEATHER = Topic("rpc/weather", Role.ANYONE, WeatherQuery, Delivery.QUERY, reply=WeatherSeries)
+GEOMETRY = Topic("rpc/geometry", Role.ANYONE, Query, Delivery.QUERY, reply=Geometry)
 NODE_TOKEN = Topic("@live/node/{name}", Role.NODE, None, Delivery.TOKEN)
 CONTROLLER_TOKEN = Topic("@live/controller/{name}", Role.CONTROLLER, None, Delivery.TOKEN)
 
@@ -131,6 +133,7 @@ TOPICS = (
     STATUS,
     SCENARIO,
     WEATHER,
+    GEOMETRY,
     NODE_TOKEN,
     CONTROLLER_TOKEN,
 )

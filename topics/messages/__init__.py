@@ -2,7 +2,7 @@
 
 Messages are frozen and reject unknown fields, NaN and infinities: a message that exists is valid. Arrays are sent as
 raw little-endian float64 (`values`, `effective`), uint16 (`source_index`) or uint8 (`operations`) bytes in C order,
-with the shape `(slots, points)` and in the manifest's order.
+with the shape `(slots, points)` and in the manifest's order. `Geometry` describes its own arrays.
 """
 
 from __future__ import annotations
@@ -35,6 +35,11 @@ from topics.messages.events import (
     REJECTIONS,
     Event,
     EventKind,
+)
+from topics.messages.geometry import (
+    Geometry,
+    SurfaceKind,
+    ZoneGeometry,
 )
 from topics.messages.manifest import (
     Action,
@@ -111,6 +116,7 @@ __all__ = [
     "Finite",
     "Flag",
     "ForkStatus",
+    "Geometry",
     "LatencySummary",
     "Manifest",
     "Message",
@@ -139,6 +145,7 @@ __all__ = [
     "StepRequest",
     "Stop",
     "StreamedMessage",
+    "SurfaceKind",
     "TakeSnapshot",
     "Task",
     "TerminationLimit",
@@ -147,4 +154,5 @@ __all__ = [
     "WeatherQuery",
     "WeatherSeries",
     "Write",
+    "ZoneGeometry",
 ]
