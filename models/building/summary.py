@@ -44,7 +44,7 @@ def building_summary(building: Building) -> BuildingSummary:
     """Summarize a model from its objects; takes milliseconds."""
     objects = building.objects
     zones = objects.get("Zone", {})
-    conditioned = {zone.casefold() for zone in zones} & _conditioned(objects)
+    conditioned = {zone.casefold() for zone in zones} & conditioned_zones(objects)
     areas = {zone.casefold(): area for zone, area in _counted_areas(objects).items()}
     return BuildingSummary(
         floor_area_m2=sum(areas.values()),
@@ -103,16 +103,24 @@ def zone_areas(objects: Kinds) -> dict[str, float]:
     }
 
 
-def _counted_areas(objects: Kinds) -> dict[str, float]:
-    """Return the zones that are part of the total floor area, with their areas times their multipliers (m2)."""
+def zone_multipliers(objects: Kinds) -> dict[str, float]:
+    """Return the number of identical zones that each zone stands for: its multiplier times that of its zone groups."""
     lists = _folded(objects.get("ZoneList", {}))
     group: dict[str, float] = defaultdict(lambda: 1.0)
     for fields in objects.get("ZoneGroup", {}).values():
         for _, zone in texts(lists.get(str(fields["zone_list_name"]).casefold(), {})):
             group[zone.casefold()] *= float(fields.get("zone_list_multiplier", 1))
-    zones = objects.get("Zone", {})
     return {
-        zone: area * float(zones[zone].get("multiplier", 1)) * group[zone.casefold()]
+        zone: float(fields.get("multiplier", 1)) * group[zone.casefold()]
+        for zone, fields in objects.get("Zone", {}).items()
+    }
+
+
+def _counted_areas(objects: Kinds) -> dict[str, float]:
+    """Return the zones that are part of the total floor area, with their areas times their multipliers (m2)."""
+    zones, multipliers = objects.get("Zone", {}), zone_multipliers(objects)
+    return {
+        zone: area * multipliers[zone]
         for zone, area in zone_areas(objects).items()
         if str(zones[zone].get("part_of_total_floor_area", "Yes")).casefold() != "no"
     }
@@ -150,10 +158,19 @@ def _area(fields: Mapping[str, Any]) -> float:
     return sqrt(sum(part * part for part in total)) / 2
 
 
-def _conditioned(objects: Kinds) -> set[str]:
+def conditioned_zones(objects: Kinds) -> set[str]:
     """Return the case-folded names of the zones with HVAC equipment or a thermostat."""
+    return _zones_of(objects, ("ZoneHVAC:EquipmentConnections", "ZoneControl:Thermostat", "HVACTemplate:Zone:"))
+
+
+def used_zones(objects: Kinds) -> set[str]:
+    """Return the case-folded names of the zones with HVAC, people, lights or equipment; not plena and attics."""
+    return conditioned_zones(objects) | _zones_of(objects, ("People", "Lights", "ElectricEquipment", "GasEquipment"))
+
+
+def _zones_of(objects: Kinds, kinds: tuple[str, ...]) -> set[str]:
+    """Return the case-folded names of the zones of all objects whose type starts with one of `kinds`."""
     zones = zone_names(objects)
-    kinds = ("ZoneHVAC:EquipmentConnections", "ZoneControl:Thermostat", "HVACTemplate:Zone:")
     return {
         zone.casefold()
         for kind, items in objects.items()

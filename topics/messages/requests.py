@@ -134,7 +134,7 @@ class ScenarioText(Message):
 
 
 class Query(Message):
-    """Query of a node's status, scenario or geometry. `memory`: include the private memory of each process in the status."""
+    """Query of a node's status, scenario or geometry. `memory`: include each process's private memory in the status."""
 
     memory: bool = False
 
