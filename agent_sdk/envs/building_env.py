@@ -23,7 +23,7 @@ from agent_sdk.envs.actions import Actions
 from agent_sdk.envs.connection import BUSY, RENDER_MODES, ConnectedEnv, NodeConnection
 from agent_sdk.envs.episode_state import EpisodeState
 from agent_sdk.envs.infos import SampleInfos
-from agent_sdk.envs.rendering import RollingHistory
+from agent_sdk.envs.rendering import EpisodeRenderer
 from agent_sdk.envs.termination import TerminationLimits
 from agent_sdk.envs.time_features import time_features
 from agent_sdk.envs.vector_infos import Infos
@@ -122,7 +122,8 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
                 {},
             )
             self.wrappers = self._state.wrappers
-            self._history = RollingHistory(manifest) if render_mode == "rgb_array" else None
+            self._renderer = EpisodeRenderer(manifest, self.reward) if render_mode == "rgb_array" else None
+            self._history = self._renderer.histories[0] if self._renderer is not None else None
             if render_mode == "rerun":
                 self._connection.open_monitor()
             undo.pop_all()
@@ -199,8 +200,7 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
         info["action"] = np.full(len(self.manifest.actuators), np.nan)
         info |= self._state.unrewarded(sample.fault_free_values, now)
         if self._history is not None:
-            self._history.clear()
-            self._history.add(now, values)
+            self._history.start(now, values, info["effective"], info.get("reward_terms", {}))
         return self._observed(values, now - self._timestep if sample.step else now, now), info
 
     def _snapshot_of(self, options: Mapping[str, Any]) -> Snapshot | None:
@@ -319,12 +319,18 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
         if self._ended and infos.output_dir:
             info["output_dir"] = infos.output_dir
         if self._history is not None:
-            self._history.add(end, values)
+            self._history.add(end, values, info["effective"], action, reward, info.get("reward_terms", {}))
         return self._observed(values, begin, end), reward, bool(violation), truncated, info
 
     def render(self) -> Any:
-        """Return a picture of the last day with `rgb_array`, shape (640, 960, 3), uint8; None with `rerun`."""
-        return self._history.picture() if self._history is not None else None
+        """Return a picture of the last day with `rgb_array`, shape (640, 960, 3), uint8; None with `rerun`.
+
+        It shows what the agent observes: with injected faults, the faulty values.
+
+        Raises:
+            EpisodeChanged: Before the first reset.
+        """
+        return self._renderer.picture() if self._renderer is not None else None
 
     @property
     def sample(self) -> SampleView:

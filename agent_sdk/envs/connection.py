@@ -96,6 +96,8 @@ class NodeConnection:
                 self._close.callback(link.close)
                 self.manifest: Manifest = link.manifest
             elif connect is None:
+                if render_mode == "rgb_array":  # pictures show more than most agents observe
+                    node_arguments = {"monitoring": True, **node_arguments}
                 self._start_local(node_arguments, reward, node or NAME, priority, Affinity(affinity))
             else:
                 self._connect(node_arguments, connect, node, priority, Affinity(affinity))

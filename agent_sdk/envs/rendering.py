@@ -1,64 +1,110 @@
-"""A picture of an environment's last day."""
+"""Recording of an episode's last samples, and a picture of them."""
 
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Mapping, Sequence
 from datetime import datetime, timedelta
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from agent_sdk.rewards import Reward
+from topics.errors import EpisodeChanged
 from topics.extras import import_extra
 from topics.messages import Manifest
 
+Floats = NDArray[np.float64]
+
 _DAY = timedelta(days=1)
-_SIZE_IN, _DPI = (9.6, 6.4), 100
-_MAX_LINES = 12
+_MIN_STEPS, _MAX_STEPS = 48, 1440
 
 
-class RollingHistory:
-    """The samples of the last day, and a picture of them."""
+class EpisodeHistory:
+    """The last samples of an episode: those of a day, but at least 48 timesteps and at most 1,440.
 
-    def __init__(self, manifest: Manifest) -> None:
+    Args:
+        step: Length of a timestep.
+
+    Attributes:
+        span: Length of the recorded time.
+        rows: Time (end of the timestep), values, effective values, action, reward and reward terms of each sample. The
+            first sample of an episode has no action.
+        total: Sum of the rewards since the reset.
+    """
+
+    __slots__ = ("rows", "span", "total")
+
+    def __init__(self, step: timedelta) -> None:
+        self.span = min(max(_DAY, _MIN_STEPS * step), _MAX_STEPS * step)
+        self.rows: deque[tuple[datetime, Floats, Floats, Any, float, Mapping[str, Any]]] = deque()
+        self.total = 0.0
+
+    def start(self, time: datetime, values: Floats, effective: Floats, terms: Mapping[str, Any]) -> None:
+        """Remove all samples and add the first one of an episode."""
+        self.rows.clear()
+        self.rows.append((time, values, effective, None, 0.0, terms))
+        self.total = 0.0
+
+    def add(
+        self, time: datetime, values: Floats, effective: Floats, action: Any, reward: float, terms: Mapping[str, Any]
+    ) -> None:
+        """Add a timestep with the agent's action, its reward and the terms of it, and remove what is too old."""
+        rows = self.rows
+        rows.append((time, values, effective, np.array(action, np.float64), reward, terms))
+        self.total += reward
+        while time - rows[0][0] > self.span:
+            rows.popleft()
+
+
+class EpisodeRenderer:
+    """Records the samples of an environment, or of the slots of a vector, and draws them.
+
+    Args:
+        manifest: The node's manifest.
+        reward: The reward, whose comfort band is shown; None if there is none.
+        slots: Number of slots.
+
+    Attributes:
+        histories: The recorded samples of each slot.
+
+    Raises:
+        InvalidConfig: matplotlib is not installed.
+    """
+
+    def __init__(self, manifest: Manifest, reward: Reward | None, slots: int = 1) -> None:
         import_extra("matplotlib.figure", "plots", "render_mode='rgb_array'")
-        self._manifest = manifest
-        units = [sensor.unit for sensor in manifest.sensors]
-        self._panels = {
-            "degC": [i for i, unit in enumerate(units) if unit == "degC"],
-            "W": [i for i, unit in enumerate(units) if unit == "W"],
-        }
-        self._rows: deque[tuple[datetime, NDArray[np.float64]]] = deque()
+        from agent_sdk.rendering.frame import EpisodeFrame
 
-    def clear(self) -> None:
-        """Remove all samples."""
-        self._rows.clear()
+        self.histories = tuple(EpisodeHistory(manifest.timestep) for _ in range(slots))
+        self._frame = EpisodeFrame(manifest, reward)
 
-    def add(self, time: datetime, values: NDArray[np.float64]) -> None:
-        """Add a sample and remove those older than a day."""
-        self._rows.append((time, values))
-        while time - self._rows[0][0] > _DAY:
-            self._rows.popleft()
+    def start(self, slots: Sequence[int], times: Sequence[datetime], values: Floats, infos: Mapping[str, Any]) -> None:
+        """Start the histories of some slots; the other arguments have an entry for each slot of the vector."""
+        terms = infos.get("reward_terms", {})
+        for slot in slots:
+            own = {name: term[slot] for name, term in terms.items()}
+            self.histories[slot].start(times[slot], values[slot], infos["effective"][slot], own)
 
-    def picture(self) -> NDArray[np.uint8]:
-        """Draw temperatures and powers of the last day, shape (640, 960, 3), 0 to 255."""
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
+    def add(
+        self, slots: Sequence[int], times: Sequence[datetime], values: Floats, infos: Mapping[str, Any], actions: Any,
+        rewards: Floats,
+    ) -> None:  # fmt: skip
+        """Add a timestep of some slots; see `start`."""
+        terms = infos.get("reward_terms", {})
+        for slot in slots:
+            own = {name: term[slot] for name, term in terms.items()}
+            reward = float(rewards[slot])
+            self.histories[slot].add(times[slot], values[slot], infos["effective"][slot], actions[slot], reward, own)
 
-        figure = Figure(_SIZE_IN, _DPI, layout="constrained")
-        canvas: Any = FigureCanvasAgg(figure)
-        shown = {unit: columns for unit, columns in self._panels.items() if columns}
-        axes: Any = figure.subplots(max(len(shown), 1), 1, sharex=True, squeeze=False)
-        times = [time for time, _ in self._rows]
-        table = np.array([values for _, values in self._rows]).reshape(len(times), -1)
-        for (unit, columns), axis in zip(shown.items(), axes[:, 0], strict=False):
-            for column in columns[:_MAX_LINES]:
-                axis.plot(times, table[:, column], label=self._manifest.sensors[column].name, linewidth=1.2)
-            axis.set_ylabel(unit)
-            axis.grid(visible=True, alpha=0.3)
-            axis.legend(fontsize="x-small", loc="upper left", bbox_to_anchor=(1.0, 1.0))
-        title = f"{self._manifest.building}, {self._manifest.location}"
-        figure.suptitle(f"{title}: {times[-1]:%Y-%m-%d %H:%M}" if times else title, fontsize="medium")
-        figure.autofmt_xdate()
-        canvas.draw()
-        return np.asarray(canvas.buffer_rgba())[..., :3].copy()
+    def picture(self, slot: int = 0) -> NDArray[np.uint8]:
+        """Draw the last day of a slot's episode, shape (640, 960, 3), 0 to 255.
+
+        Raises:
+            EpisodeChanged: No episode has started.
+        """
+        history = self.histories[slot]
+        if not history.rows:
+            raise EpisodeChanged("call reset() before render()")
+        return self._frame.draw(history)

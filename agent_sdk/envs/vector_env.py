@@ -18,7 +18,7 @@ from agent_sdk.envs.actions import Actions
 from agent_sdk.envs.connection import BUSY, RENDER_MODES, ConnectedEnv, NodeConnection
 from agent_sdk.envs.episode_state import EpisodeState
 from agent_sdk.envs.infos import VectorSampleInfos
-from agent_sdk.envs.rendering import RollingHistory
+from agent_sdk.envs.rendering import EpisodeRenderer
 from agent_sdk.envs.termination import TerminationLimits
 from agent_sdk.envs.vector_infos import Infos, masked, merge, select
 from agent_sdk.envs.vector_sample import VectorLink, VectorSample, timestep
@@ -106,7 +106,7 @@ class BuildingVectorEnv(ConnectedEnv, VectorEnv[Observations, Any, NDArray[Any]]
                 [{} for _ in range(num_envs)],
             )
             self.wrappers = self._state.wrappers
-            self._histories = [RollingHistory(manifest) for _ in range(num_envs)] if render_mode == "rgb_array" else []
+            self._renderer = EpisodeRenderer(manifest, self.reward, num_envs) if render_mode == "rgb_array" else None
             if render_mode == "rerun":
                 self._connection.open_monitor()
             undo.pop_all()
@@ -186,9 +186,6 @@ class BuildingVectorEnv(ConnectedEnv, VectorEnv[Observations, Any, NDArray[Any]]
         self._observations[slots] = sample.observed(begins, ends, self._observed_indices)[slots]
         for slot in slots:
             self._done[slot], self._state.context[slot] = False, {}
-            if self._histories:
-                self._histories[slot].clear()
-                self._histories[slot].add(ends[slot], sample.values[slot])
         if snapshot is not None:
             self._state.restore(snapshot.env_state)
         self._sample = sample
@@ -196,6 +193,8 @@ class BuildingVectorEnv(ConnectedEnv, VectorEnv[Observations, Any, NDArray[Any]]
         entries = self._infos.of_sample(sample, link)
         entries["action"] = np.full((self.num_envs, len(self.manifest.actuators)), np.nan)
         entries |= self._state.unrewarded(sample.fault_free_values, ends)
+        if self._renderer is not None:
+            self._renderer.start(slots, ends, sample.values, entries)
         return select(masked(entries, self._all_slots) | self._infos.episode_start, chosen)
 
     def snapshot(self) -> Snapshot:
@@ -247,6 +246,9 @@ class BuildingVectorEnv(ConnectedEnv, VectorEnv[Observations, Any, NDArray[Any]]
         entries = self._infos.of_sample(sample, link)
         entries["action"] = self._actions.commanded(commanded, operations)
         rewards, terminated, truncated, infos = self._outcome(sample, entries, restarting)
+        if self._renderer is not None:
+            advanced = [slot for slot in range(self.num_envs) if slot not in restarting]
+            self._renderer.add(advanced, sample.times, sample.values, entries, actions, rewards)
         done = terminated | truncated
         if self.autoreset_mode is AutoresetMode.SAME_STEP:
             if done.any():
@@ -292,9 +294,6 @@ class BuildingVectorEnv(ConnectedEnv, VectorEnv[Observations, Any, NDArray[Any]]
             rewards[restarted] = 0.0
             infos = select(infos, live.copy())
         self._observations = observations
-        for slot, history in enumerate(self._histories):
-            if live[slot]:
-                history.add(ends[slot], sample.values[slot])
         if violations:
             terminated[[slot for slot in violations if live[slot]]] = True
         return rewards, terminated, truncated, infos
@@ -367,7 +366,11 @@ class BuildingVectorEnv(ConnectedEnv, VectorEnv[Observations, Any, NDArray[Any]]
 
     def render(self) -> tuple[Any, ...]:
         """Return the result of `BuildingEnv.render` for each slot."""
-        return tuple(history.picture() for history in self._histories) or (None,) * self.num_envs
+        return tuple(map(self.render_slot, range(self.num_envs)))
+
+    def render_slot(self, slot: int) -> Any:
+        """Return the result of `BuildingEnv.render` for one slot."""
+        return self._renderer.picture(slot) if self._renderer is not None else None
 
     def close_extras(self, **_: Any) -> None:
         """Disconnect from the node, and end it if it is local."""

@@ -55,7 +55,7 @@ class Slot:
 
     def render(self) -> Any:
         """Return a picture of the last day; see `BuildingEnv.render`."""
-        return self._env.render()[self.number]
+        return self._env.render_slot(self.number)
 
 
 def slots_of(options: Mapping[str, Any], count: int) -> list[int]:

@@ -30,6 +30,8 @@ class FakeEnv(BuildingEnv):
         InvalidConfig: an argument is invalid.
     """
 
+    metadata = {**BuildingEnv.metadata, "render_modes": ["rgb_array"]}  # noqa: RUF012  # Gymnasium's own form
+
     def __init__(
         self,
         zones: Any = 3,
