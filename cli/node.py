@@ -7,6 +7,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from datetime import timedelta
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bridge.runtime.affinity import Affinity
@@ -14,6 +15,7 @@ from bridge.transport.session import default_endpoint, exposure
 from cli import node_options as options
 from cli.console import out, progress
 from cli.options import CertificateName, Keys
+from cli.scenarios import check_scenario
 from cli.statistics import statistics_table
 from topics.calendar import format_duration
 from topics.errors import AddressInUse, InvalidConfig, NodeNotFound
@@ -115,6 +117,8 @@ def _read(settings: dict[str, Any]) -> tuple[NodeSettings, Callable[..., Node]]:
     from eplus_node.config import read_config
     from eplus_node.node import energyplus_node
 
+    if Path(settings["scenario"] or "").suffix in (".yaml", ".yml"):  # an id's fields are valid
+        check_scenario(settings)
     return read_config(settings), energyplus_node
 
 

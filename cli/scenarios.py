@@ -14,8 +14,11 @@ from cli.tables import show as show_table
 from topics.errors import ErrorCollector, InvalidConfig, UnknownName
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from pydantic import BaseModel
 
+    from eplus_node.plan import Plan
     from models.scenario.schema import Scenario
 
 scenarios = typer.Typer(
@@ -81,17 +84,15 @@ def show(
     Example: `zenostat scenarios show office-medium-USA_CO_Denver-discrete-v1 > mine.yaml`
     """
     from eplus_node.config import read_base, read_config
-    from eplus_node.plan import plan
     from models.scenario.registry import expanded
     from models.scenario.schema import dump
 
-    config = read_config({"scenario": scenario})
     if brief:
-        described = read_base(config)
+        described = read_base(read_config({"scenario": scenario}))
         assert described is not None
     else:
         with err.status(f"reading the points of {scenario} with EnergyPlus"):
-            planned = plan(config)
+            planned = plan_scenario({"scenario": scenario})
         described = _with_reward_defaults(expanded(planned.scenario, planned.building, planned.points, planned.task))
     sys.stdout.write("# yaml-language-server: $schema=scenario.schema.json\n")
     sys.stdout.write("# Create the schema with `zenostat scenarios schema > scenario.schema.json`.\n")
@@ -117,23 +118,10 @@ def check(file: Annotated[Path, typer.Argument(help="Scenario file.")]) -> None:
 
     Example: `zenostat scenarios check mine.yaml`
     """
-    from agent_sdk.rewards import read_reward
-    from eplus_node.config import read_config
-    from eplus_node.plan import plan
-    from models.scenario.schema import load_scenario
-
-    errors = ErrorCollector()
     if not file.is_file():
         raise UnknownName(f"there is no file {file.absolute()}")
     with err.status(f"checking {file}"):
-        loaded = errors.collect(lambda: load_scenario(file))
-        reward = loaded.reward if loaded is not None else None
-        if reward is not None:
-            errors.collect(lambda: read_reward(reward))
-        planned = errors.collect(lambda: plan(read_config({"scenario": str(file)}))) if loaded is not None else None
-    errors.raise_if_any()
-    if planned is None:
-        raise InvalidConfig(f"{file} could not be read")
+        planned = plan_scenario({"scenario": str(file)})
     points = planned.points
     out.print(
         f"{file}: {planned.building.name}, {', '.join(s.name for s in planned.sources)}, {planned.period.steps} "
@@ -141,6 +129,37 @@ def check(file: Annotated[Path, typer.Argument(help="Scenario file.")]) -> None:
     )
     for warning in planned.warnings:
         out.print(f"warning: {warning}", style="yellow", markup=False)
+
+
+def plan_scenario(settings: Mapping[str, Any]) -> Plan:
+    """Return the plan of the scenario in a node's settings, whose reward and wrappers are valid as well.
+
+    Raises:
+        UsageError, SimulatorError: lists the errors of all parts.
+    """
+    from agent_sdk.envs.arguments import check_agent_fields
+    from eplus_node.config import read_config
+    from eplus_node.plan import plan
+
+    errors = ErrorCollector()
+    errors.collect(lambda: check_agent_fields(settings["scenario"]))
+    planned = errors.collect(lambda: plan(read_config(settings)))
+    errors.raise_if_any()
+    return cast("Plan", planned)
+
+
+def check_scenario(settings: Mapping[str, Any]) -> None:
+    """Check the reward and the wrappers of a scenario file; if they are invalid, report all other errors as well.
+
+    Raises:
+        UsageError, SimulatorError: lists the errors of all parts.
+    """
+    from agent_sdk.envs.arguments import check_agent_fields
+
+    try:
+        check_agent_fields(settings["scenario"])
+    except InvalidConfig:
+        plan_scenario(settings)
 
 
 @scenarios.command()

@@ -14,7 +14,7 @@ from agent_sdk.bus.local_node import LocalNode
 from agent_sdk.rewards import AnyReward, read_reward
 from bridge.runtime.affinity import Affinity
 from topics import yaml12
-from topics.errors import InvalidConfig, UnknownArgument, UsageError, did_you_mean
+from topics.errors import ErrorCollector, InvalidConfig, UnknownArgument, did_you_mean
 
 FROM_SCENARIO = "scenario"
 """Marks the reward of the node's scenario."""
@@ -121,32 +121,50 @@ def _absolute(value: Any, *, always: bool) -> Any:
     return str(path.absolute()) if always or path.exists() else value
 
 
-def check_reward(reward: AnyReward | None, settings: Mapping[str, Any], placement: Affinity) -> None:
-    """Check the reward before anything starts; if it is invalid, check all settings, so that all errors are reported.
+def check_agent_settings(reward: AnyReward | None, settings: Mapping[str, Any], placement: Affinity) -> None:
+    """Check reward and wrappers before anything starts; if one is invalid, check all settings, and report all errors.
 
     Raises:
-        InvalidConfig: Unknown kind or invalid parameters, together with all other errors.
+        InvalidConfig: Invalid reward or wrappers, together with all other errors.
     """
-    spec = _reward_in_file(settings.get("scenario", "")) if reward == FROM_SCENARIO else reward
-    if spec is None:
-        return
-    try:
-        read_reward(spec)
-    except InvalidConfig as error:
-        errors = [str(error)]
-        try:
-            LocalNode({**settings, "check": True}, placement).close()
-        except UsageError as node_error:
-            errors.append(str(node_error))
-        raise InvalidConfig("\n".join(errors)) from None
+    fields = _fields_of_file(settings.get("scenario", ""))
+    if reward != FROM_SCENARIO:
+        fields["reward"] = reward
+    errors = ErrorCollector()
+    errors.collect(lambda: _check_fields(fields))
+    if errors.errors:
+        errors.collect(lambda: LocalNode({**settings, "check": True}, placement).close())
+    errors.raise_if_any()
 
 
-def _reward_in_file(scenario: str) -> Any:
-    """Return the reward in a scenario file; None if there is none, or if it cannot be read (the node reports why)."""
+def check_agent_fields(scenario: str | Path) -> None:
+    """Check the fields of a scenario file that a node does not check: reward and wrappers.
+
+    Args:
+        scenario: Path of the file; an id or a file that cannot be read has nothing to check.
+
+    Raises:
+        InvalidConfig: Lists the errors of both.
+    """
+    _check_fields(_fields_of_file(scenario))
+
+
+def _check_fields(fields: Mapping[str, Any]) -> None:
+    errors = ErrorCollector()
+    if (reward := fields.get("reward")) is not None:
+        errors.collect(lambda: read_reward(reward))
+    if isinstance(wrappers := fields.get("wrappers"), list):
+        from agent_sdk.wrappers.serialization import check_wrappers  # which imports environments
+
+        errors.collect(lambda: check_wrappers(wrappers))
+    errors.raise_if_any()
+
+
+def _fields_of_file(scenario: str | Path) -> dict[str, Any]:
+    """Return the fields of a scenario file; none if it is no file, or cannot be read (the node reports why)."""
     if Path(scenario).suffix not in (".yaml", ".yml"):
-        return None
+        return {}
     try:
-        fields = yaml12.parse(yaml12.read_text(Path(scenario)), scenario)
+        return dict(yaml12.parse(yaml12.read_text(Path(scenario)), str(scenario)))
     except (OSError, ValueError, InvalidConfig):
-        return None
-    return fields.get("reward")
+        return {}

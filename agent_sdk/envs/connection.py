@@ -112,7 +112,7 @@ class NodeConnection:
         settings = arguments.for_node(node_arguments, node, self._slots)
         if reward != arguments.FROM_SCENARIO:
             settings["own_reward"] = True
-        arguments.check_reward(reward, settings, placement)
+        arguments.check_agent_settings(reward, settings, placement)
         self._start(settings, node, priority, placement)
 
     def _connect(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Iterator, Mapping, Sequence
 from copy import deepcopy
+from functools import partial
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -23,7 +24,7 @@ from agent_sdk.wrappers.observation import CyclicTime, PreviousObservation, Redu
 from agent_sdk.wrappers.reward_vector import RewardVector
 from agent_sdk.wrappers.time_series_observation import TimeSeriesObservation
 from agent_sdk.wrappers.weather_forecast import WeatherForecast
-from topics.errors import InvalidConfig, did_you_mean
+from topics.errors import ErrorCollector, InvalidConfig, did_you_mean
 
 OURS: dict[str, type[BuildingWrapper]] = {
     wrapper.__name__: wrapper
@@ -84,20 +85,45 @@ def apply_wrappers(env: Any, wrappers: Sequence[Mapping[str, Any]]) -> Any:
     return env
 
 
-def _apply(env: Any, entry: Mapping[str, Any], where: str) -> Any:
+def check_wrappers(wrappers: Sequence[Mapping[str, Any]]) -> None:
+    """Check the names of wrappers and of their arguments, without an environment.
+
+    Args:
+        wrappers: as for `apply_wrappers`.
+
+    Raises:
+        InvalidConfig: lists all unknown wrappers and arguments.
+    """
+    errors = ErrorCollector()
+    for i, entry in enumerate(wrappers):
+        errors.collect(partial(_read, entry, f"wrappers[{i}]", vector=False))
+    errors.raise_if_any()
+
+
+def _read(entry: Mapping[str, Any], where: str, *, vector: bool) -> tuple[Any, dict[str, Any]]:
+    """Return the class of a wrapper and its arguments, whose names are valid."""
     if not isinstance(entry, Mapping) or not isinstance(entry.get("wrapper"), str):
         raise InvalidConfig(f"{where}: {entry!r} is not a wrapper; write {{'wrapper': 'CyclicTime', …}}")
-    name, original = entry["wrapper"], {key: value for key, value in entry.items() if key != "wrapper"}
-    kind = _class(name, isinstance(env, VectorEnv), where)
+    name, arguments = entry["wrapper"], {key: value for key, value in entry.items() if key != "wrapper"}
+    kind = _class(name, vector, where)
+    known = [*inspect.signature(kind).parameters][1:]
+    unknown = [
+        f"{where}: {name} has no argument {key!r}; {did_you_mean(key, known)}" for key in arguments if key not in known
+    ]
+    if unknown:
+        raise InvalidConfig("\n".join(unknown))
+    return kind, arguments
+
+
+def _apply(env: Any, entry: Mapping[str, Any], where: str) -> Any:
+    kind, original = _read(entry, where, vector=isinstance(env, VectorEnv))
+    name = entry["wrapper"]
     if name in _SCALAR_REWARD_WRAPPERS:
         reject_wrappers(env, ["RewardVector"], f"{where}: {name} needs a scalar reward; apply it before {{}}")
     arguments = original
     if name not in OURS:
         arguments = {key: _for_gymnasium(key, value) for key, value in original.items()}
     try:
-        known = [*inspect.signature(kind).parameters][1:]
-        if unknown := [key for key in arguments if key not in known]:
-            raise InvalidConfig(f"{where}: {name} has no argument {unknown[0]!r}; {did_you_mean(unknown[0], known)}")
         wrapper = kind(env, **arguments)
     except (TypeError, ValueError, AssertionError, gym.error.Error) as error:
         raise InvalidConfig(f"{where}: {name}: {error}") from None

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agent_sdk.envs.arguments import FROM_SCENARIO, _reward_in_file, check_reward, for_node
+from agent_sdk.envs.arguments import FROM_SCENARIO, _fields_of_file, check_agent_settings, for_node
 from bridge.runtime.affinity import Affinity
 from eplus_node.config import read_config
 from topics.errors import InvalidConfig, UsageError
@@ -214,7 +214,7 @@ def test_a_node_knows_every_setting_that_is_handed_on() -> None:
 def test_the_reward_of_a_file_is_read(tmp_path: Path) -> None:
     file = tmp_path / "mine.yml"
     file.write_text("building: b\nreward: {kind: linear, weight: 0.25}\n")
-    assert _reward_in_file(str(file)) == {"kind": "linear", "weight": 0.25}
+    assert _fields_of_file(str(file))["reward"] == {"kind": "linear", "weight": 0.25}
 
 
 @pytest.mark.parametrize(
@@ -223,35 +223,35 @@ def test_the_reward_of_a_file_is_read(tmp_path: Path) -> None:
 def test_a_file_without_a_reward_has_none(tmp_path: Path, text: str) -> None:
     file = tmp_path / "mine.yaml"
     file.write_text(text)
-    assert _reward_in_file(str(file)) is None
+    assert _fields_of_file(str(file)).get("reward") is None
 
 
 def test_a_file_that_is_no_text_has_none(tmp_path: Path) -> None:
     file = tmp_path / "mine.yaml"
     file.write_bytes(b"reward: \xff\xfe\x00")
-    assert _reward_in_file(str(file)) is None
+    assert _fields_of_file(str(file)).get("reward") is None
 
 
 @pytest.mark.parametrize("scenario", ["", "office-small-USA_CO_Denver-continuous-v1", "gone.yaml"])
 def test_what_is_no_file_has_no_reward_to_read(here: Path, scenario: str) -> None:
-    assert _reward_in_file(scenario) is None
+    assert _fields_of_file(scenario).get("reward") is None
 
 
 def test_a_folder_is_no_file(tmp_path: Path) -> None:
     (tmp_path / "folder.yaml").mkdir()
-    assert _reward_in_file(str(tmp_path / "folder.yaml")) is None
+    assert _fields_of_file(str(tmp_path / "folder.yaml")).get("reward") is None
 
 
 def test_a_good_reward_starts_nothing(tmp_path: Path) -> None:
     file = tmp_path / "mine.yaml"
     file.write_text("reward: {kind: linear, weight: 0.25}\n")
     for reward in (None, "linear", {"kind": "linear"}, FROM_SCENARIO):
-        check_reward(reward, {"scenario": str(file)}, Affinity.OFF)
+        check_agent_settings(reward, {"scenario": str(file)}, Affinity.OFF)
 
 
 def test_a_bad_reward_is_said_with_what_else_is_wrong(tmp_path: Path) -> None:
     file = tmp_path / "mine.yaml"
     file.write_text("building: no-such-building\nweather: USA_CO_Denver\nreward: {kind: linear, weight: 3}\n")
     with pytest.raises(InvalidConfig) as raised:
-        check_reward(FROM_SCENARIO, for_node({"file": file}, "b"), Affinity.OFF)
+        check_agent_settings(FROM_SCENARIO, for_node({"file": file}, "b"), Affinity.OFF)
     assert [w for w in ("reward: weight", "no building 'no-such-building'") if w not in str(raised.value)] == []

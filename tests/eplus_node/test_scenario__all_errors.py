@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
 import gymnasium as gym
 import pytest
+from typer.testing import CliRunner
 
 import agent_sdk  # noqa: F401  # registers the environments
+from cli.commands import app
 from eplus_node.config import read_config
 from eplus_node.plan import plan
 from topics.calendar import parse_day
@@ -21,6 +24,9 @@ end: 07-32
 steps_per_hour: 7
 reward:
   kind: liner
+wrappers:
+- {wrapper: CyclicTme}
+- {wrapper: CyclicTime, fiels: [hour]}
 """
 EXPECTED = (
     "wheather: there is no such field; did you mean 'weather'",
@@ -30,6 +36,12 @@ EXPECTED = (
     "end '07-32' is not a calendar date",
     "steps_per_hour 7 does not divide the hour",
 )
+AGENT_ERRORS = (
+    "no kind 'liner'; did you mean 'linear'",
+    "wrappers[0]: there is no wrapper 'CyclicTme'; did you mean 'CyclicTime'",
+    "wrappers[1]: CyclicTime has no argument 'fiels'; did you mean 'fields'",
+)
+"""Of fields that a node passes on to its agents."""
 
 
 def _error_lines(path: Path) -> list[str]:
@@ -45,12 +57,21 @@ def test_plan__reports_unknown_fields_names_and_dates_together(tmp_path: Path) -
     assert [words for words in EXPECTED if words not in text] == []
 
 
-def test_make__reports_errors_of_the_reward_as_well(scratch: Path) -> None:
+def test_make__reports_errors_of_reward_and_wrappers_as_well(scratch: Path) -> None:
     path = scratch / "mine.yaml"
     path.write_text(MINE)
     with pytest.raises(InvalidConfig) as caught:
         gym.make("zenostat/Scenario-v1", file=path, affinity="off")
-    assert [words for words in (*EXPECTED, "no kind 'liner'") if words not in str(caught.value)] == []
+    assert [words for words in (*EXPECTED, *AGENT_ERRORS) if words not in str(caught.value)] == []
+
+
+@pytest.mark.parametrize("command", ["scenarios check {}", "scenarios show {}", "node --scenario {}"])
+def test_command__reports_errors_of_reward_and_wrappers_as_well(tmp_path: Path, command: str) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text(MINE)
+    result = CliRunner().invoke(app, shlex.split(command.format(path)))
+    assert isinstance(result.exception, InvalidConfig)
+    assert [words for words in (*EXPECTED, *AGENT_ERRORS) if words not in str(result.exception)] == []
 
 
 def test_plan__reports_no_consequences_of_another_error(tmp_path: Path) -> None:

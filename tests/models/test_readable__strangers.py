@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from agent_sdk.envs.arguments import check_reward
+from agent_sdk.envs.arguments import check_agent_settings
 from agent_sdk.wrappers import restore_wrappers
 from bridge.faults import read_plan
 from bridge.runtime.affinity import Affinity
@@ -66,7 +66,7 @@ def test_an_error_does_not_write_out_a_large_value() -> None:
 
 
 def _reward(path: Path) -> object:
-    return check_reward("scenario", {"scenario": str(path)}, Affinity.OFF)
+    return check_agent_settings("scenario", {"scenario": str(path)}, Affinity.OFF)
 
 
 READERS: dict[str, Callable[[Path], object]] = {
