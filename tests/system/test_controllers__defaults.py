@@ -67,7 +67,7 @@ def test_pid_settles_where_a_zone_follows_its_setpoint_at_once_or_with_a_lag(
 ) -> None:
     """A zone that follows its setpoint by `gain`, and stands 2 K above it."""
     of = manifest(sensors=[sensor("air")], actuators=[actuator("cooling_setpoint", 15.0, 35.0)])
-    of = of.model_copy(update={"steps_per_hour": steps_per_hour})
+    of = of.model_copy(update={"step_s": 3600.0 / steps_per_hour})
     control, air, airs = PIDController(of, setpoint=24.0), 27.0, []
     left = math.exp(-1.0 / steps_per_hour / lag_h) if lag_h else 0.0
     for _ in range(200 * steps_per_hour):
