@@ -12,6 +12,7 @@ import typer
 from cli.console import err, print_error
 from cli.tables import show, show_json
 from topics.errors import did_you_mean
+from topics.units import unit_label
 
 if TYPE_CHECKING:
     from models.points.discovery import PointCatalog
@@ -105,4 +106,4 @@ def _parts(row: PointListing) -> tuple[str, ...]:
 
 def _cells(row: PointListing) -> tuple[str, ...]:
     low, high = ("" if bound is None else f"{bound:g}" for bound in (row.low, row.high))
-    return row.kind, row.name, row.key, row.where, row.unit, low, high
+    return row.kind, row.name, row.key, row.where, unit_label(row.unit), low, high

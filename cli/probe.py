@@ -14,6 +14,7 @@ from cli.node_options import Begin, End
 from cli.run import read_parameters
 from cli.tables import show, show_json
 from topics.errors import ErrorCollector, InvalidConfig
+from topics.units import with_unit
 
 if TYPE_CHECKING:
     from agent_sdk.evaluation.probe import ProbeReport, Progress
@@ -134,20 +135,15 @@ def _show(report: ProbeReport, scenario: str) -> None:
 
 
 def _rows(effect: Effect) -> Iterator[tuple[str, ...]]:
-    unit = _unit(effect.unit)
     first = "never" if effect.first_min is None else f"{effect.first_min:g} min"
-    head = (effect.actuator, f"{effect.low:.4g}, {effect.high:.4g}{unit}", first)
+    head = (effect.actuator, with_unit(f"{effect.low:.4g}, {effect.high:.4g}", effect.unit), first)
     if not effect.responses:
         yield (*head, "none", "", "", "", "")
     for response in effect.responses[:_MAX_POINTS]:
-        difference = f"{response.difference:,.4g}{_unit(response.unit)}"
+        difference = with_unit(f"{response.difference:,.4g}", response.unit)
         branch = f"{response.side}, {response.time:%d %b %H:%M}"
         yield (*head, response.point, difference, f"{response.share:.0%}", branch, f"{response.after_min:g} min")
         head = ("", "", "")
-
-
-def _unit(unit: str) -> str:
-    return "" if unit in ("", "1") else f" {unit}"
 
 
 def _notes(effect: Effect) -> Iterator[str]:

@@ -15,6 +15,7 @@ from cli.tables import show, show_json
 from topics.keys import Role
 from topics.messages import Manifest, Meter, Sensor
 from topics.points import PointIndex
+from topics.units import unit_label
 
 if TYPE_CHECKING:
     from agent_sdk.bus.sample import SampleView
@@ -117,7 +118,7 @@ def format_value(value: float | None) -> str:
 
 def _cells(row: Row) -> tuple[str, ...]:
     low, high = ("" if bound is None else f"{bound:g}" for bound in (row.low, row.high))
-    return row.kind, row.name, format_value(row.value), row.unit, low, high, format_source(row)
+    return row.kind, row.name, format_value(row.value), unit_label(row.unit), low, high, format_source(row)
 
 
 def format_source(row: Row) -> str:

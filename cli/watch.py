@@ -21,6 +21,7 @@ from cli.read import rows as rows_of
 from cli.tables import fitted
 from topics.errors import NodeLost
 from topics.keys import Role
+from topics.units import unit_label
 
 if TYPE_CHECKING:
     from agent_sdk import Bus
@@ -108,7 +109,7 @@ class _Extremes:
         rows = []
         for row, low, high in self._lines:
             numbers = (format_value(row.value), format_value(low), format_value(high))
-            rows.append((row.name, row.kind, row.unit, *numbers, format_source(row)))
+            rows.append((row.name, row.kind, unit_label(row.unit), *numbers, format_source(row)))
         columns = ("name", "kind", "unit", "value", "min", "max", "value source")
         return fitted(columns, rows, out.width, title=self._title, right=columns[3:6], wrap=("name", "value source"))
 

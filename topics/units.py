@@ -41,6 +41,11 @@ def limits(unit: str) -> tuple[float | None, float | None]:
     return _LIMITS.get(unit, (None, None))
 
 
+def unit_label(unit: str) -> str:
+    """Return a unit as a table shows it: nothing for a quantity without a unit."""
+    return "" if unit == "1" else unit
+
+
 _PLAIN = ("", "1", "fraction", "count", "on_off")
 """Units that are not shown."""
 

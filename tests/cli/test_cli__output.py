@@ -86,6 +86,12 @@ def test_points__have_units_and_bounds() -> None:
     assert len({p["key"] for p in default if p["name"] == "Zone Air Temperature"}) >= 5
 
 
+def test_points__without_a_unit_show_none() -> None:
+    done = run_in_process("points", "ref-small-office", "--default", "--match", "occupant", columns=200)
+    cells = done.stdout.splitlines()[1].split()
+    assert cells[-3:] == ["CORE_ZN", "Core_ZN", "0"], "its location, no unit, and the low bound"
+
+
 @pytest.mark.parametrize("more", [[], ["--json"], ["--kind", "actuator"]], ids=str)
 def test_points__that_match_nothing_are_an_error_with_near_names(more: list[str]) -> None:
     done = run_in_process("points", "ref-small-office", "--match", "cor_zn", *more)

@@ -242,6 +242,9 @@ def test_read_shows_the_latest_sample(bus: agent_sdk.Bus) -> None:
         lines = zenostat(bus.endpoint, "read", "office", AIR).stdout.splitlines()
         assert lines[0].split() == ["kind", "name", "value", "unit", "low", "high", "value", "source"]
         assert lines[1].split()[:4] == ["sensor", AIR, f"{sample[AIR]:.6g}", "degC"]
+        people = "core_zn_occupants"
+        lines = zenostat(bus.endpoint, "read", "office", people).stdout.splitlines()
+        assert lines[1].split() == ["sensor", people, f"{sample[people]:.6g}", "0"], "no unit, but its low bound"
         assert len(lines) == 2
 
 
