@@ -12,6 +12,7 @@ from eplus_node.config import NodeConfig, scenario_of
 from models import catalog, energyplus
 from models.building import conflicts
 from models.building import model as building
+from models.building.geometry import BuildingGeometry, building_geometry
 from models.building.model import Building
 from models.building.summary import floor_area_m2
 from models.points import discovery, selection
@@ -37,7 +38,8 @@ class Plan:
     """A checked configuration: everything that can be determined before EnergyPlus runs.
 
     Attributes:
-        warnings: objects of the model that override the scenario's actuators, and faults that would block the node.
+        warnings: objects of the model that override the scenario's actuators, surfaces that cannot be drawn, and
+            faults that would block the node.
         faults: faults to inject.
     """
 
@@ -49,6 +51,7 @@ class Plan:
     points: Points
     task: Task
     warnings: tuple[str, ...]
+    geometry: BuildingGeometry
     faults: FaultPlan | None = None
 
 
@@ -87,8 +90,13 @@ def plan(config: NodeConfig) -> Plan:
     assert period is not None
     assert chosen is not None
     assert task is not None
-    warnings = tuple(conflicts.conflicts(model.objects, chosen.actuators)) + _lockstep_loss_warnings(config, injected)
-    planned = Plan(config, scenario, model, tuple(valid_sources), period, chosen, task, warnings, injected)
+    geometry = building_geometry(model, valid_sources[0].header)
+    warnings = (
+        *conflicts.conflicts(model.objects, chosen.actuators),
+        *([geometry.note] if geometry.note else []),
+        *_lockstep_loss_warnings(config, injected),
+    )
+    planned = Plan(config, scenario, model, tuple(valid_sources), period, chosen, task, warnings, geometry, injected)
     if injected is not None:
         FaultInjection(
             injected, describe(planned), config.slots
@@ -111,6 +119,8 @@ def describe(plan: Plan) -> PlantDescription:
         warnings=plan.warnings,
         zones=tuple(plan.building.objects.get("Zone", {})),
         floor_area_m2=floor_area_m2(plan.building),
+        geometry=plan.geometry.geometry,
+        without_geometry=plan.geometry.note,
     )
 
 

@@ -49,7 +49,7 @@ class EnergyPlusEngines(EngineGroup):
         """Return the weather file of a slot, and its location."""
         source = self._source(slot)
         header = source.header
-        return Site(source.name, header.place, header.latitude_deg, header.longitude_deg)
+        return Site(source.name, header.place, header.latitude_deg, header.longitude_deg, header.time_zone_h)
 
     def notes(self, slot: int) -> list[str]:
         """Return the weather file, the origin of its design days, conversions of the model, and the weather noise."""

@@ -27,7 +27,16 @@ _NO_PAYLOAD = {
     QUESTION: "A Zenoh query (`get`) without a payload.",
     PRESENCE: "A Zenoh liveliness token: it exists as long as its owner is connected and has no payload.",
 }
-_ITEMS = {"operations": "uint8", "payload": "uint8", "source_index": "uint16"}
+_ITEMS = {
+    "corner_counts": "uint16",
+    "corners": "float32",
+    "exposed": "uint8",
+    "kinds": "uint8",
+    "operations": "uint8",
+    "payload": "uint8",
+    "source_index": "uint16",
+    "zone_index": "int16",
+}
 _DELIVERIES = {
     Delivery.DROP: {"primitive": "put", "congestion_control": "drop"},
     Delivery.BLOCK: {"primitive": "put", "congestion_control": "block"},
@@ -36,8 +45,8 @@ _DELIVERIES = {
 }
 _DESCRIPTION = (
     "The topics of a Zenostat node on a Zenoh bus. A payload is one msgpack map of its message's fields; its Zenoh "
-    "encoding is the message's content type. Fields of the format `binary` are msgpack `bin`: raw arrays in C order of "
-    "little-endian float64, little-endian uint16 or uint8, as given by `x-items`."
+    "encoding is the message's content type. Fields of the format `binary` are msgpack `bin`: raw arrays in C order, "
+    "little-endian, of the type given by `x-items`."
 )
 
 

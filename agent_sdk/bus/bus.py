@@ -25,6 +25,7 @@ from agent_sdk.bus.sample import SampleView
 from bridge.runtime import affinity
 from bridge.runtime.affinity import Affinity
 from bridge.transport.access_control import Permission, may
+from bridge.transport.request import ask
 from bridge.transport.session import DEFAULT_ENDPOINT, FORKED, open_session
 from topics import codec, keys
 from topics.errors import (
@@ -33,11 +34,9 @@ from topics.errors import (
     InvalidConfig,
     NodeLost,
     NodeNotFound,
-    PeerError,
     RequestRejected,
     UnknownName,
     did_you_mean,
-    from_wire,
 )
 from topics.fault_plan import FaultPlan
 from topics.keys import Role
@@ -48,7 +47,7 @@ from topics.messages import (
     Claim,
     CreateBranch,
     DropSnapshot,
-    ErrorReply,
+    Geometry,
     Manifest,
     Message,
     Mode,
@@ -270,6 +269,18 @@ class Bus:
         """Return weather of a slot's current episode, noise included; `UnknownName` lists the columns."""
         return self._ask(keys.WEATHER, node, WeatherQuery(columns=list(columns), slot=slot), WeatherSeries)
 
+    def geometry(self, node: str) -> Geometry:
+        """Return a node's zones and surfaces; `bridge.display.surfaces` decodes them.
+
+        Raises:
+            RequestRejected: Its plant has no geometry, or its version of Zenostat does not send it.
+        """
+        try:
+            return self._ask(keys.GEOMETRY, node, Query(), Geometry)
+        except NodeNotFound:
+            version = self.manifest(node).versions.zenostat
+            raise RequestRejected(f"node {node!r} is of Zenostat {version}, which does not send a geometry") from None
+
     def scenario(self, node: str) -> str:
         """Return the scenario that a node simulates, as the text of a scenario file (YAML)."""
         return self._ask(keys.SCENARIO, node, Query(), ScenarioText).text
@@ -327,24 +338,13 @@ class Bus:
                 f"a {self.role} may not query {topic.key}; connect with the certificate of another role"
             )
         try:
-            replies = self.session.get(
-                topic.at(node, name=name),
-                payload=codec.encode(request) if request else None,
-                encoding=zenoh.Encoding(codec.encoding(type(request))) if request else None,
-                timeout=_REQUEST_TIMEOUT_S,
-            )
+            reply = ask(self.session, topic, node, request, reply_type, name=name, timeout_s=_REQUEST_TIMEOUT_S)
         except zenoh.ZError:
             if not self._closed:
                 raise
             raise BusError(_CLOSED) from None
-        for reply in replies:
-            if reply.ok is None:
-                reason = reply.err.payload.to_string() if reply.err else "no reason given"
-                raise PeerError(f"node {node!r} did not answer {topic.key}: {reason}")
-            encoding, payload = str(reply.ok.encoding), reply.ok.payload.to_bytes()
-            if encoding == codec.encoding(ErrorReply):
-                raise from_wire(codec.decode(ErrorReply, payload, encoding).__dict__)
-            return codec.decode(reply_type, payload, encoding)
+        if reply is not None:
+            return reply
         if self._closed:
             raise BusError(_CLOSED)
         raise NodeNotFound(f"no node {node!r} on {self.endpoint}; {did_you_mean(node, self.nodes())}")

@@ -22,7 +22,7 @@ the node's thread unless noted:
 node calls `end`, and the plant does not step again until all slots have been started. Any other exception is an error
 in the program, and the node ends with it.
 
-Other threads read `description`, `simulators` and `memory_bytes` at any time, for the status of the node.
+Other threads read `description`, `site`, `simulators` and `memory_bytes` at any time, for queries.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from numpy.typing import NDArray
 
 from bridge.engine.registry import EngineRegistry
 from topics.errors import RequestRejected
-from topics.messages import Actuator, EpisodeStart, Meter, Sensor, Task, Versions
+from topics.messages import Actuator, EpisodeStart, Geometry, Meter, Sensor, Task, Versions
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +73,7 @@ class Site:
     location: str = ""
     latitude_deg: float | None = None
     longitude_deg: float | None = None
+    time_zone_h: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +85,8 @@ class PlantDescription:
         scenario: the text that `rpc/scenario` returns.
         warnings: texts for the manifest.
         zones, floor_area_m2: as in the manifest.
+        geometry: zones and surfaces, for pictures; None for a plant without.
+        without_geometry: why there is none; the text of the error that `rpc/geometry` replies with.
     """
 
     name: str
@@ -97,6 +100,8 @@ class PlantDescription:
     warnings: tuple[str, ...] = ()
     zones: tuple[str, ...] = ()
     floor_area_m2: float | None = None
+    geometry: Geometry | None = None
+    without_geometry: str = "this plant has no geometry"
 
 
 class WeatherTable(NamedTuple):
@@ -196,7 +201,7 @@ class RunningPlant(Protocol):
         """
 
     def site(self, slot: int) -> Site:
-        """Return the weather and the location of the present episode of a slot."""
+        """Return the weather and the location of the present episode of a slot. Thread-safe."""
 
     def notes(self, slot: int) -> list[str]:
         """Return texts that describe the present episode of a slot, for the event that reports its start."""

@@ -23,6 +23,7 @@ from topics.messages import (
     Command,
     Event,
     EventKind,
+    Geometry,
     Manifest,
     Message,
     Query,
@@ -43,7 +44,7 @@ def _lost() -> Message:
 
 
 class RequestHandlers:
-    """Claims, commands, writes, faults, weather, status and stop of one node server; for its thread, unless noted."""
+    """All other requests to one node server: claims, commands, geometry, etc.; for its thread, unless noted."""
 
     def __init__(self, server: NodeServer) -> None:
         self._server = server
@@ -57,6 +58,7 @@ class RequestHandlers:
         subscriptions.answer(
             keys.SCENARIO, lambda _: codec.encode(ScenarioText(text=server.plant.description.scenario))
         )
+        subscriptions.answer(keys.GEOMETRY, lambda _: codec.encode(self._geometry()))
         subscriptions.answer(keys.STATUS, status or (lambda query: codec.encode(self.status(memory=query.memory))))
         subscriptions.request(keys.CLAIM, Claim, self._claim)
         subscriptions.request_undecoded(keys.COMMAND_REQUEST, self._request_command)
@@ -157,6 +159,15 @@ class RequestHandlers:
     def _stop(self, _: Stop) -> Message:
         self._server.subscriptions.post(self._server.stop_serving)
         return Ack(episode=self._server.exchange.episode)
+
+    def _geometry(self) -> Geometry:
+        """Return the geometry at the place of the present episode of slot 0; thread-safe."""
+        plant = self._server.plant
+        geometry, site = plant.description.geometry, plant.site(0)
+        if geometry is None:
+            raise RequestRejected(plant.description.without_geometry)
+        place = {name: getattr(site, name) for name in ("latitude_deg", "longitude_deg", "time_zone_h")}
+        return geometry.model_copy(update={name: value for name, value in place.items() if value is not None})
 
     def _manifest(self) -> Manifest:
         return self._server.manifest.model_copy(update={"statistics": self._server.statistics()})

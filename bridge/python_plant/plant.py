@@ -151,6 +151,7 @@ def _describe(fields: Mapping[str, Any]) -> PlantDescription:
             actions=actions,
             reward=fields["reward"],
         ),
+        without_geometry=f"the plant {fields['name']!r} is a Python class, which has no geometry",
     )
 
 

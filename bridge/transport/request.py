@@ -1,0 +1,57 @@
+"""Send a request to a node, and decode its reply."""
+
+from __future__ import annotations
+
+from typing import TypeVar
+
+import zenoh
+
+from topics import codec, keys
+from topics.errors import PeerError, from_wire
+from topics.messages import ErrorReply, Message
+
+M = TypeVar("M", bound=Message)
+
+
+def ask(
+    session: zenoh.Session,
+    topic: keys.Topic,
+    node: str,
+    request: Message | None,
+    reply_type: type[M],
+    *,
+    name: str = "",
+    timeout_s: float,
+) -> M | None:
+    """Return a node's reply; None, at once, if no node of that name is on the bus or if it does not know the topic.
+
+    Args:
+        session: where the node is reachable.
+        topic: of the request.
+        node: the node's name.
+        request: None for a query without a payload.
+        reply_type: class of the reply.
+        name: the topic's name, if it has one.
+        timeout_s: time after which a node that is present but does not answer raises an error.
+
+    Raises:
+        ZenostatError: the error that the node replied with.
+        PeerError: the node did not answer.
+        BadMessage: the reply is not valid.
+        zenoh.ZError: the session is closed.
+    """
+    replies = session.get(
+        topic.at(node, name=name),
+        payload=codec.encode(request) if request else None,
+        encoding=zenoh.Encoding(codec.encoding(type(request))) if request else None,
+        timeout=timeout_s,
+    )
+    for reply in replies:
+        if reply.ok is None:
+            reason = reply.err.payload.to_string() if reply.err else "no reason given"
+            raise PeerError(f"node {node!r} did not answer {topic.key}: {reason}")
+        encoding, payload = str(reply.ok.encoding), reply.ok.payload.to_bytes()
+        if encoding == codec.encoding(ErrorReply):
+            raise from_wire(codec.decode(ErrorReply, payload, encoding).__dict__)
+        return codec.decode(reply_type, payload, encoding)
+    return None
