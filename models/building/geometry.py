@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from math import cos, radians, sin
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from models.building.frames import Frame
 from models.building.model import Building, Objects
-from models.building.polygons import WORLD, Polygon, PolygonReader
+from models.building.polygons import Polygon, PolygonReader
 from models.building.summary import conditioned_zones, used_zones, zone_areas, zone_multipliers
 from models.weather.header import Header
 from topics.messages import Geometry, SurfaceKind, ZoneGeometry
@@ -49,7 +49,7 @@ def building_geometry(building: Building, place: Header) -> BuildingGeometry:
     """
     reader = PolygonReader(building.objects)
     polygons, broken = reader.polygons, reader.broken
-    placed = _placed(polygons, building.objects)
+    placed = _placed(polygons, reader.frames)
     areas = _areas(placed)
     is_valid = (areas > _MIN_AREA_M2) & (placed.counts <= _MAX_CORNERS)
     broken += [(p.label, "its area is 0") for p, valid in zip(polygons, is_valid, strict=True) if not valid]
@@ -82,12 +82,11 @@ def _first(broken: Sequence[tuple[str, str]]) -> str:
 # Coordinates
 
 
-def _placed(polygons: Sequence[Polygon], objects: Mapping[str, Objects]) -> _Corners:
+def _placed(polygons: Sequence[Polygon], frames: Mapping[str | None, Frame]) -> _Corners:
     """Return the corners of all polygons in world coordinates."""
     counts = np.array([len(polygon.corners) for polygon in polygons], np.intp)
     flat = [corner for polygon in polygons for corner in polygon.corners]
     corners = np.array(flat, float).reshape(-1, 3)
-    frames = _frames(objects)
     names = list(frames)
     index = {name: i for i, name in enumerate(names)}
     angle, *origin = np.array([frames[name] for name in names]).T
@@ -96,40 +95,6 @@ def _placed(polygons: Sequence[Polygon], objects: Mapping[str, Objects]) -> _Cor
     x, y, z = corners.T
     placed = np.stack([x * cosine - y * sine, x * sine + y * cosine, z], axis=1) + np.stack(origin, axis=1)[of_corner]
     return _Corners(placed, counts, np.cumsum(counts) - counts)
-
-
-def _frames(objects: Mapping[str, Objects]) -> dict[str | None, tuple[float, float, float, float]]:
-    """Return the counter-clockwise angle (rad) and the origin (m) of each frame of polygons, in world coordinates.
-
-    A zone is turned by its direction of relative north and moved to its origin; then the whole building is turned by
-    its north axis. World coordinates are turned by Appendix G's rotation only, which is part of the north axis, too.
-    """
-    rotation = sum(
-        _number(fields, "building_rotation_for_appendix_g") for fields in _all(objects, "Compliance:Building")
-    )
-    north = radians(rotation + sum(_number(fields, "north_axis") for fields in _all(objects, "Building")))
-    frames: dict[str | None, tuple[float, float, float, float]] = {
-        WORLD: (-radians(rotation), 0.0, 0.0, 0.0),
-        "": (-north, 0.0, 0.0, 0.0),
-    }
-    for name, fields in objects.get("Zone", {}).items():
-        x, y, z = (_number(fields, f"{axis}_origin") for axis in "xyz")
-        frames[name.casefold()] = (
-            -north - radians(_number(fields, "direction_of_relative_north")),
-            x * cos(north) + y * sin(north),
-            y * cos(north) - x * sin(north),
-            z,
-        )
-    return frames
-
-
-def _all(objects: Mapping[str, Objects], kind: str) -> Sequence[Mapping[str, Any]]:
-    return list(objects.get(kind, {}).values())
-
-
-def _number(fields: Mapping[str, Any], field: str) -> float:
-    value = fields.get(field)
-    return float(value) if isinstance(value, (int, float)) else 0.0
 
 
 def _areas(placed: _Corners) -> NDArray[np.float64]:

@@ -12,13 +12,11 @@ from dataclasses import dataclass, replace
 from math import acos, atan2, cos, degrees, hypot, isfinite, radians, sin
 from typing import Any
 
+from models.building.frames import SITE, frames
 from models.building.model import Objects
 from topics.messages import SurfaceKind
 
 Corner = tuple[float, float, float]
-
-WORLD = None
-"""Frame of polygons in world coordinates; other frames are the case-folded name of a zone, or `""`: the building."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +27,7 @@ class Polygon:
         kind: wall, window, etc.
         label: type and name of its object.
         zone: case-folded name of its zone; empty for a shading surface.
-        frame: of its corners; see `WORLD`.
+        frame: of its corners; a zone, the building or the site; see `models.building.frames`.
         is_exposed: whether it borders on outdoors or ground.
         corners: counter-clockwise as seen from outside, from the upper left one.
     """
@@ -111,10 +109,9 @@ class PolygonReader:
         rules = next(iter(objects.get("GlobalGeometryRules", {}).values()), {})
         self._is_clockwise = str(rules.get("vertex_entry_direction")).casefold() == "clockwise"
         self._start = _STARTS.get(str(rules.get("starting_vertex_position")).casefold(), 0)
-        self._is_world = str(rules.get("coordinate_system")).casefold() == "world"
-        self._is_rectangular_world = (
-            str(rules.get("rectangular_surface_coordinate_system") or "Relative").casefold() == "world"
-        )
+        is_rectangular_world = str(rules.get("rectangular_surface_coordinate_system")).casefold() == "world"
+        self.frames = frames(objects, is_world=str(rules.get("coordinate_system")).casefold() == "world")
+        self._rectangular_frames = frames(objects, is_world=is_rectangular_world)
         self._zones = {name.casefold() for name in objects.get("Zone", {})}
         self._zone_of_space = {
             name.casefold(): str(fields.get("zone_name", "")).casefold()
@@ -159,16 +156,25 @@ class PolygonReader:
         if surface_kind is SurfaceKind.ROOF and not is_exposed:
             surface_kind = SurfaceKind.CEILING
         corners = self._ordered(_corners(fields.get("vertices", ())))
-        frame = WORLD if self._is_world else zone
-        polygon = Polygon(surface_kind, label, zone, frame, is_exposed, _turned_upright(surface_kind, corners))
+        polygon = Polygon(surface_kind, label, zone, zone, is_exposed, _turned_upright(surface_kind, corners))
         return [polygon, *self._twin(polygon, fields)]
 
     def _rectangle(self, kind: str, label: str, fields: Mapping[str, Any]) -> list[Polygon]:
         zone = self._zone(fields)
         surface_kind, is_exposed, tilt = _RECTANGULAR[kind]
-        frame = WORLD if self._is_rectangular_world else zone
-        polygon = Polygon(surface_kind, label, zone, frame, is_exposed, _rectangle_of(fields, tilt))
+        polygon = Polygon(surface_kind, label, zone, zone, is_exposed, self._rectangle_of(zone, fields, tilt))
         return [polygon, *self._twin(polygon, fields)]
+
+    def _rectangle_of(self, frame: str | None, fields: Mapping[str, Any], default_tilt: float) -> tuple[Corner, ...]:
+        """Return the rectangle of an object with a lower left corner, an azimuth, a tilt, a length and a height.
+
+        As in EnergyPlus, the corner is in the coordinate system of rectangular surfaces, the azimuth in the other one.
+        """
+        x, y, z = (_number(fields, f"starting_{axis}_coordinate") for axis in "xyz")
+        start = self.frames[frame].relative(*self._rectangular_frames[frame].placed(x, y, z))
+        height = _number(fields, "height" if "height" in fields else "width")
+        azimuth, tilt = _number(fields, "azimuth_angle"), _number(fields, "tilt_angle", default_tilt)
+        return _rectangle(start, azimuth, tilt, _number(fields, "length"), height)
 
     def _zone(self, fields: Mapping[str, Any]) -> str:
         zone = _folded(fields, "zone_name") or self._zone_of_space.get(_folded(fields, "space_name"), "")
@@ -196,8 +202,7 @@ class PolygonReader:
             {name: fields.get(name.replace("_", f"_{i}_", 1)) for name in (_X, _Y, _Z)} for i in range(1, count + 1)
         ]
         corners = self._ordered(_corners(vertices))
-        frame = WORLD if self._is_world else base.zone
-        return [Polygon(kind_of, label, base.zone, frame, _is_outside(base, fields), corners)]
+        return [Polygon(kind_of, label, base.zone, base.zone, _is_outside(base, fields), corners)]
 
     def _opening(self, kind: str, label: str, fields: Mapping[str, Any]) -> list[Polygon]:
         base = self._base(fields, "building_surface_name")
@@ -208,7 +213,7 @@ class PolygonReader:
         across, up = _axes(azimuth, tilt)
         start = _moved(base.corners[1], (across, x), (up, z))
         corners = _rectangle(start, azimuth, tilt, _number(fields, "length"), _number(fields, "height"))
-        return [Polygon(_OPENINGS[kind], label, base.zone, base.frame, _is_outside(base, fields), corners)]
+        return [Polygon(_OPENINGS[kind], label, base.zone, base.zone, _is_outside(base, fields), corners)]
 
     def _base(self, fields: Mapping[str, Any], field: str) -> Polygon:
         base = self._by_name.get(_folded(fields, field))
@@ -219,18 +224,16 @@ class PolygonReader:
     # Shading
 
     def _detailed_shading(self, kind: str, label: str, fields: Mapping[str, Any]) -> list[Polygon]:
-        frame = WORLD
+        frame = SITE
         if kind == "Shading:Zone:Detailed":
             frame = self._base(fields, "base_surface_name").zone
         elif kind == "Shading:Building:Detailed":
             frame = ""
-        return [
-            self._shade(label, WORLD if self._is_world else frame, self._ordered(_corners(fields.get("vertices", ()))))
-        ]
+        return [self._shade(label, frame, self._ordered(_corners(fields.get("vertices", ()))))]
 
     def _shading(self, kind: str, label: str, fields: Mapping[str, Any]) -> list[Polygon]:
-        frame = WORLD if kind == "Shading:Site" or self._is_rectangular_world else ""
-        return [self._shade(label, frame, _rectangle_of(fields, 90.0))]
+        frame = SITE if kind == "Shading:Site" else ""
+        return [self._shade(label, frame, self._rectangle_of(frame, fields, 90.0))]
 
     def _overhang(self, kind: str, label: str, fields: Mapping[str, Any]) -> list[Polygon]:
         window, width, height = self._window(fields)
@@ -249,7 +252,6 @@ class PolygonReader:
         window, width, height = self._window(fields)
         azimuth, tilt = _direction(window.corners)
         across, up = _axes(azimuth, tilt)
-        outward = _cross(across, up)
         fins = []
         for side, corner, sign in (("left", 1, -1.0), ("right", 2, 1.0)):
             depth = _number(fields, f"{side}_depth")
@@ -258,12 +260,11 @@ class PolygonReader:
             above = _number(fields, f"{side}_distance_above_top_of_window")
             below = _number(fields, f"{side}_distance_below_bottom_of_window")
             aside = _number(fields, f"{side}_extension_from_window_door")
-            angle = radians(_number(fields, f"{side}_tilt_angle_from_window_door", 90.0))
+            angle = _number(fields, f"{side}_tilt_angle_from_window_door", 90.0)
             bottom = _moved(window.corners[corner], (across, sign * aside), (up, -below))
-            edge = _moved(bottom, (across, -sign * cos(angle) * depth), (outward, sin(angle) * depth))
-            rise = (up, below + height + above)
             if depth:  # 0: there is no fin on this side
-                fins.append(self._shade(label, window.frame, (_moved(edge, rise), edge, bottom, _moved(bottom, rise))))
+                corners = _rectangle(bottom, azimuth + angle, 180.0 - tilt, depth, below + height + above)
+                fins.append(self._shade(label, window.frame, corners))
         if not fins:
             raise BrokenSurface("its depths are 0")
         return fins
@@ -333,14 +334,6 @@ def _is_outside(base: Polygon, fields: Mapping[str, Any]) -> bool:
 
 
 # Rectangles
-
-
-def _rectangle_of(fields: Mapping[str, Any], default_tilt: float) -> tuple[Corner, ...]:
-    """Return the rectangle of an object with a lower left corner, an azimuth, a tilt, a length and a height."""
-    x, y, z = (_number(fields, f"starting_{axis}_coordinate") for axis in "xyz")
-    height = _number(fields, "height" if "height" in fields else "width")
-    azimuth, tilt = _number(fields, "azimuth_angle"), _number(fields, "tilt_angle", default_tilt)
-    return _rectangle((x, y, z), azimuth, tilt, _number(fields, "length"), height)
 
 
 def _rectangle(start: Corner, azimuth_deg: float, tilt_deg: float, length: float, height: float) -> tuple[Corner, ...]:

@@ -317,9 +317,7 @@ def test_the_page_is_what_the_code_gives() -> None:
 
 
 def test_the_page_names_every_array() -> None:
-    told = set(
-        re.findall(r"^\| `(\w+)` \| `(\w+)` \| (?:float|u?int)\d+ \|$", PAGE.read_text(encoding="utf-8"), re.M)
-    )
+    told = set(re.findall(r"^\| `(\w+)` \| `(\w+)` \| (?:float|u?int)\d+ \|$", PAGE.read_text(encoding="utf-8"), re.M))
     assert told == {
         (kind.__name__, name)
         for kind in CLASSES
