@@ -75,9 +75,10 @@ def surfaces(geometry: Geometry) -> list[Surface]:
     ends = np.cumsum(corner_counts)
     corners = _array(geometry, "corners", "<f4", 3 * int(corner_counts.sum())).reshape(-1, 3).astype(float)
     _check(kinds.max(initial=0) <= max(SurfaceKind), f"its kinds contain {kinds.max(initial=0)}")
+    lowest, highest = zones.min(initial=0), zones.max(initial=-1)
     _check(
-        zones.min(initial=0) >= -1 and zones.max(initial=-1) < len(geometry.zones),
-        f"zone_index contains {zones.max(initial=-1)}; it has {len(geometry.zones)} zones",
+        lowest >= -1 and highest < len(geometry.zones),
+        f"zone_index has values from {lowest} to {highest}; there are {len(geometry.zones)} zones",
     )
     _check(corner_counts.min(initial=3) >= 3, "a surface has fewer than 3 corners")
     _check(bool(np.isfinite(corners).all()), "corners contains NaN or infinity")
@@ -190,8 +191,8 @@ def _flattest(points: list[tuple[float, float]], left: list[int]) -> int:
 def sun_direction(latitude_deg: float, longitude_deg: float, time_zone_h: float, time: datetime) -> tuple[float, float]:
     """Return the sun's azimuth (0 is north, 90 east) and elevation above the horizon in degrees.
 
-    Accurate to about 0.2 degrees, without refraction: declination and equation of time are J. W. Spencer's Fourier
-    series ("Fourier series representation of the position of the sun", Search 2 (5), 1971).
+    Without refraction, and accurate to about half a degree, like EnergyPlus's: declination and equation of time are
+    J. W. Spencer's Fourier series ("Fourier series representation of the position of the sun", Search 2 (5), 1971).
 
     Args:
         latitude_deg: north positive.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import cos, radians, sin
+from math import cos, isfinite, radians, sin
 from typing import Any, NamedTuple
 
 from models.building.model import Objects
@@ -56,4 +56,4 @@ def _first(objects: Mapping[str, Objects], kind: str) -> Mapping[str, Any]:
 
 def _number(fields: Mapping[str, Any], field: str) -> float:
     value = fields.get(field)
-    return float(value) if isinstance(value, (int, float)) else 0.0
+    return float(value) if isinstance(value, (int, float)) and isfinite(value) else 0.0

@@ -126,6 +126,7 @@ def _zones(
     for height in sorted(floors[zone] for zone in used):
         if not storeys or height > storeys[-1] + STOREY_M:
             storeys.append(height)
+    storeys = storeys or [0.0]
     conditioned, areas, multipliers = conditioned_zones(objects), zone_areas(objects), zone_multipliers(objects)
     # A zone without surfaces is on the lowest storey.
     below = {zone: sum(storey <= height + STOREY_M for storey in storeys) - 1 for zone, height in floors.items()}
@@ -133,7 +134,7 @@ def _zones(
         ZoneGeometry(
             name=name,
             storey=max(0, below.get(name.casefold(), 0)),
-            floor_area_m2=areas[name],
+            floor_area_m2=max(0.0, areas[name]),
             multiplier=multipliers[name],
             is_conditioned=name.casefold() in conditioned,
         )

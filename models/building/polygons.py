@@ -59,6 +59,7 @@ _DETAILED_KINDS = {
     "ceiling": SurfaceKind.ROOF,  # if exposed
     "floor": SurfaceKind.FLOOR,
 }
+_MAX_M = 1e7
 _X, _Y, _Z = (f"vertex_{axis}_coordinate" for axis in "xyz")
 # Object type: kind, whether it is exposed, default of the tilt.
 _RECTANGULAR = {
@@ -321,11 +322,11 @@ def _corners(vertices: Sequence[Mapping[str, Any]]) -> tuple[Corner, ...]:
         raise BrokenSurface(f"it has {len(vertices)} corners")
     try:
         corners = [(vertex[_X], vertex[_Y], vertex[_Z]) for vertex in vertices]
-        is_finite = all(isfinite(value) for corner in corners for value in corner)
-    except (KeyError, TypeError, OverflowError):
-        is_finite = False
-    if not is_finite:
-        raise BrokenSurface("a coordinate of a corner is missing or not a number")
+        is_valid = all(abs(value) < _MAX_M for corner in corners for value in corner)
+    except (KeyError, TypeError):
+        is_valid = False
+    if not is_valid:
+        raise BrokenSurface("a coordinate of a corner is missing, not a number, or above 10,000 km")
     return tuple(corners)
 
 

@@ -1,0 +1,82 @@
+"""Surfaces as EnergyPlus itself computes them: the `HeatTransfer Surface` and `Shading Surface` lines of its EIO file.
+
+`simulate` runs a model's geometry and constructions for a day, without HVAC and internal gains: two seconds at most.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.building.model import Objects
+from models.catalog import find_weather
+
+WEATHER = find_weather("USA_CO_Denver").path
+
+_RUN = """
+import sys
+from pyenergyplus.api import EnergyPlusAPI
+model, weather, folder = sys.argv[1:]
+api = EnergyPlusAPI()
+state = api.state_manager.new_state()
+api.runtime.set_console_output_status(state, False)
+sys.exit(api.runtime.run_energyplus(state, ["-w", weather, "-d", folder, model]))
+"""
+
+_GEOMETRY = (
+    *("BuildingSurface", "Wall:", "Roof", "Ceiling:", "Floor:", "Fenestration", "Window", "Door", "GlazedDoor"),
+    *("Shading", "Building", "Compliance", "GlobalGeometryRules", "Space", "Construction", "Material", "Schedule"),
+    *("Site:", "SurfaceProperty", "Version"),
+)
+_DAY = {"begin_month": 1, "begin_day_of_month": 1, "end_month": 1, "end_day_of_month": 1}
+
+
+@dataclass(frozen=True)
+class EioSurface:
+    """A line of the EIO file; `corners` are in world coordinates, from the upper left one."""
+
+    name: str
+    area_m2: float
+    azimuth_deg: float
+    tilt_deg: float
+    corners: NDArray[np.float64]
+
+
+def simulate(objects: Mapping[str, Objects], folder: Path, extra: Mapping[str, Objects] | None = None) -> Path:
+    """Run the geometry of a model with some more objects; return the folder of EnergyPlus's files."""
+    kept = {kind: items for kind, items in objects.items() if kind.startswith(_GEOMETRY) or kind == "Zone"}
+    kept |= {
+        "Timestep": {"t": {"number_of_timesteps_per_hour": 4}},
+        "RunPeriod": {"day": _DAY},
+        "SimulationControl": {"c": {"run_simulation_for_sizing_periods": "No"}},
+        "Output:Surfaces:List": {"l": {"report_type": "DetailsWithVertices"}},
+    }
+    folder.mkdir(parents=True)
+    model = folder / "in.epJSON"
+    model.write_text(json.dumps(kept | dict(extra or {})))
+    command = [sys.executable, "-P", "-c", _RUN, str(model), str(WEATHER), str(folder)]
+    code = subprocess.run(command, stdin=subprocess.DEVNULL).returncode
+    assert code == 0, (folder / "eplusout.err").read_text()[-3000:]
+    return folder
+
+
+def surfaces(folder: Path) -> list[EioSurface]:
+    """Return the surfaces of a run, without the mirror images of shading surfaces and without internal mass."""
+    rows = [line.split(",") for line in (folder / "eplusout.eio").read_text(encoding="latin-1").splitlines()]
+    kept = [row for row in rows if row[0] in ("HeatTransfer Surface", "Shading Surface")]
+    return [_surface(row) for row in kept if row[2] != "Internal Mass" and not row[1].startswith("Mir-")]
+
+
+def _surface(row: list[str]) -> EioSurface:
+    """Read a row: its tenth column is the gross area, and it ends with the number of corners and their coordinates."""
+    sizes = range(3, len(row) // 3)
+    (size,) = [n for n in sizes if row[-3 * n - 1].strip() == str(n) and not row[-3 * n - 2].strip().isdigit()][:1]
+    corners = np.array([float(text) for text in row[-3 * size :]]).reshape(-1, 3)
+    return EioSurface(row[1], float(row[10]), float(row[12]), float(row[13]), corners)

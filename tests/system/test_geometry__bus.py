@@ -1,0 +1,87 @@
+"""A node's geometry on the bus: the model's own, while it runs and on branches; and nodes that have none."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import zenoh
+from support.nodes import SMALL, NodeProgram
+
+import agent_sdk
+from bridge.display.surfaces import surfaces
+from models import catalog
+from models.building.geometry import building_geometry
+from models.building.model import read_building
+from models.weather.header import read_header
+from topics import codec, keys
+from topics.errors import NodeNotFound, RequestRejected
+from topics.messages import CreateBranch, Geometry, Manifest
+
+PLANT = """
+class Tank:
+    sensors = {"level": "m"}
+    actuators = {"valve": ("1", 0.0, 1.0)}
+    step_s, steps = 60, 5
+
+    def reset(self, seed):
+        return {"level": 1.0}
+
+    def step(self, command):
+        return {"level": 1.0}
+"""
+
+
+@pytest.fixture
+def expected() -> Geometry:
+    weather = catalog.find_weather(SMALL["weather"])
+    geometry, _ = building_geometry(read_building(catalog.find_building(SMALL["building"])), read_header(weather.path))
+    assert geometry is not None
+    return geometry
+
+
+def test_the_bus_has_the_models_geometry(episode_bus: agent_sdk.Bus, expected: Geometry) -> None:
+    geometry = episode_bus.geometry("office")
+    assert geometry == expected
+    assert {surface.zone for surface in surfaces(geometry)} == set(range(len(geometry.zones)))
+    branch = episode_bus.branch("office", CreateBranch())
+    assert episode_bus.geometry(branch) == expected
+    episode_bus.stop(branch)
+
+
+def test_a_node_that_is_not_there_is_named(episode_bus: agent_sdk.Bus) -> None:
+    with pytest.raises(NodeNotFound, match="no node 'offise'"):
+        episode_bus.geometry("offise")
+
+
+def test_a_python_plant_has_no_geometry(scratch: Path) -> None:
+    file = scratch / "tank.py"
+    file.write_text(PLANT)
+    with (
+        NodeProgram(scratch / "node", plant=f"{file}:Tank", name="tank") as node,
+        agent_sdk.connect(node.endpoint, affinity="off") as bus,
+        pytest.raises(RequestRejected, match=r"^the plant 'tank' is a Python class, which has no geometry$"),
+    ):
+        bus.geometry("tank")
+
+
+@pytest.fixture
+def old_node(episode_bus: agent_sdk.Bus) -> Iterator[str]:
+    """A node `old` that answers for its manifest only, as one of a version without this topic would."""
+    versions = {"zenostat": "0.1", "energyplus": "25.2"}
+    manifest = episode_bus.manifest("office")
+    old = Manifest(**manifest.model_dump() | {"node": "old", "versions": versions})
+
+    def answer(query: zenoh.Query) -> None:
+        with query:
+            query.reply(keys.MANIFEST.at("old"), codec.encode(old), encoding=zenoh.Encoding(codec.encoding(Manifest)))
+
+    queryable = episode_bus.session.declare_queryable(keys.MANIFEST.at("old"), answer, complete=True)
+    yield "old"
+    queryable.undeclare()
+
+
+def test_an_older_node_is_named_with_its_version(episode_bus: agent_sdk.Bus, old_node: str) -> None:
+    with pytest.raises(RequestRejected, match=r"^node 'old' is of Zenostat 0\.1, which does not send a geometry$"):
+        episode_bus.geometry(old_node)
