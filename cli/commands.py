@@ -26,6 +26,7 @@ from cli import (
     router,
     run,
     status,
+    view,
     watch,
     weathers,
     write,
@@ -35,7 +36,7 @@ from topics import VERSION
 
 _GROUPS: dict[str, tuple[Callable[..., None] | typer.Typer, ...]] = {
     "Simulate and control": (demo.demo, node.node, run.run, evaluate.evaluate, probe.probe),
-    "Watch a bus": (status.status, monitor.monitor, watch.watch, read.read),
+    "Watch a bus": (status.status, monitor.monitor, view.view, watch.watch, read.read),
     "Operate a running node": (
         write.write, write.relinquish, lifecycle.reset, pace.pause, pace.resume, pace.step, pace.pace, pace.faults,
         lifecycle.stop,

@@ -38,6 +38,7 @@ def demo(
     """
     from agent_sdk import connect
     from agent_sdk.bus.local_node import LocalNode
+    from bridge.rerun.viewer import NO_VULKAN, has_vulkan
     from bridge.runtime.affinity import Affinity
 
     folder.mkdir(parents=True, exist_ok=True)
@@ -48,7 +49,7 @@ def demo(
         with out.status("starting the node"):
             local_node = LocalNode(settings, Affinity.SEPARATE_CORES)
         stack.callback(local_node.close)
-        outputs = ("--save", recording, "--screenshot", screenshot)
+        outputs = ["--save", recording, *(["--screenshot", screenshot] if has_vulkan() else [])]
         monitor = _start("monitor", "--connect", local_node.endpoint, *outputs, "--once", wait=True)
         stack.callback(monitor.terminate)
         bus = stack.enter_context(connect(local_node.endpoint, core=local_node.core))
@@ -60,7 +61,8 @@ def demo(
     show_results(results, f"{building}, {weather}, {begin} to {end}")
     for line in monitor_lines:
         out.print(f"monitor: {line}", markup=False, soft_wrap=True)
-    out.print(f"recording: {recording}" + (f", screenshot: {screenshot}" if screenshot.exists() else ""))
+    if not has_vulkan():
+        out.print(f"no screenshot: {NO_VULKAN}", soft_wrap=True, markup=False)
 
 
 def _start(*arguments: object, wait: bool = False) -> subprocess.Popen[str]:
@@ -76,7 +78,7 @@ def _start(*arguments: object, wait: bool = False) -> subprocess.Popen[str]:
 
 
 def _remaining_lines(process: subprocess.Popen[str]) -> list[str]:
-    output, _ = process.communicate(timeout=120)
+    output, _ = process.communicate(timeout=240)
     return [line.strip() for line in output.splitlines() if line.strip()]
 
 

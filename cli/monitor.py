@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import tempfile
 import threading
 from contextlib import ExitStack
@@ -12,9 +11,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from bridge.transport.session import DEFAULT_ENDPOINT, default_endpoint
-from cli.console import err, out, until_signal
+from cli.console import out, until_signal
 from cli.options import CertificateName, Keys
-from topics.errors import InvalidConfig, NodeNotFound, did_you_mean
+from cli.view import At, Size, screenshot_request
+from topics.errors import InvalidConfig, NodeNotFound, ViewerError, did_you_mean
 from topics.keys import Role
 
 if TYPE_CHECKING:
@@ -33,32 +33,57 @@ def monitor(
     certificate: CertificateName = None,
     save: Annotated[Path | None, typer.Option(help="Write a recording to FILE.rrd.")] = None,
     screenshot: Annotated[Path | None, typer.Option(help="Write a screenshot to FILE.png at the end.")] = None,
+    at: At = None,
+    size: Size = None,
     web: Annotated[bool, typer.Option("--web", help="Serve the viewer as a web page on this machine.")] = False,
     once: Annotated[bool, typer.Option("--once", help="Stop when a monitored node leaves the bus.")] = False,
 ) -> None:
     """Stream the bus to Rerun until Ctrl-C: to the viewer, a web page, a recording or a screenshot.
 
-    Example: `zenostat monitor --save run.rrd --screenshot run.png`
+    Example: `zenostat monitor --save run.rrd --screenshot run.png --at 07-02T17:30`
     """
+    from bridge.rerun.screenshot import check_writable, draw
+    from bridge.rerun.viewer import how_to_open
+
+    request = screenshot_request(screenshot, at, size)
+    if save is not None:
+        if save.suffix != ".rrd":
+            raise InvalidConfig(f"--save {save}: expected a .rrd file, for example --save run.rrd")
+        check_writable(save)
+    with ExitStack() as stack:
+        recording = save
+        if request is not None and recording is None:
+            recording = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="zenostat-"))) / "run.rrd"
+        samples = _stream(node, connect or default_endpoint(keys), keys, certificate, recording, web=web, once=once)
+        if save is not None and samples is not None:
+            out.print(f"recording: {save}; open it with: {how_to_open(save)}", soft_wrap=True, markup=False)
+        if request is not None and recording is not None and samples:
+            draw(recording, request)
+            out.print(f"screenshot: {request.path}", soft_wrap=True, markup=False)
+        elif request is not None and samples == 0:
+            raise ViewerError(f"no screenshot was written to {request.path}: the monitor received no samples")
+
+
+def _stream(
+    node: str,
+    connect: str,
+    keys: Path | None,
+    certificate: str | None,
+    recording: Path | None,
+    *,
+    web: bool,
+    once: bool,
+) -> int | None:
+    """Log samples until Ctrl-C, or until a node leaves the bus; return their number, None if there was no bus."""
     from bridge.rerun.stream import RerunStream
-    from bridge.rerun.viewer import NO_VULKAN, has_vulkan, how_to_open
-    from bridge.rerun.viewer import screenshot as draw
     from bridge.runtime import affinity
     from bridge.transport.session import open_session
 
-    if screenshot is not None and screenshot.suffix != ".png":
-        raise InvalidConfig(f"--screenshot {screenshot}: expected a .png file, for example --screenshot run.png")
-    if screenshot is not None and not has_vulkan():
-        err.print(f"warning: {NO_VULKAN}", style="yellow", soft_wrap=True)
-    connect = connect or default_endpoint(keys)
     with ExitStack() as stack:
-        recording = save
-        if screenshot is not None and recording is None:
-            recording = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="zenostat-"))) / "run.rrd"
         sinks = _sinks(stack, recording, web)
         stop = stack.enter_context(until_signal())
         if not _wait_for_bus(connect, stop, keys=keys, role=Role.MONITOR, certificate=certificate):
-            return
+            return None
         session = stack.enter_context(
             open_session(connect=[connect], wait=True, keys=keys, role=Role.MONITOR, certificate=certificate)
         )
@@ -70,11 +95,8 @@ def monitor(
                 markup=False,
             )
             stream.run(until=lambda: stop.is_set() or (once and stream.left))
-        out.print(f"{stream.samples} samples logged, {stream.missed} missed" + (f", in {save}" if save else ""))
-        if save is not None:
-            out.print(f"open the recording with: {how_to_open(save)}", soft_wrap=True, markup=False)
-        if screenshot is not None and recording is not None and not draw(recording, screenshot):
-            err.print(f"no screenshot was written; {NO_VULKAN}", soft_wrap=True)
+        out.print(f"{stream.samples} samples logged, {stream.missed} missed")
+        return stream.samples
 
 
 def _missing_note(session: zenoh.Session, node: str) -> str:
@@ -109,22 +131,18 @@ def _wait_for_bus(connect: str, stop: threading.Event, **credentials: Any) -> bo
 def _sinks(stack: ExitStack, recording: Path | None, web: bool) -> list[Any]:
     import rerun as rr
 
-    from bridge.rerun.viewer import program, web_viewer
+    from bridge.rerun.viewer import NO_DISPLAY, has_display, program, web_viewer
 
     sinks: list[Any] = []
     if recording is not None:
-        if not recording.absolute().parent.is_dir():
-            raise InvalidConfig(f"cannot write {recording.name}: there is no folder {recording.absolute().parent}")
         sinks.append(rr.FileSink(str(recording)))
     if web:
         page, url = stack.enter_context(web_viewer())
-        out.print(f"viewer: {page}")
+        out.print(f"viewer: {page}", soft_wrap=True, markup=False)
         sinks.append(rr.GrpcSink(url))
     if not sinks:
-        if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-            raise InvalidConfig(
-                "the viewer needs a display; without one, use --web, --save FILE.rrd or --screenshot FILE.png"
-            )
+        if not has_display():
+            raise InvalidConfig(f"{NO_DISPLAY}; without one, use --web, --save FILE.rrd or --screenshot FILE.png")
         rr.spawn(connect=False, executable_path=program())
         sinks.append(rr.GrpcSink())
     return sinks

@@ -17,11 +17,12 @@
     │   ├── EngineDied          the engine process ended unexpectedly
     │   │   └── EngineUnresponsive  it neither answered nor used processor time, and was killed
     │   └── ForkFailed          a plant or its engine could not be copied: too little memory, or no way to copy it
-    └── BusError                a peer cannot be reached
-        ├── AddressInUse        another program listens at that endpoint
-        ├── NameInUse           a node of that name is already on the bus
-        ├── NodeNotFound        no node answers at that endpoint or under that name
-        └── NodeLost            the node disconnected
+    ├── BusError                a peer cannot be reached
+    │   ├── AddressInUse        another program listens at that endpoint
+    │   ├── NameInUse           a node of that name is already on the bus
+    │   ├── NodeNotFound        no node answers at that endpoint or under that name
+    │   └── NodeLost            the node disconnected
+    └── ViewerError             a recording cannot be shown or drawn
 
 Between processes an error is sent as `{"error": class name, "message": text}`; the receiver raises the same class.
 """
@@ -122,6 +123,10 @@ class NodeNotFound(BusError):
 
 class NodeLost(BusError):
     """The node disconnected."""
+
+
+class ViewerError(ZenostatError):
+    """A recording cannot be shown or drawn: the viewer or a driver is missing, or the viewer failed."""
 
 
 def _tree(cls: type[ZenostatError]) -> Iterable[type[ZenostatError]]:

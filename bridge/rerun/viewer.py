@@ -1,4 +1,4 @@
-"""The `rerun` program: viewers and screenshots of recordings."""
+"""The `rerun` program: windows, web pages and headless viewers, each with the settings of this process only."""
 
 from __future__ import annotations
 
@@ -6,33 +6,50 @@ import ctypes
 import importlib.util
 import os
 import shlex
-import shutil
+import signal
 import socket
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+import warnings
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
-from topics.errors import InvalidConfig
+from topics.errors import InvalidConfig, ViewerError
 
-NO_VULKAN = "a picture needs a Vulkan driver, and none was found; on Debian: apt install mesa-vulkan-drivers libvulkan1"
+NO_VULKAN = (
+    "a screenshot needs a Vulkan driver, and none was found; on Debian: apt install mesa-vulkan-drivers libvulkan1"
+)
+NO_DISPLAY = "a window needs a display, and neither DISPLAY nor WAYLAND_DISPLAY is set"
 _DRIVERS = ("/usr/share/vulkan/icd.d", "/usr/local/share/vulkan/icd.d", "/etc/vulkan/icd.d")
 """Where the Vulkan loader searches for drivers, besides its environment variables."""
+_NO_ADAPTER = ("render context", "graphics adapter", "wgpu")
+"""Words of the message with which a viewer without a Vulkan driver ends."""
 
-_START_S = 20.0
-_SETTLE_S = 1.5  # `open` returns before all plots are drawn, and the viewer does not report when they are
+_START_S = 60.0
+_EXIT_S = 5.0
+_ENDS_WITH_PARENT = (
+    "import os, sys; from bridge.engine.system_calls import die_with_parent as bind; "
+    "bind(int(sys.argv[1])); os.execv(sys.argv[2], sys.argv[2:])"
+)
+"""Python code that becomes a program which the kernel ends with this process."""
 
 
 def program() -> str:
-    """Return the path of the `rerun` binary; it would outlive the Python script of the same name."""
+    """Return the path of the `rerun` binary; it would outlive the Python script of the same name.
+
+    Raises:
+        ViewerError: it is not installed.
+    """
     spec = importlib.util.find_spec("rerun_cli")
     folders = spec.submodule_search_locations if spec else None
-    if not folders:
-        raise InvalidConfig("the rerun program is not installed: pip install rerun-sdk")
-    return str(Path(folders[0]) / "rerun")
+    path = Path(folders[0]) / "rerun" if folders else None
+    if path is None or not path.is_file():
+        raise ViewerError("the rerun program is not installed: pip install rerun-sdk")
+    return str(path)
 
 
 def has_vulkan() -> bool:
@@ -46,73 +63,153 @@ def has_vulkan() -> bool:
     return named or any(any(folder.glob("*.json")) for folder in (*map(Path, _DRIVERS), own))
 
 
+def has_display() -> bool:
+    """Return whether the environment names a display for windows."""
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
 def how_to_open(recording: Path) -> str:
-    """Return the commands that show a recording, with a display and without one."""
-    beside = Path(sys.executable).parent / "rerun"
-    name = "rerun" if shutil.which("rerun") or not beside.exists() else shlex.quote(str(beside))
-    return f"{name} {shlex.quote(str(recording))} (in a browser: {name} --web-viewer {shlex.quote(str(recording))})"
+    """Return the command that shows a recording again."""
+    return f"zenostat view {shlex.quote(str(recording))}" + ("" if has_display() else " --web")
 
 
-def _free_port() -> int:
+@dataclass(frozen=True)
+class Server:
+    """A running `rerun` program.
+
+    Attributes:
+        process: the program.
+        url: address of its recordings.
+        log: the file of what it prints.
+    """
+
+    process: subprocess.Popen[bytes]
+    url: str
+    log: Path
+
+    def check(self) -> None:
+        """Raise `ViewerError` with the reason if the program has ended."""
+        if (code := self.process.poll()) is not None:
+            raise ViewerError(_reason_of_end(code, self.log.read_text(errors="replace")))
+
+
+def _reason_of_end(code: int, printed: str) -> str:
+    if any(words in printed for words in _NO_ADAPTER):
+        return NO_VULKAN
+    if code < 0:
+        return f"the rerun program was killed by {signal.Signals(-code).name}"
+    reason = next((line.strip() for line in printed.splitlines() if line.strip()), "it printed no reason")
+    return f"the rerun program ended with code {code}: {reason}"
+
+
+@contextmanager
+def serving(*options: str, environment: Mapping[str, str] | None = None) -> Iterator[Server]:
+    """Run the program on loopback within this context; it ends with this process, however that ends.
+
+    Its temporary files and its settings are in a folder of its own, and it sends no usage data.
+
+    Args:
+        options: its options, and files to open.
+        environment: environment variables for it, besides those of this process.
+
+    Raises:
+        ViewerError: the program is missing, or it ends before it listens.
+    """
+    port = free_port()
+    command = [program(), "--bind", "127.0.0.1", "--port", str(port), *options]
+    with tempfile.TemporaryDirectory(prefix="zenostat-") as folder:  # it removes no files when it is terminated
+        log = Path(folder) / "viewer.log"
+        own = {"TMPDIR": folder, "XDG_CONFIG_HOME": folder, "XDG_RUNTIME_DIR": folder, "CI": "1"}
+        with log.open("wb") as output:
+            process = subprocess.Popen(
+                [sys.executable, "-P", "-c", _ENDS_WITH_PARENT, str(os.getpid()), *command],
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=output,
+                env={**os.environ, **own, **(environment or {})},
+                start_new_session=True,
+            )
+        server = Server(process, f"rerun+http://127.0.0.1:{port}/proxy", log)
+        try:
+            _wait_for_port(server, port)
+            yield server
+        finally:
+            process.terminate()
+            try:
+                process.wait(_EXIT_S)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+
+@contextmanager
+def web_viewer(*recordings: Path) -> Iterator[tuple[str, str]]:
+    """Serve the viewer as a web page on loopback; yield the page's address and the address for live data."""
+    web = free_port()
+    files = [str(recording.absolute()) for recording in recordings]
+    with serving("--serve-web", "--web-viewer-port", str(web), *files) as server:
+        yield f"http://127.0.0.1:{web}/?url={server.url}&hide_welcome_screen=true", server.url
+
+
+def window(recording: Path) -> None:
+    """Show a recording in a window until it is closed.
+
+    Raises:
+        InvalidConfig: there is no display.
+        ViewerError: the program is missing or fails.
+    """
+    if not has_display():
+        raise InvalidConfig(f"{NO_DISPLAY}; without one, use --web or --screenshot FILE.png")
+    done = subprocess.run([program(), str(recording.absolute())], stderr=subprocess.PIPE, text=True, check=False)
+    if done.returncode:
+        raise ViewerError(_reason_of_end(done.returncode, done.stderr))
+
+
+@contextmanager
+def readable(recording: Path) -> Iterator[Path]:
+    """Yield a recording's path, or that of a temporary copy of what can be read of it.
+
+    Viewers reject a recording that lacks its end: its monitor was killed or is still writing.
+
+    Raises:
+        ViewerError: the file is not a recording.
+    """
+    if _is_complete(recording):
+        yield recording
+        return
+    with tempfile.TemporaryDirectory(prefix="zenostat-") as folder:
+        copy = Path(folder) / recording.name
+        command = [program(), "rrd", "merge", "--continue-on-error", str(recording.absolute()), "-o", str(copy)]
+        subprocess.run(command, capture_output=True, check=False)
+        if not _is_complete(copy):
+            raise ViewerError(f"{recording} is not a recording that zenostat monitor wrote")
+        yield copy
+
+
+def _is_complete(recording: Path) -> bool:
+    """Return whether a viewer can open a recording."""
+    from rerun.chunk import RrdReader
+
+    with warnings.catch_warnings(action="ignore"):
+        try:
+            return bool(RrdReader(str(recording)).recordings())
+        except (RuntimeError, OSError, ValueError):
+            return False
+
+
+def free_port() -> int:
+    """Return a port of loopback on which nobody listens."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
 
 
-@contextmanager
-def _serving(port: int, *options: str) -> Iterator[None]:
-    """Run the program on loopback within this context; `InvalidConfig` if it ends before it listens."""
-    command = [program(), "--bind", "127.0.0.1", "--port", str(port), *options]
-    # A viewer does not remove its temporary folder when it is terminated.
-    with tempfile.TemporaryDirectory(prefix="zenostat-") as folder:
-        server = subprocess.Popen(
-            command,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            env={**os.environ, "TMPDIR": folder},
-            start_new_session=True,
-        )
-        try:
-            _wait_for_port(server, port)
-            yield
-        finally:
-            server.terminate()
-            server.wait()
-
-
-@contextmanager
-def web_viewer() -> Iterator[tuple[str, str]]:
-    """Serve the viewer as a web page on loopback; yield the page's address and the recording's address."""
-    grpc, web = _free_port(), _free_port()
-    with _serving(grpc, "--serve-web", "--web-viewer-port", str(web)):
-        url = f"rerun+http://127.0.0.1:{grpc}/proxy"
-        yield f"http://127.0.0.1:{web}/?url={url}", url
-
-
-def _wait_for_port(server: subprocess.Popen[bytes], port: int) -> None:
+def _wait_for_port(server: Server, port: int) -> None:
     deadline = time.monotonic() + _START_S
     while time.monotonic() < deadline:
-        if server.poll() is not None:
-            raise InvalidConfig(f"the rerun program ended with code {server.returncode} before it listened")
+        server.check()
         with socket.socket() as probe:
             if probe.connect_ex(("127.0.0.1", port)) == 0:
                 return
         time.sleep(0.05)
-    raise InvalidConfig(f"the rerun program did not listen on port {port} within {_START_S:.0f} s")
-
-
-def screenshot(recording: Path, picture: Path) -> bool:
-    """Render a recording as a PNG of 1920 x 1080 without a display; return False without a Vulkan driver."""
-    from rerun.experimental import ViewerClient
-
-    port = _free_port()
-    try:
-        with _serving(port, "--headless", "--window-size", "1920x1080"):
-            viewer = ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
-            viewer.open(str(recording.absolute()))
-            time.sleep(_SETTLE_S)
-            viewer.save_screenshot(str(picture.absolute()))
-    except (InvalidConfig, ConnectionError):  # without a driver it ends at its start, sometimes after it listens
-        return False
-    return picture.exists()
+    raise ViewerError(f"the rerun program did not listen on port {port} within {_START_S:.0f} s")

@@ -121,7 +121,7 @@ def test_demo__compares_two_controllers_and_records_both(scratch: Path) -> None:
     for row in ("electricity (kWh)", "peak (kW)", "timesteps/s"):
         assert row in printed
     assert (scratch / "out" / "run.rrd").exists()
-    assert "rerun out/run.rrd" in printed
+    assert "zenostat view out/run.rrd" in printed
     assert (scratch / "out" / "run.png").exists() or "mesa-vulkan-drivers" in printed
     counts = re.search(r"(\d+) samples logged, 0 missed", printed)
     steps = int(re.search(r"timesteps (\d+) (\d+)", printed)[1])

@@ -20,7 +20,7 @@ from zenoh.handlers import RingChannel
 
 import agent_sdk
 from bridge.rerun.stream import RerunStream
-from bridge.rerun.viewer import screenshot, web_viewer
+from bridge.rerun.viewer import web_viewer
 from bridge.transport.session import open_session
 from topics import codec, keys
 from topics.messages import Batch, Event, EventKind
@@ -144,37 +144,14 @@ def test_monitor_that_is_frozen_or_killed_changes_nothing(scratch, shared_node, 
     assert np.array_equal(quiet, disturbed)
 
 
-def test_picture_of_a_recording(scratch):
-    path, picture = scratch / "run.rrd", scratch / "run.png"
-    with rr.RecordingStream("zenostat") as recording:
-        recording.set_sinks(rr.FileSink(str(path)))
-        recording.log("a", rr.Scalars([1.0]))
-        recording.disconnect()
-    drawn = screenshot(path, picture)
-    assert drawn == picture.exists()
-    if drawn:
-        assert picture.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
-    assert {made.name for made in scratch.iterdir()} <= {"run.rrd", "run.png"}  # the viewer's own files are gone
-
-
 def test_a_viewer_that_is_served_leaves_no_files(scratch):
     with web_viewer() as (page, url):
         assert page.startswith("http://127.0.0.1:")
         assert url.endswith("/proxy")
+        assert url in page
         (own,) = scratch.iterdir()
         (own / "rerun-data-1").mkdir()  # what a viewer makes sometimes, and leaves
     assert list(scratch.iterdir()) == []
-
-
-def test_no_picture_without_a_vulkan_driver(scratch, monkeypatch):
-    monkeypatch.setenv("VK_ICD_FILENAMES", os.devnull)
-    monkeypatch.setenv("VK_DRIVER_FILES", os.devnull)
-    path = scratch / "run.rrd"
-    with rr.RecordingStream("zenostat") as recording:
-        recording.set_sinks(rr.FileSink(str(path)))
-        recording.log("a", rr.Scalars([1.0]))
-        recording.disconnect()
-    assert not screenshot(path, scratch / "run.png")
 
 
 @pytest.mark.variants

@@ -1,0 +1,69 @@
+"""`zenostat view`: show a recording again, or write a screenshot of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cli.console import out, until_signal
+from topics.errors import InvalidConfig
+
+if TYPE_CHECKING:
+    from bridge.rerun.screenshot import Screenshot
+
+At = Annotated[
+    str | None,
+    typer.Option(help="Simulated time of the cursor in the screenshot, e.g. 07-02T17:30. Default: the newest sample."),
+]
+Size = Annotated[
+    str | None, typer.Option(help="Width and height of the screenshot in pixels.", show_default="1920x1080")
+]
+
+
+def view(
+    recording: Annotated[Path, typer.Argument(help="A recording that zenostat monitor --save wrote: FILE.rrd.")],
+    web: Annotated[bool, typer.Option("--web", help="Serve the viewer as a web page on this machine.")] = False,
+    screenshot: Annotated[Path | None, typer.Option(help="Write a screenshot to FILE.png.")] = None,
+    at: At = None,
+    size: Size = None,
+) -> None:
+    """Show a recording: in a window until it is closed, as a web page until Ctrl-C, or as a screenshot.
+
+    Example: `zenostat view run.rrd --screenshot run.png --at 07-02T17:30`
+    """
+    from bridge.rerun.screenshot import draw
+    from bridge.rerun.viewer import readable, web_viewer, window
+
+    if not recording.is_file():
+        raise InvalidConfig(f"there is no recording {recording}; zenostat monitor --save FILE.rrd writes one")
+    if web and screenshot is not None:
+        raise InvalidConfig("--web and --screenshot exclude each other")
+    request = screenshot_request(screenshot, at, size)
+    if request is not None:
+        draw(recording, request)
+        out.print(f"screenshot: {request.path}", soft_wrap=True, markup=False)
+    elif web:
+        with readable(recording) as path, until_signal() as stop, web_viewer(path) as (page, _):
+            out.print(f"viewer: {page}; press Ctrl-C to stop", soft_wrap=True, markup=False)
+            stop.wait()
+    else:
+        with readable(recording) as path:
+            window(path)
+
+
+def screenshot_request(path: Path | None, at: str | None, size: str | None) -> Screenshot | None:
+    """Check the options of a screenshot; None if there is to be none.
+
+    Raises:
+        InvalidConfig, ViewerError: See `bridge.rerun.screenshot.read_screenshot`; or an option lacks its path.
+    """
+    from bridge.rerun.screenshot import SIZE, read_screenshot
+
+    if path is not None:
+        return read_screenshot(path, at, size or SIZE)
+    for name, value in (("--at", at), ("--size", size)):
+        if value is not None:
+            raise InvalidConfig(f"{name} {value} needs --screenshot FILE.png")
+    return None
