@@ -49,8 +49,7 @@ def view(
             out.print(f"viewer: {page}; press Ctrl-C to stop", soft_wrap=True, markup=False)
             stop.wait()
     else:
-        with readable(recording) as path:
-            window(path)
+        window(recording)
 
 
 def screenshot_request(path: Path | None, at: str | None, size: str | None) -> Screenshot | None:

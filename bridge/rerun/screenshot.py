@@ -106,26 +106,30 @@ def draw(recording: Path, screenshot: Screenshot) -> None:
         readable(recording) as path,
         serving(*options, size, environment={"RUST_LOG": "off"}) as server,  # most notices are lines of its log
     ):
-        image = _Drawing(server, path, str(recording)).image(screenshot)
+        image = Drawing(server, path, str(recording)).image(screenshot)
     try:
         image.save(screenshot.path)
     except OSError as error:
         raise ViewerError(f"cannot write {screenshot.path}: {error.strerror or error}") from None
 
 
-class _Drawing:
-    """A recording that a headless viewer draws."""
+class Drawing:
+    """A recording that a headless viewer draws.
+
+    Attributes:
+        viewer: Rerun's client of the viewer.
+    """
 
     def __init__(self, server: Server, recording: Path, name: str) -> None:
         from rerun.experimental import ViewerClient
 
         self._server, self._recording, self._name = server, recording, name
         self._deadline = time.monotonic() + _LIMIT_S
-        self._viewer = self._call(lambda: ViewerClient.connect(server.url))
+        self.viewer = self._call(lambda: ViewerClient.connect(server.url))
 
     def image(self, screenshot: Screenshot) -> Image.Image:
         """Return the picture, once two in a row are equal."""
-        viewer = self._viewer
+        viewer = self.viewer
         opened = self._call(lambda: viewer.open(str(self._recording.absolute())))
         while self._call(viewer.get_state).loading:
             time.sleep(0.1)
@@ -147,18 +151,18 @@ class _Drawing:
 
     def _recorded(self, stores: set[str]) -> tuple[int, int]:
         """Return the first and the last simulated time in ns since 1970."""
-        for opened in self._call(self._viewer.get_state).recordings:
+        for opened in self._call(self.viewer.get_state).recordings:
             for line in opened.timelines if opened.store_id in stores else ():
                 if line.name == TIMELINE and line.start is not None and line.end is not None:
                     return line.start, line.end
         raise ViewerError(f"{self._name} has no samples: there is nothing to draw")
 
     def _hide_panels(self) -> None:
-        blueprint = self._call(lambda: self._viewer.get_blueprint("recording")).blueprint
+        blueprint = self._call(lambda: self.viewer.get_blueprint("recording")).blueprint
         for panel, archetype in _PANELS.items():
             blueprint.setdefault(f"/{panel}_panel", {}).setdefault(archetype, {})["state"] = "Hidden"
         blueprint["/time_panel"]["TimePanelBlueprint"]["play_state"] = "Paused"
-        self._call(lambda: self._viewer.set_blueprint(blueprint, "recording"))
+        self._call(lambda: self.viewer.set_blueprint(blueprint, "recording"))
 
     def _call(self, request: Callable[[], _T]) -> _T:
         """Return the viewer's answer; it has 15 s for each, which a busy machine may exceed."""

@@ -160,7 +160,8 @@ def window(recording: Path) -> None:
     """
     if not has_display():
         raise InvalidConfig(f"{NO_DISPLAY}; without one, use --web or --screenshot FILE.png")
-    done = subprocess.run([program(), str(recording.absolute())], stderr=subprocess.PIPE, text=True, check=False)
+    with readable(recording) as path:
+        done = subprocess.run([program(), str(path.absolute())], stderr=subprocess.PIPE, text=True, check=False)
     if done.returncode:
         raise ViewerError(_reason_of_end(done.returncode, done.stderr))
 
