@@ -193,7 +193,7 @@ def test_monitor__checks_its_files_first(scratch, options, reason):
 
 @needs_vulkan
 @pytest.mark.variants
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_screenshot_leaves_no_viewer(scratch, number):
     _recording(scratch / "run.rrd")
     command = [*ZENOSTAT, "view", "run.rrd", "--screenshot", "run.png"]
