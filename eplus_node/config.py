@@ -95,6 +95,8 @@ def scenario_of(config: NodeConfig, errors: ErrorCollector | None = None) -> Sce
     changed = {"actuators", "actions", "control", "building"} & set(overrides)
     fields = base.model_dump(exclude_unset=True)
     if changed:  # fields that refer to actuators of the base are invalid for others
-        stale = {"actions", "discrete"} | ({"sensors", "meters", "actuators"} if "building" in changed else set())
+        stale = {"actions", "discrete"} | (
+            {"sensors", "meters", "actuators", "unobserved"} if "building" in changed else set()
+        )
         fields = {name: value for name, value in fields.items() if name not in stale or isinstance(value, int)}
     return read_scenario(fields | overrides, "the settings", errors)

@@ -17,7 +17,7 @@ from models.building.model import Building
 from models.building.summary import floor_area_m2
 from models.points import discovery, selection
 from models.points.discovery import PointCatalog
-from models.points.monitoring import with_monitoring
+from models.points.monitoring import with_monitoring, with_unobserved
 from models.points.selection import Points
 from models.scenario.episode_weather import WeatherSource
 from models.scenario.run_period import Period, check_steps_per_hour
@@ -194,6 +194,7 @@ def _points(model: Building, scenario: Scenario, any_weather: Path, *, monitorin
                 reported = Aggregation.SUM if summed.get(spec[0].casefold()) else Aggregation.MEAN
                 spec.append(Aggregation.INSTANT if scenario.aggregation is Aggregation.INSTANT else reported)
     chosen = selection.select_points(model, offered, specs, scenario.meters, actuators)
+    chosen = with_unobserved(chosen, scenario.unobserved)
     if monitoring:
         chosen = with_monitoring(model, offered, chosen)
     if actuators is not None:

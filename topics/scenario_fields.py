@@ -111,6 +111,12 @@ class ScenarioArguments(TypedDict, total=False):
         int | None,
         Doc("Keep output files only for this many finished episodes (1 or more), besides the running one's."),
     ]
+    unobserved: Annotated[
+        Sequence[str] | None,
+        Doc(
+            "Names of sensors and meters that are not part of the observation; a reward that names them reads them."
+        ),
+    ]
     monitoring: Annotated[
         bool | None,
         Doc(

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent_sdk.testing.climate import Climate, weather_series
-from agent_sdk.testing.fake_manifest import RunPeriod, build_manifest
+from agent_sdk.testing.fake_manifest import RunPeriod, build_manifest, with_unobserved
 from agent_sdk.testing.rc_zones import RCZones, Zone, ZoneStep
 from topics.errors import InvalidConfig, ModelError
 from topics.messages import WeatherSeries
@@ -49,6 +49,7 @@ class FakeBuilding:
         time: time features.
         reward: kind and parameters of the task's reward; None: no reward.
         terminate: termination limits as in a scenario file: points, low, high, duration_h.
+        unobserved: names of sensors and meters that are not part of the observation.
         equipment_control: whether there is an actuator `equipment` (0 to 1) for the equipment of all zones, with the
             type of an EnergyPlus schedule.
 
@@ -76,6 +77,7 @@ class FakeBuilding:
         time: Sequence[str] = (),
         reward: Mapping[str, Any] | None = {"kind": "linear"},
         terminate: Sequence[Mapping[str, Any]] = (),
+        unobserved: Sequence[str] = (),
         equipment_control: bool = False,
     ) -> None:
         if not cop > 0.0:
@@ -85,6 +87,7 @@ class FakeBuilding:
         self.manifest = build_manifest(
             self.zones, self.run_period, equipment_control, control, actions, discrete, tuple(time), reward, terminate
         )
+        self.manifest = with_unobserved(self.manifest, unobserved)
         self.climate, self._cop, self._equipment_control = climate, cop, equipment_control
         self._rc_zones = RCZones(self.zones)
         self._people = np.array([z.people for z in self.zones])

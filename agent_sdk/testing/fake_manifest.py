@@ -113,6 +113,21 @@ def build_manifest(
     return manifest
 
 
+def with_unobserved(manifest: Manifest, names: Sequence[str]) -> Manifest:
+    """Return the manifest with these sensors and meters unobserved; `InvalidConfig` if there is no such point."""
+    index = value_index(manifest)
+    for name in names:
+        if name not in index:
+            raise InvalidConfig(f"unobserved: {index.unknown(name)}")
+    hidden = {"observed": False}
+    return manifest.model_copy(
+        update={
+            "sensors": tuple(s.model_copy(update=hidden) if s.name in names else s for s in manifest.sensors),
+            "meters": tuple(m.model_copy(update=hidden) if m.name in names else m for m in manifest.meters),
+        }
+    )
+
+
 def _check_termination(manifest: Manifest) -> None:
     index = value_index(manifest)
     for limit in manifest.task.terminate:

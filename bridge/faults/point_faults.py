@@ -5,7 +5,7 @@ The fault-free values are not changed: faults apply to a copy, which is only mad
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from datetime import datetime
 from fnmatch import fnmatchcase
 from functools import partial
@@ -34,6 +34,7 @@ class PointFaults:
         actuators: in the manifest's order; affected commands stay within their bounds.
         slots: number of engines in the node.
         step_s: length of a timestep in seconds.
+        unobserved: names among `points` that no wildcard matches: points added for pictures do not change a plan.
         begin: simulated time of sample 0.
         end: simulated time of the last sample; if it is given, faults that could only be active after it are errors.
 
@@ -47,6 +48,7 @@ class PointFaults:
         points: Sequence[str],
         actuators: Sequence[Actuator],
         *,
+        unobserved: Collection[str] = (),
         slots: int = 1,
         step_s: float,
         begin: datetime,
@@ -56,22 +58,27 @@ class PointFaults:
         self._slots = slots
         self._episodes = EpisodeKeys(slots)
         errors = ErrorCollector()
-        check_points(plan, points, actuators, errors)
+        check_points(plan, points, actuators, errors, unobserved)
         schedule = errors.collect(lambda: FaultSchedule(plan, PointFault, StepGrid(step_s, begin, end), self._episodes))
         errors.raise_if_any()
         assert schedule is not None
         self._schedule = schedule
-        self._points = self._effects(SENSOR_EFFECTS, "points", points, step_s)
+        self._points = self._effects(SENSOR_EFFECTS, "points", points, step_s, unobserved)
         self._actuators = self._effects(ACTUATOR_EFFECTS, "actuators", [a.name for a in actuators], step_s)
         self._low, self._high = bound_arrays(actuators)
 
     def _effects(
-        self, kinds: Mapping[type[PointFault], type[Effect]], side: str, names: Sequence[str], step_s: float
+        self,
+        kinds: Mapping[type[PointFault], type[Effect]],
+        side: str,
+        names: Sequence[str],
+        step_s: float,
+        unobserved: Collection[str] = (),
     ) -> list[Effect]:
         effects = []
         for row, fault in enumerate(self._schedule.faults):
             patterns = getattr(fault, side)
-            columns = np.array([c for c, name in enumerate(names) if _any_of(patterns, name)], np.intp)
+            columns = np.array([c for c, name in enumerate(names) if _any_of(patterns, name, unobserved)], np.intp)
             if len(columns):
                 key = (*self._schedule.keys[row], int(side == "actuators"))
                 new_stream = partial(RandomStream, self.plan.seed, key, width=len(columns), episodes=self._episodes)
@@ -181,11 +188,19 @@ class PointFaults:
                 effect.memory[slot] = np.frombuffer(raw).reshape(effect.memory.shape[1:])
 
 
-def _any_of(patterns: Iterable[str], name: str) -> bool:
+def _any_of(patterns: Iterable[str], name: str, unobserved: Collection[str] = ()) -> bool:
+    if name in unobserved:
+        return name in patterns
     return any(fnmatchcase(name, pattern) for pattern in patterns)
 
 
-def check_points(plan: FaultPlan, points: Sequence[str], actuators: Sequence[Actuator], errors: ErrorCollector) -> None:
+def check_points(
+    plan: FaultPlan,
+    points: Sequence[str],
+    actuators: Sequence[Actuator],
+    errors: ErrorCollector,
+    unobserved: Collection[str] = (),
+) -> None:
     """Collect unknown names and values outside an actuator's bounds."""
     names = {"points": list(points), "actuators": [a.name for a in actuators]}
     for label, fault in zip(plan.names, plan.faults, strict=True):
@@ -193,7 +208,7 @@ def check_points(plan: FaultPlan, points: Sequence[str], actuators: Sequence[Act
             continue
         for side, opposite in (("points", "actuators"), ("actuators", "points")):
             for pattern in getattr(fault, side):
-                if not any(fnmatchcase(name, pattern) for name in names[side]):
+                if not any(_any_of([pattern], name, unobserved) for name in names[side]):
                     kind = {"points": "sensor or meter", "actuators": "actuator"}[side]
                     is_opposite = pattern in names[opposite]
                     hint = f"name it under {opposite}" if is_opposite else did_you_mean(pattern, names[side])

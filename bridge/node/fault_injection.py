@@ -13,6 +13,7 @@ from topics.fault_plan import FaultPlan
 
 if TYPE_CHECKING:
     from bridge.node.plant import PlantDescription
+    from topics.messages import Meter, Sensor
 
 FaultState = tuple[FaultPlan, list[Any], dict[str, Any]]
 """A plan, and the states of its point faults and of its link faults."""
@@ -43,10 +44,18 @@ class FaultInjection:
         self._sensor_shape = (slots, len(plant.sensors) + len(plant.meters))
         self._command_shape = (slots, len(plant.actuators))
         period_fields = {"step_s": period.step_s, "begin": period.begin, "end": period.end}
-        names = [*(sensor.name for sensor in plant.sensors), *(meter.name for meter in plant.meters)]
+        points: list[Sensor | Meter] = [*plant.sensors, *plant.meters]
+        names, unobserved = [p.name for p in points], {p.name for p in points if not p.observed}
         errors = ErrorCollector()
         point_faults = errors.collect(
-            lambda: PointFaults(faults, names, plant.actuators, slots=slots, **period_fields)  # type: ignore[arg-type]
+            lambda: PointFaults(
+                faults,
+                names,
+                plant.actuators,
+                unobserved=unobserved,
+                slots=slots,
+                **period_fields,  # type: ignore[arg-type]
+            )
         )
         link_faults = errors.collect(lambda: LinkFaults(faults, **period_fields))  # type: ignore[arg-type]
         errors.raise_if_any()

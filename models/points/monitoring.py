@@ -1,8 +1,10 @@
-"""Points that pictures, reports and metrics need, added to those of a run without being observed by the agent."""
+"""Points that the agent does not observe: a scenario's own, and those that pictures, reports and metrics need."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Collection
+from dataclasses import replace
 
 from models.building.model import Building
 from models.points.discovery import PointCatalog
@@ -16,7 +18,9 @@ from topics.energyplus_names import (
     ZONE_TEMPERATURE,
     ZONE_TEMPERATURES,
 )
+from topics.points import PointIndex
 
+_UNOBSERVED = {"observed": False}
 _OUTDOORS = "outdoor_temperature"
 _ZONE_SENSORS = {
     "air_temperature": ZONE_TEMPERATURE,
@@ -24,6 +28,21 @@ _ZONE_SENSORS = {
     "thermostat_heating_setpoint": HEATING_SETPOINT_VARIABLE,
     "thermostat_cooling_setpoint": COOLING_SETPOINT_VARIABLE,
 }
+
+
+def with_unobserved(points: Points, names: Collection[str]) -> Points:
+    """Return the points of a run with these sensors and meters unobserved.
+
+    Raises:
+        UnknownName: there is no such sensor or meter.
+    """
+    measured = [*(sensor.name for sensor in points.sensors), *(meter.name for meter in points.meters)]
+    PointIndex(measured, "sensor or meter").require(names)
+    return replace(
+        points,
+        sensors=tuple(s.model_copy(update=_UNOBSERVED) if s.name in names else s for s in points.sensors),
+        meters=tuple(m.model_copy(update=_UNOBSERVED) if m.name in names else m for m in points.meters),
+    )
 
 
 def with_monitoring(building: Building, available: PointCatalog, points: Points) -> Points:
@@ -45,10 +64,10 @@ def with_monitoring(building: Building, available: PointCatalog, points: Points)
         for name, meter in monitoring_meters(available).items()
         if meter.casefold() not in measured
     }
-    added, unobserved = select_points(building, available, sensors, meters, {}), {"observed": False}
+    added = select_points(building, available, sensors, meters, {})
     return Points(
-        sensors=(*points.sensors, *(sensor.model_copy(update=unobserved) for sensor in added.sensors)),
-        meters=(*points.meters, *(meter.model_copy(update=unobserved) for meter in added.meters)),
+        sensors=(*points.sensors, *(sensor.model_copy(update=_UNOBSERVED) for sensor in added.sensors)),
+        meters=(*points.meters, *(meter.model_copy(update=_UNOBSERVED) for meter in added.meters)),
         actuators=points.actuators,
         system=(*points.system, *added.system),
         meter_handles=(*points.meter_handles, *added.meter_handles),

@@ -70,8 +70,10 @@ def expanded(scenario: Scenario, building: Building, points: Points, task: Task)
         "begin": period.begin.isoformat(),
         "end": period.end.isoformat(),
         "steps_per_hour": period.steps_per_hour,
-        "sensors": {s.name: _sensor(s, scenario) for s in points.sensors if s.observed},
-        "meters": {m.name: m.meter for m in points.meters if m.observed},
+        "sensors": {
+            s.name: _sensor(s, scenario) for s in points.sensors if s.observed or s.name in scenario.unobserved
+        },
+        "meters": {m.name: m.meter for m in points.meters if m.observed or m.name in scenario.unobserved},
         "actuators": {a.name: _actuator(a) for a in points.actuators},
     }
     update = {name: value for name, value in defaults.items() if getattr(scenario, name) is None}

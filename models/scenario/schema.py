@@ -165,6 +165,7 @@ class Scenario(_Part):
     time: tuple[TimeField, ...] = ()
     sensors: dict[str, Annotated[SensorSpec, _from_list(SensorSpec)]] | None = None
     meters: dict[str, str] | None = None
+    unobserved: tuple[SafeName, ...] = ()
     actuators: dict[str, Annotated[ActuatorSpec, _from_list(ActuatorSpec)]] | None = None
     aggregation: Literal[Aggregation.INSTANT, Aggregation.MEAN] | None = None
     actions: dict[str, ActionSpec] | None = None

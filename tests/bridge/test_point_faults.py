@@ -630,3 +630,22 @@ def test_a_delay_that_begins_amid_an_episode_lets_no_former_command_through(begi
 def test_windows_that_last_longer_than_any_episode_are_refused() -> None:
     with pytest.raises(ValueError, match="less than 2147483648"):
         plan_of({"kind": "drop", "points": "power", "when": {"probability": 0.1, "lasts_steps": 2**63}})
+
+
+def test_a_wildcard_leaves_unobserved_points_alone_and_draws_the_same_for_the_others() -> None:
+    noise = {"kind": "noise", "points": "*_temperature", "sigma": 1.0}
+    plain, monitored = made(noise), made(noise, points=(*NAMES, "attic_temperature"), unobserved={"attic_temperature"})
+    for faults in (plain, monitored):
+        faults.reset()
+    for step in range(5):
+        expected = plain.apply_to_sensors(np.array([[20.0, 21.0, 5.0]]), [step])
+        values = monitored.apply_to_sensors(np.array([[20.0, 21.0, 5.0, 15.0]]), [step])
+        assert values[0, :3].tobytes() == expected[0].tobytes()
+        assert values[0, 3] == 15.0
+    named = made(
+        {**noise, "points": "attic_temperature"}, points=("attic_temperature",), unobserved={"attic_temperature"}
+    )
+    named.reset()
+    assert named.apply_to_sensors(np.array([[15.0]]), [0]) != 15.0
+    with pytest.raises(InvalidConfig, match=r"no sensor or meter 'attic\*'"):
+        made({**noise, "points": "attic*"}, points=("attic_temperature",), unobserved={"attic_temperature"})

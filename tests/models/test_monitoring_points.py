@@ -1,0 +1,124 @@
+"""Unobserved points of a run: a scenario's own, and those that `monitoring` adds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import pytest
+
+from models.building.model import Building
+from models.points.discovery import ActuatorPoint, MeterPoint, PointCatalog, Variable
+from models.points.monitoring import with_monitoring, with_unobserved
+from models.points.selection import Points, select_points
+from topics.errors import UnknownName
+
+THERMOSTAT = "Zone Temperature Control"
+BUILDING = Building("b", {"Building": {"b": {}}}, "0")
+
+
+def state(name: str, key: str, unit: str = "degC") -> Variable:
+    return Variable(name, key, unit, system=name.startswith("Zone Air"), summed=False)
+
+
+CATALOG = PointCatalog(
+    variables=(
+        state("Site Outdoor Air Drybulb Temperature", "Environment"),
+        state("Zone Air Temperature", "CORE ZN"),
+        state("Zone Mean Air Temperature", "CORE ZN"),
+        state("Zone Air Temperature", "ATTIC"),
+        state("Zone People Occupant Count", "CORE ZN", "1"),
+        state("Zone People Occupant Count", "ATTIC", "1"),
+        state("Zone Thermostat Heating Setpoint Temperature", "CORE ZN"),
+        state("Zone Thermostat Cooling Setpoint Temperature", "CORE ZN"),
+    ),
+    meters=tuple(
+        MeterPoint(name, "J", index)
+        for index, name in enumerate(
+            ("Electricity:Facility", "Electricity:HVAC", "NaturalGas:Facility", "Cooling:Electricity",
+             "Cooling:EnergyTransfer", "InteriorLights:Electricity", "InteriorLights:Electricity:Zone:CORE ZN",
+             "WaterSystems:NaturalGas", "WaterSystems:MainsWater")
+        )
+    ),
+    actuators=(ActuatorPoint(THERMOSTAT, "Heating Setpoint", "CORE ZN", "degC"),),
+)  # fmt: skip
+ADDED_SENSORS = {
+    "outdoor_temperature": ("Site Outdoor Air Drybulb Temperature", "Environment"),
+    "core_zn_air_temperature": ("Zone Air Temperature", "CORE ZN"),
+    "core_zn_occupants": ("Zone People Occupant Count", "CORE ZN"),
+    "core_zn_thermostat_heating_setpoint": ("Zone Thermostat Heating Setpoint Temperature", "CORE ZN"),
+    "core_zn_thermostat_cooling_setpoint": ("Zone Thermostat Cooling Setpoint Temperature", "CORE ZN"),
+}
+ADDED_METERS = {
+    "electricity_facility": "Electricity:Facility",
+    "naturalgas_facility": "NaturalGas:Facility",
+    "electricity_hvac": "Electricity:HVAC",
+    "cooling_electricity": "Cooling:Electricity",
+    "interior_lights_electricity": "InteriorLights:Electricity",
+    "water_systems_natural_gas": "WaterSystems:NaturalGas",
+}
+
+
+def own(sensors: Mapping[str, tuple[str, ...]] | None = None, meters: Mapping[str, str] | None = None) -> Points:
+    return select_points(BUILDING, CATALOG, sensors or {}, meters or {}, {})
+
+
+def monitored(points: Points) -> Points:
+    return with_monitoring(BUILDING, CATALOG, points)
+
+
+def test_zones_with_a_thermostat_the_weather_and_all_end_uses_are_added_unobserved() -> None:
+    points = monitored(own())
+    assert {s.name: (s.variable, s.key) for s in points.sensors} == ADDED_SENSORS  # no attic: it has no thermostat
+    assert {m.name: m.meter for m in points.meters} == ADDED_METERS  # no energy transfer, no water, no zone's meter
+    assert not any(point.observed for point in (*points.sensors, *points.meters))
+    assert points.system == (False, True, False, False, False)
+    handles = {meter.name: meter.index for meter in CATALOG.meters}
+    assert points.meter_handles == tuple(handles[meter.meter] for meter in points.meters)
+
+
+def test_own_points_stay_first_and_are_measured_once() -> None:
+    points = own(
+        {
+            "mean": ("zone mean air temperature", "core zn"),
+            "out": ("Site Outdoor Air Drybulb Temperature", "ENVIRONMENT"),
+        },
+        {"total": "electricity:facility"},
+    )
+    extended = monitored(points)
+    assert extended.sensors[:2] == points.sensors
+    assert extended.meters[:1] == points.meters
+    assert all(point.observed for point in (*points.sensors, *points.meters))
+    assert [s.name for s in extended.sensors[2:]] == list(ADDED_SENSORS)[2:]
+    assert [m.name for m in extended.meters[1:]] == list(ADDED_METERS)[1:]
+
+
+def test_points_are_added_once_only() -> None:
+    points = monitored(own())
+    assert monitored(points) == points
+
+
+def test_a_name_that_is_taken_gets_a_number() -> None:
+    points = monitored(
+        own(
+            {
+                "core_zn_occupants": ("Zone Air Temperature", "ATTIC"),
+                "electricity_hvac": ("Zone Air Temperature", "ATTIC"),
+            },
+            {"outdoor_temperature": "Cooling:EnergyTransfer"},
+        )
+    )
+    names = [*(s.name for s in points.sensors), *(m.name for m in points.meters)]
+    assert len(set(names)) == len(names)
+    assert {"outdoor_temperature_2", "core_zn_occupants_2", "electricity_hvac_2"} <= set(names)
+
+
+def test_a_scenario_names_its_own_unobserved_points() -> None:
+    points = own(
+        {"a": ("Zone Air Temperature", "ATTIC"), "b": ("Zone Air Temperature", "CORE ZN")}, {"m": "Electricity:HVAC"}
+    )
+    hidden = with_unobserved(points, ["a", "m"])
+    assert [s.observed for s in hidden.sensors] == [False, True]
+    assert [m.observed for m in hidden.meters] == [False]
+    assert with_unobserved(points, []) == points
+    with pytest.raises(UnknownName, match=r"no sensor or meter 'bb'.*'b'"):
+        with_unobserved(points, ["a", "bb"])
