@@ -75,9 +75,9 @@ def _stream(
     once: bool,
 ) -> int | None:
     """Log samples until Ctrl-C, or until a node leaves the bus; return their number, None if there was no bus."""
-    from bridge.rerun.stream import RerunStream
     from bridge.runtime import affinity
     from bridge.transport.session import open_session
+    from cli.monitor_stream import open_stream
 
     with ExitStack() as stack:
         sinks = _sinks(stack, recording, web)
@@ -88,7 +88,7 @@ def _stream(
             open_session(connect=[connect], wait=True, keys=keys, role=Role.MONITOR, certificate=certificate)
         )
         affinity.lower_priority()
-        with RerunStream(session, node, sinks) as stream:
+        with open_stream(session, node, sinks, is_live=recording is None or len(sinks) > 1) as stream:
             out.print(
                 f"connected to {connect}{_missing_note(session, node)}; press Ctrl-C to stop",
                 soft_wrap=True,

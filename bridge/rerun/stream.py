@@ -1,8 +1,8 @@
-"""Samples of the bus as live plots in Rerun.
+"""The bus as a live view in Rerun.
 
-A stream subscribes to the nodes' batches through a ring buffer; nodes never wait for it. Each episode has entities of
-its own, `/{node}/episode_0000/{quantity}`, with one vector of scalars per step on two timelines: `simulated` (the
-building's local standard time) and `step`.
+A stream subscribes to the nodes' batches through a ring buffer; nodes never wait for it. Each episode of a node has
+entities of its own, `/{node}/episode_0000/...`, on two timelines: `simulated` (the building's local standard time) and
+`step`. The layout shows the latest episode of each node.
 """
 
 from __future__ import annotations
@@ -10,76 +10,41 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack
-from dataclasses import dataclass, field
-from datetime import datetime
-from typing import Any
+from typing import Any, TypeVar
 
-import numpy as np
 import rerun as rr
-import rerun.blueprint as rrb
 import zenoh
-from numpy.typing import NDArray
-from rerun.encodings import TimeRange, TimeRangeBoundary
 from zenoh.handlers import RingChannel
 
+from bridge.rerun.layout import OVERVIEW, blueprint
+from bridge.rerun.node_stream import NodeStream
+from bridge.rerun.recording import entity_path
+from bridge.rerun.samples import ComfortFactory, RewardFactory, fixed_band
+from bridge.rerun.summary import NodeRow, overview
 from topics import codec, keys
 from topics.errors import BadMessage
-from topics.messages import Batch, Event, EventKind, Manifest, Sample
+from topics.messages import SCHEMA_VERSION, Batch, Event, Geometry, Manifest, Message, Query, Sample, Status
 
 RING = 65536
 PERIOD_S = 0.1
-LEGEND = 6
-"""Largest number of series in a plot with a visible legend."""
+ROWS = 300
+"""Samples that are gathered for a file: short vectors make it several times as large."""
 
-_TITLES = {
-    "degC": "temperature (degC)",
-    "percent": "humidity (%)",
-    "W": "power (W)",
-    "J": "energy of the timestep (J)",
-}
-_SETPOINTS = "setpoints"
-_WARNINGS = (EventKind.FAILED, EventKind.REJECTED, EventKind.LATE, EventKind.ACCEPTED_LATE, EventKind.WARNING)
+MAX_WAIT_S = 10.0
+"""Longest time for which samples are gathered for a file."""
 
+DRAW_PERIOD_S = 2.0
+"""Shortest interval between two layouts, and between two images of a carpet."""
 
-@dataclass(slots=True)
-class _Quantity:
-    """A plot: the points with one unit, or the actuators."""
+_OVERVIEW_PERIOD_S = 0.5
+_VERSION_CHUNK = 1
+_QUERY_S = 2.0
 
-    path: str
-    title: str
-    names: list[str]
-    columns: list[int]
-    is_actuators: bool = False
+M = TypeVar("M", bound=Message)
 
 
-@dataclass(slots=True)
-class _Node:
-    """State of one node in the stream."""
-
-    manifest: Manifest
-    quantities: list[_Quantity]
-    episode: int = -1
-    step: int = -1
-    queried: tuple[int, int] | None = None  # episode and step of a queried sample; later batches may have older ones
-    samples: list[Sample] = field(default_factory=list)
-
-
-def _quantities(manifest: Manifest) -> list[_Quantity]:
-    """One plot per unit, with its sensors and meters in manifest order, and one plot of all actuators."""
-    by_unit: dict[str, _Quantity] = {}
-    for column, point in enumerate(manifest.points):
-        quantity = by_unit.setdefault(
-            point.unit, _Quantity(keys.safe_name(point.unit), _TITLES.get(point.unit, point.unit), [], [])
-        )
-        quantity.names.append(point.name)
-        quantity.columns.append(column)
-    if "1" in by_unit:
-        by_unit["1"].title, by_unit["1"].path = "counts and ratios (1)", "count"
-    plots = list(by_unit.values())
-    if manifest.actuators:
-        names, columns = [a.name for a in manifest.actuators], list(range(len(manifest.actuators)))
-        plots.append(_Quantity(_SETPOINTS, "actuators, as applied", names, columns, is_actuators=True))
-    return plots
+def _ignore(text: str) -> None:
+    """Discard a notice."""
 
 
 class RerunStream:
@@ -89,6 +54,11 @@ class RerunStream:
         session: an open Zenoh session.
         node: a node's name, or `*`.
         sinks: sinks of the recording: `rr.FileSink`, `rr.GrpcSink`.
+        is_live: whether a viewer shows the recording now: samples are logged ten times a second; else they are
+            gathered first, which makes a file much smaller.
+        comfort: returns the comfort bands of a node's zones; by default `DEFAULT_BAND_DEGC` for all.
+        reward: returns the reward terms of an episode of a node; by default there is no reward.
+        notify: called with sentences for the user: a node of another version, an unreadable message.
 
     Attributes:
         samples: number of logged samples.
@@ -96,15 +66,29 @@ class RerunStream:
         left: whether a node has disconnected.
     """
 
-    def __init__(self, session: zenoh.Session, node: str, sinks: Iterable[Any]) -> None:
+    def __init__(
+        self,
+        session: zenoh.Session,
+        node: str,
+        sinks: Iterable[Any],
+        *,
+        is_live: bool = True,
+        comfort: ComfortFactory = fixed_band,
+        reward: RewardFactory | None = None,
+        notify: Callable[[str], None] = _ignore,
+    ) -> None:
         self.samples = 0
-        self.missed = 0
         self.left = False
-        self._session = session
-        self._nodes: dict[str, _Node] = {}
+        self._missed_before = 0  # of nodes that were restarted
+        self._session, self._is_live = session, is_live
+        self._comfort, self._reward, self._notify = comfort, reward, notify
+        self._nodes: dict[str, NodeStream] = {}
         self._all = node == "*"
         self._pending_nodes: dict[str, float] = {}  # nodes without a sample yet, and when they connected
         self._ignored: set[str] = set()  # branches, of which there may be hundreds, unless one is named
+        self._notified: set[str] = set()
+        self._overview_text, self._overview_s = "", 0.0
+        self._drawn_s = 0.0
         self._close = ExitStack()
         self.recording = rr.RecordingStream("zenostat")
         self.recording.set_sinks(*sinks)
@@ -112,9 +96,11 @@ class RerunStream:
         self._close.callback(self.recording.flush)
         declare = self._close.enter_context
         self._inbox = declare(session.declare_subscriber(keys.BATCH.at(node), RingChannel(RING)))
-        self._tokens = declare(
-            session.liveliness().declare_subscriber(keys.NODE_TOKEN.at(node, name="*"), RingChannel(256), history=True)
-        )
+        tokens = keys.NODE_TOKEN.at(node, name="*").replace(f"/v{SCHEMA_VERSION}/", "/*/")
+        live = session.liveliness()
+        self._tokens = declare(live.declare_subscriber(tokens, RingChannel(256), history=True))
+        controllers = keys.CONTROLLER_TOKEN.at(node, name="*")
+        self._controllers = declare(live.declare_subscriber(controllers, RingChannel(1024), history=True))
         self._close.callback(self._finish)
         self.samples += self._catch_up(node)  # a new liveliness subscriber does not know the nodes yet
 
@@ -123,6 +109,11 @@ class RerunStream:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    @property
+    def missed(self) -> int:
+        """Number of samples that were lost."""
+        return self._missed_before + sum(node.missed for node in self._nodes.values())
 
     def close(self) -> None:
         """Log the remaining messages and end the recording; idempotent."""
@@ -137,6 +128,7 @@ class RerunStream:
     def _finish(self) -> None:
         time.sleep(2 * PERIOD_S)  # for the batches that nodes have not sent yet
         self.pump()
+        self._flush(is_last=True)
 
     def pump(self) -> int:
         """Log the messages received since the last call; return the number of samples."""
@@ -145,24 +137,81 @@ class RerunStream:
             messages.append(message)
         self._poll_presence()
         count = sum(map(self._receive_batch, messages)) + self._query_pending()
-        for node in self._nodes.values():
-            self._log(node)
+        self._flush()
         self.samples += count
         return count
 
+    def _flush(self, *, is_last: bool = False) -> None:
+        """Log the gathered samples, the overview and the layout where they are due."""
+        now_s = time.monotonic()
+        for node in self._nodes.values():
+            is_due = self._is_live or len(node.samples) >= ROWS or now_s - node.logged_s > MAX_WAIT_S
+            if is_due or is_last:
+                node.flush()
+        if len(self._nodes) > 1 and (is_last or now_s - self._overview_s > _OVERVIEW_PERIOD_S):
+            self._log_overview(now_s)
+        if is_last or now_s - self._drawn_s > DRAW_PERIOD_S:
+            self._draw(now_s, is_last=is_last)
+
+    def _draw(self, now_s: float, *, is_last: bool) -> None:
+        if self._is_live or is_last:
+            for node in self._nodes.values():
+                node.draw()
+        changes = [node.take_layout_change() for node in self._nodes.values()]
+        shown = [node for _, node in sorted(self._nodes.items())]
+        views = [(node.model, node.view) for node in shown if node.view is not None]
+        if views and any(changes):
+            self.recording.send_blueprint(blueprint(views))
+        self._drawn_s = now_s
+
+    def _log_overview(self, now_s: float) -> None:
+        rows = [
+            NodeRow(name, node.model.manifest.building, node.numbers(), node.is_connected)
+            for name, node in self._nodes.items()
+        ]
+        text = overview(rows)
+        if text != self._overview_text:
+            self._overview_text = text
+            self.recording.log(entity_path(OVERVIEW), rr.TextDocument(text, media_type="text/markdown"), static=True)
+        self._overview_s = now_s
+
+    # Presence
+
     def _poll_presence(self) -> None:
-        """Process nodes' connections and disconnections."""
+        """Process nodes' and controllers' connections and disconnections."""
         while (token := self._tokens.try_recv()) is not None:
-            if token.kind == zenoh.SampleKind.DELETE:
-                self.left = True
-                continue
-            key = str(token.key_expr)
-            name = keys.node_of(key)
-            known = self._nodes.get(name)
-            if known is not None and known.manifest.instance != keys.last_chunk(key):
-                self._log(known)  # the node was restarted, and its steps start from 0
-                del self._nodes[name]
-            self._pending_nodes.setdefault(name, time.monotonic())
+            self._on_node_token(str(token.key_expr), is_gone=token.kind == zenoh.SampleKind.DELETE)
+        while (token := self._controllers.try_recv()) is not None:
+            node = self._nodes.get(keys.node_of(str(token.key_expr)))
+            name = keys.last_chunk(str(token.key_expr))
+            if node is not None:
+                node.set_controller(name, is_connected=token.kind == zenoh.SampleKind.PUT)
+
+    def _on_node_token(self, key: str, *, is_gone: bool) -> None:
+        name, version = keys.node_of(key), key.split("/")[_VERSION_CHUNK]
+        if version != f"v{SCHEMA_VERSION}":
+            if not is_gone:
+                self._notify_once(
+                    f"node {name!r} speaks message schema {version}, this monitor v{SCHEMA_VERSION}; it is not shown: "
+                    "use the monitor of the node's Zenostat version"
+                )
+            return
+        known = self._nodes.get(name)
+        if is_gone:
+            self.left = True
+            if known is not None:
+                known.is_connected = False
+            return
+        if known is not None and known.model.manifest.instance != keys.last_chunk(key):
+            known.flush()  # the node was restarted, and its steps start from 0
+            self._missed_before += known.missed
+            del self._nodes[name]
+        self._pending_nodes.setdefault(name, time.monotonic())
+
+    def _notify_once(self, text: str) -> None:
+        if text not in self._notified:
+            self._notified.add(text)
+            self._notify(text)
 
     def _query_pending(self) -> int:
         """Query the samples of nodes that have connected and sent no batch."""
@@ -181,21 +230,27 @@ class RerunStream:
         for reply in self._session.get(keys.SAMPLE.at(name), target=zenoh.QueryTarget.ALL):
             if reply.ok is not None:
                 node = keys.node_of(str(reply.ok.key_expr))
-                count += self._receive_sample(node, codec.decode(Sample, reply.ok.payload.to_bytes()), queried=True)
+                try:
+                    sample = codec.decode(Sample, reply.ok.payload.to_bytes(), str(reply.ok.encoding))
+                    count += self._receive_sample(node, sample, queried=True)
+                except BadMessage as error:
+                    self._on_unreadable(node, error)
         return count
+
+    # Messages
 
     def _receive_batch(self, message: zenoh.Sample) -> int:
         name, count = keys.node_of(str(message.key_expr)), 0
         try:
             batch = codec.decode(Batch, message.payload.to_bytes(), str(message.encoding))
         except BadMessage as error:
-            self._log_unreadable(name, error)
+            self._on_unreadable(name, error)
             return 0
         for sent in batch.messages:
             try:
                 count += self._receive_message(name, sent.topic, sent.payload)
             except BadMessage as error:
-                self._log_unreadable(name, error)
+                self._on_unreadable(name, error)
         return count
 
     def _receive_message(self, name: str, topic: str, payload: bytes) -> int:
@@ -204,7 +259,9 @@ class RerunStream:
         if topic == keys.MANIFEST.key:
             self._register_node(codec.decode(Manifest, payload))
         elif topic == keys.EVENT.key:
-            self._log_event(name, codec.decode(Event, payload))
+            node = self._nodes.get(name)
+            if node is not None:
+                node.add_event(codec.decode(Event, payload))
         return 0
 
     def _receive_sample(self, name: str, sample: Sample, *, queried: bool = False) -> int:
@@ -213,100 +270,54 @@ class RerunStream:
         node = self._nodes.get(name) or self._query_manifest(name)
         if node is None:
             return 0  # a branch, or a node that disconnected before its manifest was queried
-        position = (sample.episode[0], sample.step[0])
-        if queried:
-            node.queried = position
-        elif node.queried is not None:
-            if position <= node.queried:
-                return 0  # not newer than the queried sample
-            node.queried = None
-        if sample.episode[0] != node.episode:
-            self._log(node)
-            node.episode, node.step = sample.episode[0], -1
-            self._begin_episode(node)
-        elif sample.step[0] <= node.step:
-            return 0  # both received and queried
-        else:
-            self.missed += sample.step[0] - node.step - 1
-        node.step = sample.step[0]
-        node.samples.append(sample)
-        return 1
+        return node.add_sample(sample, queried=queried)
 
-    def _query_manifest(self, name: str) -> _Node | None:
+    def _on_unreadable(self, name: str, error: BadMessage) -> None:
+        self._notify_once(f"node {name!r} sent a message that cannot be read, probably of another version: {error}")
+        self.recording.log(
+            entity_path(name, "events"), rr.TextLog(f"unreadable message: {error}", level="WARN"), static=True
+        )
+
+    # Nodes
+
+    def _query_manifest(self, name: str) -> NodeStream | None:
         for reply in self._session.get(keys.MANIFEST.at(name)):
             if reply.ok is not None:
-                manifest = codec.decode(Manifest, reply.ok.payload.to_bytes(), str(reply.ok.encoding))
-                return self._register_node(manifest)
+                payload = reply.ok.payload.to_bytes()
+                return self._register_node(codec.decode(Manifest, payload, str(reply.ok.encoding)))
         return None
 
-    def _register_node(self, manifest: Manifest) -> _Node | None:
+    def _register_node(self, manifest: Manifest) -> NodeStream | None:
         if self._all and manifest.branch_of:
             self._ignored.add(manifest.node)
             return None
         known = self._nodes.get(manifest.node)
-        if known is None:
-            known = self._nodes[manifest.node] = _Node(manifest, _quantities(manifest))
-        else:
-            self._log(known)
-            known.manifest, known.quantities, known.queried = manifest, _quantities(manifest), None
-        return known
+        if known is not None:
+            known.set_manifest(manifest)
+            return known
+        name = manifest.node
+        node = NodeStream(self.recording, manifest, self._geometry(name), self._comfort, self._reward)
+        self._nodes[name] = node
+        status = self._status(name)
+        if status is not None:
+            for controller in status.controllers:
+                node.set_controller(controller.controller, is_connected=controller.state.is_connected)
+            node.faults = dict.fromkeys(status.faults)
+        return node
 
-    def _entity(self, node: _Node, quantity: _Quantity) -> str:
-        return f"{node.manifest.node}/episode_{node.episode:04}/{quantity.path}"
+    def _geometry(self, name: str) -> Geometry | None:
+        """Query a node's geometry; None for a plant without one, and for a node of an older version."""
+        return self._query(keys.GEOMETRY.at(name), Geometry)
 
-    def _begin_episode(self, node: _Node) -> None:
-        for quantity in node.quantities:
-            self.recording.log(self._entity(node, quantity), rr.SeriesLines(names=quantity.names), static=True)
-        self.recording.send_blueprint(self._blueprint())
+    def _status(self, name: str) -> Status | None:
+        return self._query(keys.STATUS.at(name), Status)
 
-    def _blueprint(self) -> rrb.Blueprint:
-        """Return a layout with the latest episode of each node: one plot per quantity, over the whole run period."""
-        tabs = []
-        for node in self._nodes.values():
-            axis = rrb.TimeAxis(
-                view_range=TimeRange(_boundary(node.manifest.begin), _boundary(node.manifest.end)), zoom_lock=False
-            )
-            plots = [
-                rrb.TimeSeriesView(
-                    origin=self._entity(node, q),
-                    name=q.title,
-                    axis_x=axis,
-                    plot_legend=rrb.PlotLegend(visible=len(q.names) <= LEGEND),
-                )
-                for q in node.quantities
-            ]
-            tabs.append(rrb.Grid(*plots, name=f"{node.manifest.node}: {node.manifest.building}", grid_columns=2))
-        layout = tabs[0] if len(tabs) == 1 else rrb.Tabs(*tabs)
-        return rrb.Blueprint(layout, rrb.TimePanel(state="collapsed", timeline="simulated"), collapse_panels=True)
-
-    def _log(self, node: _Node) -> None:
-        """Log the collected samples of a node: a column of vectors per plot."""
-        samples, node.samples = node.samples, []
-        if not samples:
-            return
-        simulated = rr.TimeColumn("simulated", timestamp=[np.datetime64(s.time[0], "ns") for s in samples])
-        step = rr.TimeColumn("step", sequence=[s.step[0] for s in samples])
-        values = _rows(b"".join(s.values for s in samples), len(samples))
-        effective = _rows(b"".join(s.effective for s in samples), len(samples))
-        for quantity in node.quantities:
-            table = (effective if quantity.is_actuators else values)[:, quantity.columns]
-            columns = rr.Scalars.columns(scalars=table.ravel()).partition([table.shape[1]] * len(samples))
-            rr.send_columns(self._entity(node, quantity), [simulated, step], columns, recording=self.recording)
-
-    def _log_unreadable(self, name: str, error: BadMessage) -> None:
-        self.recording.log(f"{name}/events", rr.TextLog(f"unreadable message: {error}", level="WARN"))
-
-    def _log_event(self, name: str, event: Event) -> None:
-        level = "WARN" if event.kind in _WARNINGS else "INFO"
-        text = f"{event.kind}: {event.text}" + (f" ({event.source})" if event.source else "")
-        self.recording.set_time("step", sequence=event.step)
-        self.recording.log(f"{name}/events", rr.TextLog(text, level=level))
-
-
-def _rows(raw: bytes, count: int) -> NDArray[np.float64]:
-    return np.frombuffer(raw, "<f8").reshape(count, -1)
-
-
-def _boundary(time_text: str) -> TimeRangeBoundary:
-    since = datetime.fromisoformat(time_text) - datetime(1970, 1, 1)
-    return TimeRangeBoundary.absolute(seconds=since.total_seconds())
+    def _query(self, key: str, message: type[M]) -> M | None:
+        payload, encoding = codec.encode(Query()), codec.encoding(Query)
+        for reply in self._session.get(key, payload=payload, encoding=encoding, timeout=_QUERY_S):
+            if reply.ok is not None:
+                try:
+                    return codec.decode(message, reply.ok.payload.to_bytes(), str(reply.ok.encoding))
+                except BadMessage as error:
+                    self._on_unreadable(keys.node_of(key), error)
+        return None

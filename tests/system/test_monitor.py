@@ -18,6 +18,7 @@ from support.nodes import SMALL, NodeProgram, free_port, until
 from zenoh.handlers import RingChannel
 
 import agent_sdk
+from bridge.display.roles import roles
 from bridge.rerun.stream import RerunStream
 from bridge.rerun.viewer import web_viewer
 from bridge.transport.session import open_session
@@ -57,9 +58,10 @@ def test_recording_has_each_sample_of_each_episode_to_the_bit(scratch, shared_no
             _pump_until(stream, 2 * 97)
         assert (stream.samples, stream.missed) == (2 * 97, 0)
     recorded = _recorded(path)
-    temperatures = [i for i, s in enumerate(manifest.sensors) if s.unit == "degC"]
+    temperatures = [zone.temperature for zone in roles(manifest).zones]
+    assert len(temperatures) == 5
     for number, samples in enumerate((first, second), episode):
-        plot = recorded[f"/office/episode_{number:04}/degc"]
+        plot = recorded[f"/office/episode_{number:04}/temperatures"]
         assert sorted(plot) == list(range(97))
         for step, values in enumerate(samples):
             assert plot[step] == values[temperatures].tolist()
@@ -116,9 +118,9 @@ def test_late_monitor_learns_the_manifest_and_the_sample_the_node_stands_at(scra
         ):
             until(lambda: stream.pump() or stream.samples, "the monitor met the node")
         outdoor = sample["outdoor_temperature"]
-    (plot,) = [plot for entity, plot in _recorded(path).items() if entity.endswith("/degc")]
+    (plot,) = [plot for entity, plot in _recorded(path).items() if entity.endswith("/outdoors")]
     assert list(plot) == [10]
-    assert plot[10][0] == outdoor
+    assert plot[10] == [outdoor]
 
 
 @pytest.mark.variants

@@ -1,0 +1,164 @@
+"""Batches of samples as arrays, with the comfort band of each zone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bridge.display.roles import PointRoles, roles
+from topics import codec
+from topics.messages import Manifest, Sample
+
+Floats = NDArray[np.float64]
+
+DEFAULT_BAND_DEGC = (20.0, 26.0)
+"""Comfort band where the monitor is given none: the design values of office rooms in EN 16798-1, category II."""
+
+
+class Comfort(Protocol):
+    """Comfort bands of zones.
+
+    Attributes:
+        zones: indices of the zones' temperatures among the values of a sample, shape (zones,).
+        source: what the band is derived from, for readers.
+    """
+
+    zones: NDArray[np.intp]
+    source: str
+
+    def limits(self, values: Floats, begin: datetime) -> tuple[Floats, Floats]:
+        """Return the lower and the upper limit of each zone in degC for the timestep that starts at `begin`."""
+        ...
+
+
+class RewardTerms(Protocol):
+    """The reward terms of a running episode."""
+
+    def __call__(self, values: Floats, begin: datetime) -> Mapping[str, float]:
+        """Return the terms of the timestep that starts at `begin` and ends with the sample `values`."""
+        ...
+
+
+ComfortFactory = Callable[[Manifest], Comfort | None]
+RewardFactory = Callable[[Manifest], RewardTerms | None]
+
+
+class FixedBand:
+    """The same comfort band for all zones."""
+
+    def __init__(self, points: PointRoles, band_degc: tuple[float, float] = DEFAULT_BAND_DEGC) -> None:
+        self.zones = np.array([zone.temperature for zone in points.zones if zone.temperature is not None], np.intp)
+        self.source = f"{band_degc[0]:g} to {band_degc[1]:g} °C"
+        self._limits = tuple(np.full(len(self.zones), limit) for limit in band_degc)
+
+    def limits(self, values: Floats, begin: datetime) -> tuple[Floats, Floats]:  # noqa: ARG002
+        """Return the limits, whatever the values and the time."""
+        return self._limits[0], self._limits[1]
+
+
+def fixed_band(manifest: Manifest) -> Comfort | None:
+    """Return `DEFAULT_BAND_DEGC` for all zones; None without a zone temperature."""
+    band = FixedBand(roles(manifest))
+    return band if len(band.zones) else None
+
+
+@dataclass(frozen=True, eq=False)
+class SampleBlock:
+    """Consecutive samples of slot 0 of an episode.
+
+    Attributes:
+        steps: shape (n,).
+        times: simulated time, datetime64[ns], shape (n,).
+        values: the points' values, shape (n, points).
+        plant_values: the same without injected faults.
+        effective: the actuators' effective values, shape (n, actuators).
+        sources: name of each actuator's value source, shape (n, actuators); empty for baseline control.
+        low, high: limits of the comfort band in degC, shape (n, zones); no zones without a comfort band.
+        deviations: deviation from the band in K, negative below it, 0 within, NaN if unknown, shape (n, zones).
+        is_occupied: whether each zone is occupied, shape (n, zones); True for a zone without an occupant count.
+    """
+
+    steps: NDArray[np.int64]
+    times: NDArray[np.datetime64]
+    values: Floats
+    plant_values: Floats
+    effective: Floats
+    sources: NDArray[np.object_]
+    low: Floats
+    high: Floats
+    deviations: Floats
+    is_occupied: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.steps)
+
+
+class BlockReader:
+    """Converts samples of one node to blocks.
+
+    Args:
+        manifest: manifest of the node.
+        points: roles of its points.
+        comfort: comfort bands of its zones, if it has zone temperatures.
+    """
+
+    def __init__(self, manifest: Manifest, points: PointRoles, comfort: Comfort | None) -> None:
+        self._points = len(manifest.points)
+        self._actuators = len(manifest.actuators)
+        self._slots = manifest.slots
+        self._timestep = timedelta(seconds=manifest.step_s)
+        self._comfort = comfort
+        by_temperature = {zone.temperature: zone.occupants for zone in points.zones}
+        air = [] if comfort is None else comfort.zones.tolist()
+        people = [by_temperature.get(index) for index in air]
+        self._air = np.array(air, np.intp)
+        self._people = np.array([index or 0 for index in people], np.intp)
+        self._always_occupied = np.array([index is None for index in people], bool)
+
+    def block(self, samples: Sequence[Sample]) -> SampleBlock:
+        """Return the first slot of the samples as arrays."""
+        values = self._rows((s.values for s in samples), self._points, "values")
+        plant = [s.fault_free_values or s.values for s in samples]
+        plant_values = self._rows(iter(plant), self._points, "fault_free_values")
+        low, high = self._limits(values, samples)
+        air = values[:, self._air]
+        return SampleBlock(
+            steps=np.array([s.step[0] for s in samples], np.int64),
+            times=np.array([s.time[0] for s in samples], "datetime64[ns]"),
+            values=values,
+            plant_values=plant_values,
+            effective=self._rows((s.effective for s in samples), self._actuators, "effective"),
+            sources=self._sources(samples),
+            low=low,
+            high=high,
+            deviations=np.maximum(air - high, 0.0) - np.maximum(low - air, 0.0),
+            is_occupied=self._always_occupied | (plant_values[:, self._people] > 0.0),
+        )
+
+    def _rows(self, raw: object, width: int, what: str) -> Floats:
+        rows = [codec.row(data, 0, self._slots, width, what) for data in raw]  # type: ignore[attr-defined]
+        return np.array(rows, np.float64).reshape(-1, width)
+
+    def _limits(self, values: Floats, samples: Sequence[Sample]) -> tuple[Floats, Floats]:
+        if self._comfort is None:
+            empty = np.empty((len(samples), 0))
+            return empty, empty
+        limits = [
+            self._comfort.limits(row, datetime.fromisoformat(sample.time[0]) - self._timestep)
+            for row, sample in zip(values, samples, strict=True)
+        ]
+        low, high = np.array(limits, np.float64).transpose(1, 0, 2)
+        return low, high
+
+    def _sources(self, samples: Sequence[Sample]) -> NDArray[np.object_]:
+        shape = (self._slots, self._actuators)
+        table = np.empty((len(samples), self._actuators), object)
+        for row, sample in zip(table, samples, strict=True):
+            names = np.array(["", *sample.sources[1:]], object)
+            row[:] = names[codec.indices(sample.source_index, shape, "source_index")[0]]
+        return table
