@@ -12,13 +12,15 @@ import typer
 
 from cli.console import err, out, progress
 from cli.node_options import Begin, End
+from cli.reports import FIGURES_HELP, REPORT_HELP, ReportOutputs, command_line
 from cli.run import read_parameters
 from cli.tables import show, show_json
 from topics.atomic_file import atomic_file
 from topics.errors import InvalidConfig
 
 if TYPE_CHECKING:
-    from agent_sdk.evaluation.evaluate import Evaluation, MetricSummary, Progress
+    from agent_sdk.evaluation.evaluate import Evaluation, Progress
+    from agent_sdk.evaluation.statistics import MetricSummary
 
 _UNITS = {"kwh": "kWh", "w": "W", "kw": "kW", "k": "K", "kh": "K h", "percent": "%"}
 _TEXT_COLUMNS = ("controller", "weather")
@@ -48,6 +50,8 @@ def evaluate(
     file: Annotated[
         Path | None, typer.Option("--out", help="Write the table of episodes to FILE.parquet or FILE.csv.")
     ] = None,
+    report: Annotated[Path | None, typer.Option(help=REPORT_HELP)] = None,
+    figures: Annotated[Path | None, typer.Option(help=FIGURES_HELP)] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the table of episodes as JSON.")] = False,
 ) -> None:
     """Run each controller through the same episodes, and compare energy, comfort and reward.
@@ -59,6 +63,7 @@ def evaluate(
     """
     if file is not None:
         check_file(file)
+    outputs = ReportOutputs(report, figures)
     from agent_sdk.evaluation.evaluate import evaluate as run_all
 
     period = {name: day for name, day in (("begin", begin), ("end", end)) if day is not None}
@@ -66,10 +71,12 @@ def evaluate(
         watch = None if as_json else _watcher(stack, episodes)
         evaluation = run_all(
             scenario, controllers, episodes=episodes, seed=seed, parameters=read_parameters(parameters or []),
-            progress=watch, **period,
+            progress=watch, record=outputs.wanted, **period,
         )  # fmt: skip
     if file is not None:
         write(evaluation.table(), file)
+    if outputs.wanted:
+        outputs.write(evaluation.comparison(command_line()))
     for name, reason in evaluation.unfit.items():
         err.print(f"{name} is skipped: {reason}", soft_wrap=True, markup=False)
     if as_json:
@@ -78,6 +85,7 @@ def evaluate(
     _show(evaluation, f"{scenario}, {episodes} episode{'s' if episodes > 1 else ''} each, seed {seed}")
     if file is not None:
         out.print(f"episodes: {file}", soft_wrap=True)
+    outputs.show()
 
 
 def _watcher(stack: ExitStack, episodes: int) -> Progress:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import time
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -12,6 +13,7 @@ import typer
 from bridge.transport.session import default_endpoint
 from cli.console import out, progress
 from cli.options import CertificateName, Connect, Keys
+from cli.reports import FIGURES_HELP, REPORT_HELP, ReportOutputs, command_line
 from cli.results import show_results
 from topics.errors import InvalidConfig
 from topics.keys import safe_name
@@ -19,9 +21,10 @@ from topics.keys import safe_name
 if TYPE_CHECKING:
     from rich.progress import Progress
 
-    from agent_sdk import ControllerLink
+    from agent_sdk import Bus, ControllerLink
     from agent_sdk.controllers import Agent
     from agent_sdk.evaluation.metrics import EpisodeMetrics
+    from cli.run_recording import RunRecording
 
 _WORDS = {"true": True, "false": False}
 
@@ -54,11 +57,14 @@ def run(
     reset: Annotated[
         bool, typer.Option("--reset", help="Start a new episode instead of joining the running one.")
     ] = False,
+    report: Annotated[Path | None, typer.Option(help=REPORT_HELP)] = None,
+    figures: Annotated[Path | None, typer.Option(help=FIGURES_HELP)] = None,
 ) -> None:
     """Control a node, from its present sample to the end of the episode.
 
     Example: `zenostat run --node office --controller rbc --set margin=0.5`
     """
+    outputs = ReportOutputs(report, figures)
     from agent_sdk import connect as connect_bus
     from agent_sdk.controllers import Agent, load_controller, make_controller
 
@@ -69,18 +75,33 @@ def run(
     with connect_bus(connect or default_endpoint(keys), keys=keys, certificate=certificate) as bus:
         agent = Agent(make_controller(factory, bus.manifest(node), arguments))
         results: dict[str, tuple[EpisodeMetrics, float]] = {}
+        recording = _recording(bus, node, controller) if outputs.wanted else None
         with bus.controller(node, name=name, priority=priority) as link, progress() as bars:
             for number in range(episodes):
+                episode_seed = seed if reset or number else None
                 if reset or number:
                     link.reset(seed=seed)
                     seed = None  # later episodes continue the seed sequence
                 heading = controller if episodes == 1 else f"episode {number + 1}"
-                results[heading] = _episode(link, agent, bars)
+                results[heading] = _episode(link, agent, bars, recording)
+                if recording is not None:
+                    recording.end_episode(link, results[heading][0], episode_seed)
+        if recording is not None:
+            outputs.write(recording.comparison(command_line()))
     out.print(f"{node}: {episodes} episode{'s' if episodes > 1 else ''} controlled by {controller}")
     show_results(results, ", ".join(filter(None, (link.manifest.building, link.manifest.weather))))
+    outputs.show()
 
 
-def _episode(link: ControllerLink, agent: Agent, bars: Progress) -> tuple[EpisodeMetrics, float]:
+def _recording(bus: Bus, node: str, controller: str) -> RunRecording:
+    from cli.run_recording import RunRecording  # only for a report
+
+    return RunRecording(bus, node, controller)
+
+
+def _episode(
+    link: ControllerLink, agent: Agent, bars: Progress, recording: RunRecording | None
+) -> tuple[EpisodeMetrics, float]:
     """Answer all samples of one episode and show progress; return its metrics and its timesteps per second."""
     from agent_sdk.evaluation.metrics import MetricsAccumulator
 
@@ -90,6 +111,8 @@ def _episode(link: ControllerLink, agent: Agent, bars: Progress) -> tuple[Episod
     for sample in link:
         if not sample.truncated:
             sample.send(agent.values(sample))
+        if recording is not None:
+            recording.add(sample)
         if first is None:
             first = sample.step
             metrics.begin(sample)  # earlier timesteps were not under this controller

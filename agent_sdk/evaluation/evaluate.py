@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
 import inspect
-import statistics
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 
@@ -19,8 +17,14 @@ from agent_sdk.controllers.parameters import ControllerMismatch
 from agent_sdk.envs.arguments import of_scenario
 from agent_sdk.envs.building_env import BuildingEnv
 from agent_sdk.evaluation.metrics import EpisodeMetrics, MetricsAccumulator
+from agent_sdk.evaluation.statistics import MetricSummary, summarize
+from agent_sdk.evaluation.trace import Recording, TraceRecorder, WeatherTrace, episode_weather
 from topics.errors import InvalidAction, InvalidConfig, UsageError, did_you_mean
 from topics.messages import Manifest
+from topics.scenario_fields import MEANING
+
+if TYPE_CHECKING:
+    from agent_sdk.report import Comparison
 
 ControllerFactory = Callable[..., ControllerProtocol]
 """Function of a node's manifest and parameters by name: a controller class, or the result of `load_policy`."""
@@ -35,6 +39,7 @@ def run_episode(
     *,
     seed: int | None,
     progress: Callable[[int], None] | None = None,
+    recorder: TraceRecorder | None = None,
 ) -> tuple[EpisodeMetrics, str]:
     """Run one episode, and return its metrics and the name of its weather.
 
@@ -43,15 +48,20 @@ def run_episode(
         act: function from observation to action.
         seed: seed for `reset`.
         progress: callback for each timestep, with the step.
+        recorder: records the samples and the terms of the rewards.
     """
     observation, info = env.reset(seed=seed)
     building: Any = env.unwrapped
     metrics = MetricsAccumulator(building.manifest, building.reward)
     weather, terminated, is_over = info.get("weather", ""), False, False
     metrics.add(building.sample)
+    if recorder is not None:
+        recorder.add(building.sample)
     while not is_over:
         observation, _, terminated, truncated, info = env.step(act(observation))
         metrics.add(building.sample, info.get("reward_terms"))
+        if recorder is not None:
+            recorder.add(building.sample, info.get("reward_terms"))
         is_over = terminated or truncated
         if progress is not None:
             progress(building.sample.step)
@@ -70,23 +80,6 @@ class EpisodeRecord:
 
 
 @dataclass(frozen=True, slots=True)
-class MetricSummary:
-    """Statistics of a metric over the episodes of a controller.
-
-    Attributes:
-        count: number of episodes.
-        mean: mean over the episodes.
-        deviation: sample standard deviation (divided by count - 1); None for one episode.
-        interval: 95 % confidence interval of the mean (Student's t); None for one episode, or without SciPy.
-    """
-
-    count: int
-    mean: float
-    deviation: float | None
-    interval: tuple[float, float] | None
-
-
-@dataclass(frozen=True, slots=True)
 class Evaluation:
     """Episodes of several controllers in the same scenario and weather.
 
@@ -94,11 +87,15 @@ class Evaluation:
         rows: records by controller, then by episode.
         sources: by metric, the point or reward that it is derived from.
         unfit: by controller that was skipped since it does not fit the scenario, the reason.
+        recordings: by controller, what reports show; empty unless `evaluate` was called with `record`.
+        scenario: the scenario as the text of a scenario file (YAML); only with `record`.
     """
 
     rows: tuple[EpisodeRecord, ...]
     sources: dict[str, str]
     unfit: dict[str, str] = field(default_factory=dict)
+    recordings: dict[str, Recording] = field(default_factory=dict)
+    scenario: str = ""
 
     def table(self) -> list[dict[str, Any]]:
         """Return a dictionary for each row, all with the same keys; None where a metric is unknown."""
@@ -110,6 +107,45 @@ class Evaluation:
             for row, episode in zip(self.rows, metrics, strict=True)
         ]
 
+    def comparison(self, command: str = "") -> Comparison:
+        """Return the content of a report, compared with the baseline control or else the first controller.
+
+        Args:
+            command: the command line that repeats the evaluation, for the report.
+
+        Raises:
+            InvalidConfig: `evaluate` was called without `record`.
+        """
+        from agent_sdk.report import Comparison, Run
+
+        if not self.recordings:
+            raise InvalidConfig("a report needs recorded episodes: call evaluate(..., record=True)")
+        runs = []
+        for name, recording in self.recordings.items():
+            rows = [row for row in self.rows if row.controller == name]
+            runs.append(
+                Run(
+                    name=name,
+                    results=tuple(row.result for row in rows),
+                    trace=recording.trace,
+                    seeds=tuple(row.seed for row in rows),
+                    weather_names=tuple(row.weather for row in rows),
+                    weathers=recording.weathers,
+                    reward=recording.reward,
+                )
+            )
+        return Comparison(tuple(runs), self.scenario, command, self.unfit, self.sources)
+
+    def report(self, path: str | Path, *, command: str = "") -> None:
+        """Write a report as one HTML file; see `comparison`, and `agent_sdk.report` for the figures as files.
+
+        Raises:
+            InvalidConfig: `evaluate` was called without `record`; no .html file, no such folder, or no Matplotlib.
+        """
+        from agent_sdk.report import write_report
+
+        write_report(self.comparison(command), path)
+
     def summary(self) -> dict[str, dict[str, MetricSummary]]:
         """Return statistics by controller and metric, without metrics that are unknown in some episode."""
         values: dict[str, dict[str, list[float | None]]] = {}
@@ -117,27 +153,9 @@ class Evaluation:
             for name, value in row.result.metrics().items():
                 values.setdefault(row.controller, {}).setdefault(name, []).append(value)
         return {
-            controller: {name: _summarize(series) for name, series in metrics.items() if None not in series}
+            controller: {name: summarize(series) for name, series in metrics.items() if None not in series}
             for controller, metrics in values.items()
         }
-
-
-def _summarize(values: Sequence[Any]) -> MetricSummary:
-    count, mean = len(values), statistics.fmean(values)
-    if count == 1:
-        return MetricSummary(1, mean, None, None)
-    deviation = statistics.stdev(values)
-    quantile = _student_quantile(count - 1)
-    half_width = None if quantile is None else quantile * deviation / count**0.5
-    return MetricSummary(count, mean, deviation, None if half_width is None else (mean - half_width, mean + half_width))
-
-
-def _student_quantile(degrees_of_freedom: int) -> float | None:
-    """Return the 97.5 % quantile of Student's t distribution; None without SciPy."""
-    try:
-        return float(importlib.import_module("scipy.stats").t.ppf(0.975, degrees_of_freedom))
-    except ImportError:
-        return None
 
 
 def evaluate(
@@ -148,6 +166,7 @@ def evaluate(
     seed: int = 0,
     parameters: Mapping[str, Any] | None = None,
     progress: Progress | None = None,
+    record: bool = False,
     **overrides: Any,
 ) -> Evaluation:
     """Run controllers one after another through the same episodes.
@@ -165,6 +184,8 @@ def evaluate(
         seed: seed of the first episode, at least 0.
         parameters: parameters of the controllers; each controller gets those that it has.
         progress: callback for each timestep.
+        record: record the first episode of each controller, with the points that reports show besides those of the
+            scenario (`monitoring`), which no controller observes; see `Evaluation.report`.
         overrides: arguments of `BuildingEnv` that override those of the scenario.
 
     Raises:
@@ -173,12 +194,16 @@ def evaluate(
     if episodes < 1 or seed < 0:
         raise InvalidConfig(f"episodes={episodes}, seed={seed}: expected at least one episode and a seed of at least 0")
     settings = {**of_scenario(scenario), **overrides}
+    if record and "monitoring" in MEANING:
+        settings.setdefault("monitoring", True)
     factories = _factories(controllers)
     arguments = _assign_parameters(factories, parameters or {}, seed)
     rows: dict[str, list[EpisodeRecord]] = {}
     sources: dict[str, str] = {}
     created: dict[str, ControllerProtocol] = {}
     unfit: dict[str, UsageError] = {}
+    recordings: dict[str, Recording] = {}
+    text = ""
     for name in sorted(factories, key=lambda key: _is_baseline(factories[key])):
         is_baseline = _is_baseline(factories[name])
         with closing(BuildingEnv(**(_without_actuators(settings) if is_baseline else settings))) as env:
@@ -187,14 +212,29 @@ def evaluate(
                 created |= _create_controllers(alike, env.manifest, arguments, unfit)
             if name not in unfit:
                 try:
-                    rows[name] = _run_episodes(name, created[name], env, range(seed, seed + episodes), progress)
+                    seeds, recorder = range(seed, seed + episodes), TraceRecorder(env.manifest) if record else None
+                    rows[name], weathers = _run_episodes(name, created[name], env, seeds, progress, recorder)
+                    if recorder is not None:
+                        source_names = {getattr(env.link, "name", ""): name}
+                        recordings[name] = Recording(recorder.trace(source_names), weathers, env.reward)
+                        text = _scenario_text(env) if not (text and is_baseline) else text
                 except InvalidAction as error:
                     unfit[name] = error
             sources = MetricsAccumulator(env.manifest, env.reward).sources | sources
     if not rows:
         raise next(iter(unfit.values()))
     reasons = {name: str(unfit[name]) for name in factories if name in unfit}
-    return Evaluation(tuple(row for name in factories for row in rows.get(name, ())), sources, reasons)
+    in_order = sorted(recordings, key=lambda key: (not _is_baseline(factories[key]), list(factories).index(key)))
+    return Evaluation(
+        tuple(row for name in factories for row in rows.get(name, ())), sources, reasons,
+        {name: recordings[name] for name in in_order}, text,
+    )  # fmt: skip
+
+
+def _scenario_text(env: BuildingEnv) -> str:
+    """Return the scenario as YAML; "" if the environment has no node."""
+    bus = getattr(env.link, "bus", None)
+    return "" if bus is None else str(bus.scenario(env.manifest.node))
 
 
 def _create_controllers(
@@ -214,10 +254,16 @@ def _create_controllers(
 
 
 def _run_episodes(
-    name: str, controller: ControllerProtocol, env: BuildingEnv, seeds: Sequence[int], progress: Progress | None
-) -> list[EpisodeRecord]:
+    name: str,
+    controller: ControllerProtocol,
+    env: BuildingEnv,
+    seeds: Sequence[int],
+    progress: Progress | None,
+    recorder: TraceRecorder | None,
+) -> tuple[list[EpisodeRecord], tuple[WeatherTrace | None, ...]]:
+    """Run the episodes of a controller; record the samples of the first one, and the weather of all."""
     agent, steps = Agent(controller), env.manifest.steps
-    rows = []
+    rows, weathers = [], []
     for number, seed in enumerate(seeds):
         report = None if progress is None else partial(progress, name, number)
         result, weather = run_episode(
@@ -225,9 +271,12 @@ def _run_episodes(
             lambda _: agent.action(env.sample),
             seed=seed,
             progress=None if report is None else lambda step, report=report: report(step, steps),  # type: ignore[misc]
+            recorder=recorder if number == 0 else None,
         )
         rows.append(EpisodeRecord(name, number, seed, weather, result))
-    return rows
+        if recorder is not None:
+            weathers.append(episode_weather(env.link, env.manifest))
+    return rows, tuple(weathers)
 
 
 def _is_baseline(factory: ControllerFactory) -> bool:

@@ -1,0 +1,1 @@
+"""Figures of a report, each defined once for pages and for papers."""

@@ -1,0 +1,145 @@
+"""The result of a comparison in plain words; each number is computed from the episodes."""
+
+from __future__ import annotations
+
+from agent_sdk.report.figures.comfort import rank_zones
+from agent_sdk.report.runs import Comparison, Run
+from agent_sdk.report.totals import Difference, Metric, difference, names, number, total
+
+_ELECTRICITY = (
+    Metric("electricity_kwh", "electricity", "kWh"),
+    Metric("hvac_electricity_kwh", "electricity for heating, cooling and ventilation", "kWh"),
+)
+_PEAK = Metric("peak_kw", "peak power", "kW")
+_OUTSIDE = Metric("occupied_outside_kh", "", "K h")
+_WORST_KH = 0.5
+"""Zones with fewer kelvin hours outside are not mentioned."""
+
+
+def summary(comparison: Comparison) -> list[str]:
+    """Return the result as sentences, by controller."""
+    reference, others = comparison.reference, comparison.runs[1:]
+    texts = [_compared(run, reference) for run in others] or [_alone(reference)]
+    texts += [text for run in comparison.runs for text in _irregular(run)]
+    if comparison.episodes > 1:
+        texts.append(f"Numbers are means over {comparison.episodes} episodes.")
+    return texts
+
+
+def _compared(run: Run, reference: Run) -> str:
+    parts, verdicts = [], []
+    energy = next((metric for metric in _ELECTRICITY if total(run, metric.key) and total(reference, metric.key)), None)
+    if energy is not None:
+        energy_change = difference(run, reference, energy)
+        assert energy_change is not None
+        verdicts.append(energy_change.verdict)
+        parts.append(_amount(run, reference, energy, energy_change))
+    peak = difference(run, reference, _PEAK)
+    if peak is not None:
+        parts.append(_peak(run, reference, peak, is_first=not parts))
+    sentences = ["".join(parts) + "." if parts else f"{run.name} and {reference.name}: no energy is measured."]
+    outside = difference(run, reference, _OUTSIDE)
+    if outside is not None:
+        is_contrast = {*verdicts, outside.verdict} == {"better", "worse"}
+        sentences.append(_outside(run, reference, outside, is_contrast=is_contrast))
+    return " ".join(sentences)
+
+
+def _amount(run: Run, reference: Run, metric: Metric, change: Difference) -> str:
+    own, base = total(run, metric.key), total(reference, metric.key)
+    assert own is not None
+    assert base is not None
+    amounts = f"{number(own.mean)} instead of {number(base.mean)} {metric.unit}"
+    if change.verdict == "equal" or change.percent is None:
+        return f"{run.name} used as much {metric.label} as {reference.name} ({number(own.mean)} {metric.unit})"
+    if change.verdict == "unclear":
+        return (
+            f"{run.name} and {reference.name} do not differ clearly in {metric.label} ({amounts}; the 95 % interval of "
+            "the difference contains zero)"
+        )
+    less = "less" if change.mean < 0 else "more"
+    return f"{run.name} used {abs(change.percent):.1f} % {less} {metric.label} than {reference.name} ({amounts})"
+
+
+def _peak(run: Run, reference: Run, change: Difference, *, is_first: bool) -> str:
+    own, base = total(run, "peak_kw"), total(reference, "peak_kw")
+    assert own is not None
+    assert base is not None
+    subject = f"{run.name} has" if is_first else ", with"
+    if change.verdict in ("equal", "unclear") or change.percent is None:
+        return f"{subject} about the same peak power ({number(own.mean)} kW)"
+    lower = "lower" if change.mean < 0 else "higher"
+    return (
+        f"{subject} a {abs(change.percent):.1f} % {lower} peak ({number(own.mean)} instead of {number(base.mean)} kW)"
+    )
+
+
+def _outside(run: Run, reference: Run, change: Difference, *, is_contrast: bool) -> str:
+    own, base = total(run, _OUTSIDE.key), total(reference, _OUTSIDE.key)
+    assert own is not None
+    assert base is not None
+    opening = "However, occupied" if is_contrast else "Occupied"
+    text = f"{opening} zones were outside the comfort band by {number(own.mean)} K h"
+    if change.verdict == "equal":
+        text += f", as much as under {reference.name}"
+    elif change.verdict == "unclear":
+        text += f" (under {reference.name} {number(base.mean)} K h; the difference is not clear)"
+    elif change.percent is not None:
+        less = "less" if change.mean < 0 else "more"
+        text += f", {abs(change.percent):.0f} % {less} than under {reference.name} ({number(base.mean)} K h)"
+    else:
+        text += f"; under {reference.name} they were within it"
+    return f"{text}{_worst(run)}."
+
+
+def _worst(run: Run) -> str:
+    """Return a clause on the zone that was outside longest; only known of the first episode."""
+    quantities = run.quantities
+    comfort, hours = quantities.comfort, quantities.degree_hours
+    if comfort is None or hours is None or len(comfort.labels) < 2:
+        return ""
+    totals = hours[0] + hours[1]
+    place = int(totals.argmax())
+    if totals[place] < _WORST_KH:
+        return ""
+    kind = "too warm" if hours[0][place] >= hours[1][place] else "too cold"
+    amount = number(float(max(hours[0][place], hours[1][place])))
+    where = " in the first episode" if len(run.results) > 1 else ""
+    return f"; the worst zone{where} is {comfort.labels[place]} ({amount} K h {kind})"
+
+
+def _alone(run: Run) -> str:
+    parts = []
+    for metric in (*_ELECTRICITY, _PEAK):
+        used = total(run, metric.key)
+        if used is not None:
+            parts.append(f"{number(used.mean)} {metric.unit} of {metric.label}")
+    sentences = [f"{run.name} used {names(parts)}." if parts else f"{run.name}: no energy is measured."]
+    outside = total(run, _OUTSIDE.key)
+    if outside is not None:
+        sentences.append(f"Occupied zones were outside the comfort band by {number(outside.mean)} K h{_worst(run)}.")
+    return " ".join(sentences)
+
+
+def _irregular(run: Run) -> list[str]:
+    """Return sentences on episodes that ended early and on commands that were not accepted."""
+    planned = run.trace.manifest.steps
+    early = [result for result in run.results if result.terminated]
+    texts = []
+    if early:
+        texts.append(
+            f"{run.name}: a termination limit ended {len(early)} of {len(run.results)} episodes early, after "
+            f"{names([str(result.steps) for result in early])} of {planned} timesteps."
+        )
+    partial = [result for result in run.results if not result.terminated and result.steps < planned]
+    if partial:
+        texts.append(f"{run.name} controlled {partial[0].steps} of {planned} timesteps.")
+    not_accepted = sum(result.late + result.rejected for result in run.results)
+    if not_accepted:
+        texts.append(f"The node did not accept {not_accepted} messages of {run.name} (late or rejected).")
+    return texts
+
+
+def worst_zones(comparison: Comparison, count: int) -> list[str]:
+    """Return the zones with most kelvin hours outside while occupied, worst first; none that was always within."""
+    return [label for label, hours in rank_zones(comparison.curves)[:count] if hours > 0.0]

@@ -1,0 +1,143 @@
+"""Totals of each controller, and differences to the reference."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import isfinite
+
+from agent_sdk.evaluation.statistics import MetricSummary, summarize
+from agent_sdk.report.figures.energy import fuel_label
+from agent_sdk.report.runs import Comparison, Run
+
+EQUAL_PERCENT = 0.05
+"""Differences below this are called equal."""
+
+
+@dataclass(frozen=True, slots=True)
+class Metric:
+    """A metric as a report names it; `sign` is -1 if lower is better, 1 if higher is, 0 if neither."""
+
+    key: str
+    label: str
+    unit: str = ""
+    sign: int = -1
+    is_part: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """Difference of a controller's metric to that of the reference, mean over the episodes.
+
+    Attributes:
+        mean: mean of the differences.
+        percent: the same in percent of the reference; None if that is zero.
+        half_width: half of the 95 % confidence interval of the mean, from the differences of the same episodes;
+            None for one episode.
+        verdict: `better`, `worse`, `equal`, `unclear` (the interval contains zero) or "".
+    """
+
+    mean: float
+    percent: float | None
+    half_width: float | None
+    verdict: str
+
+
+_COMMON = (
+    Metric("peak_kw", "Peak power", "kW"),
+    Metric("occupied_outside_kh", "Outside comfort, occupied", "K h"),
+    Metric("outside_kh", "Outside comfort, always", "K h"),
+    Metric("outside_percent", "Time with any zone outside", "%"),
+    Metric("mean_deviation_k", "Mean deviation from comfort", "K"),
+)
+_COUNTS = (Metric("late", "Late messages"), Metric("rejected", "Rejected messages"))
+
+
+def metrics(comparison: Comparison) -> list[Metric]:
+    """Return the metrics that at least one run has, in the order of the totals."""
+    known = dict.fromkeys(
+        name for run in comparison.runs for result in run.results for name, value in result.metrics().items()
+        if value is not None
+    )  # fmt: skip
+    fuels = dict.fromkeys(fuel for run in comparison.runs for result in run.results for fuel in result.energy_kwh)
+    rows = []
+    if "electricity_kwh" in known:
+        rows.append(Metric("electricity_kwh", "Electricity", "kWh"))
+    if "hvac_electricity_kwh" in known:
+        is_part = "electricity_kwh" in known
+        rows.append(
+            Metric("hvac_electricity_kwh", "of which HVAC" if is_part else "HVAC electricity", "kWh", -1, is_part)
+        )
+    rows += [
+        Metric(f"{fuel}_kwh", fuel_label(fuel).capitalize(), "kWh")
+        for fuel in fuels
+        if fuel != "electricity" and any(_values(run, f"{fuel}_kwh", any_zero=False) for run in comparison.runs)
+    ]
+    rows += [metric for metric in _COMMON if metric.key in known]
+    if "reward" in known:
+        rows.append(Metric("reward", "Reward", "", 1))
+        terms = [name for name in known if name.startswith("reward.")]
+        rows += [
+            Metric(name, f"of which {name[7:].replace('_', ' ')}", "", 1, is_part=True)
+            for name in terms
+            if len(terms) > 1
+        ]
+    return rows + [
+        metric for metric in _COUNTS if any(_values(run, metric.key, any_zero=False) for run in comparison.runs)
+    ]
+
+
+def _values(run: Run, key: str, *, any_zero: bool = True) -> list[float]:
+    values = [result.metrics().get(key) for result in run.results]
+    if any(value is None for value in values):
+        return []
+    numbers = [float(value) for value in values if value is not None]
+    return numbers if any_zero or any(numbers) else []
+
+
+def total(run: Run, key: str) -> MetricSummary | None:
+    """Return the statistics of a metric over a run's episodes; None if an episode lacks it."""
+    values = _values(run, key)
+    return summarize(values) if values else None
+
+
+def difference(run: Run, reference: Run, metric: Metric) -> Difference | None:
+    """Return the difference of a metric to the reference; None if one of them lacks it."""
+    values, others = _values(run, metric.key), _values(reference, metric.key)
+    if not values or len(values) != len(others):
+        return None
+    summary = summarize([value - other for value, other in zip(values, others, strict=True)])
+    base = sum(others) / len(others)
+    percent = 100.0 * summary.mean / abs(base) if base else None
+    half_width = None if summary.interval is None else (summary.interval[1] - summary.interval[0]) / 2
+    return Difference(summary.mean, percent, half_width, _verdict(summary, percent, metric.sign))
+
+
+def _verdict(summary: MetricSummary, percent: float | None, sign: int) -> str:
+    if summary.mean == 0.0 or (percent is not None and abs(percent) < EQUAL_PERCENT):
+        return "equal"
+    if sign == 0 or not isfinite(summary.mean):
+        return ""
+    if summary.interval is not None and summary.interval[0] <= 0.0 <= summary.interval[1]:
+        return "unclear"
+    return "better" if summary.mean * sign > 0 else "worse"
+
+
+def number(value: float, digits: int | None = None) -> str:
+    """Return a number with about four significant digits and a minus sign."""
+    size = abs(value)
+    if digits is None:
+        digits = 0 if size >= 1000 or value == int(value) else 1 if size >= 100 else 2 if size >= 1 else 3
+    text = f"{value:,.{digits}f}".replace("-", "\N{MINUS SIGN}")
+    return text.lstrip("\N{MINUS SIGN}") if not any(digit in text for digit in "123456789") else text
+
+
+def signed(value: float, digits: int | None = None) -> str:
+    """Return a difference with its sign."""
+    text = number(value, digits)
+    return text if value <= 0 or text.strip("0.,") == "" else f"+{text}"
+
+
+def names(items: Sequence[str]) -> str:
+    """Return names as an enumeration: `a, b and c`."""
+    return items[0] if len(items) == 1 else f"{', '.join(items[:-1])} and {items[-1]}" if items else ""

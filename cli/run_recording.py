@@ -1,0 +1,89 @@
+"""Record what a controller on the bus does, for the report of `zenostat run`."""
+
+from __future__ import annotations
+
+import shlex
+
+from agent_sdk import Bus, ControllerLink, SampleView
+from agent_sdk.evaluation.metrics import EpisodeMetrics, MetricsAccumulator
+from agent_sdk.evaluation.trace import TraceRecorder, WeatherTrace, episode_weather
+from agent_sdk.report import Comparison, Run
+from topics.points import value_index
+
+
+class RunRecording:
+    """Records what a controller on the bus does, and the baseline that the node runs beside it, for a report.
+
+    Args:
+        bus: the bus of the node.
+        node: name of the node.
+        title: name of the controller in the report.
+    """
+
+    def __init__(self, bus: Bus, node: str, title: str) -> None:
+        self._bus, self._node, self._title = bus, node, title
+        self._manifest = bus.manifest(node)
+        self._own = TraceRecorder(self._manifest)
+        self._baseline = TraceRecorder(self._manifest)
+        self._baseline_metrics = MetricsAccumulator(self._manifest)
+        self._name = ""
+        self._results: list[EpisodeMetrics] = []
+        self._baseline_results: list[EpisodeMetrics] = []
+        self._seeds: list[int | None] = []
+        self._weathers: list[tuple[str, WeatherTrace | None]] = []
+        self._is_first = True
+
+    def add(self, sample: SampleView) -> None:
+        """Add a sample; the samples of the first episode are drawn."""
+        is_first_episode = not self._results
+        if is_first_episode:
+            self._own.add(sample)
+        if self._manifest.baseline:
+            view = _baseline_view(sample)
+            if self._is_first:
+                self._baseline_metrics.begin(view)
+            else:
+                self._baseline_metrics.add(view)
+            if is_first_episode:
+                self._baseline.add(view)
+        self._is_first = False
+
+    def end_episode(self, link: ControllerLink, result: EpisodeMetrics, seed: int | None) -> None:
+        """End an episode that was started with a seed (None: joined, or the next of the sequence)."""
+        self._name, self._is_first = link.name, True
+        self._results.append(result)
+        self._baseline_results.append(self._baseline_metrics.result())
+        self._seeds.append(seed)
+        starts = getattr(getattr(link, "accepted", None), "episode_starts", ())
+        name = starts[0].weather if starts else self._manifest.weather
+        self._weathers.append((name, episode_weather(link, self._manifest)))
+
+    def comparison(self, command: str) -> Comparison:
+        """Return the content of the report."""
+        names, weathers = zip(*self._weathers, strict=True)
+        runs = [
+            Run(
+                self._title, tuple(self._results), self._own.trace({self._name: self._title}), tuple(self._seeds),
+                names, weathers,
+            )
+        ]  # fmt: skip
+        if self._manifest.baseline:
+            results = tuple(self._baseline_results)
+            baseline = Run("baseline", results, self._baseline.trace(), tuple(self._seeds), names, weathers)
+            runs.insert(0, baseline)
+        sources = MetricsAccumulator(self._manifest).sources
+        start = f"zenostat node --scenario scenario.yaml --name {shlex.quote(self._node)}"
+        text = f"{start}   # scenario.yaml: the text above\n{command}"
+        return Comparison(tuple(runs), self._bus.scenario(self._node), text, sources=sources)
+
+
+def _baseline_view(sample: SampleView) -> SampleView:
+    """Return the sample of the building under baseline control."""
+    message = sample.message
+    baseline = message.model_copy(
+        update={
+            "values": message.baseline, "effective": message.baseline_effective, "fault_free_values": b"",
+            "source_index": bytes(len(message.source_index)), "late": 0, "rejected": 0,
+        }
+    )  # fmt: skip
+    return SampleView(baseline, sample.manifest, value_index(sample.manifest), slot=sample.slot)
