@@ -15,7 +15,7 @@ $(VENV):
 
 # What the product needs, and what the tests need besides (torch among it), in one environment, in either order.
 $(READY): pyproject.toml constraints.txt | $(VENV)
-	$(INSTALL) -e .
+	$(INSTALL) -e '.[plots]'
 	touch $@
 
 # Of torch and what comes with it, 13,000 files, the tests import a part: these are compiled when they are imported.

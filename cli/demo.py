@@ -7,26 +7,32 @@ import sys
 import time
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from cli.console import out, progress
 from cli.node_options import argument
+from cli.reports import command_line
 from cli.results import show_results
+from topics.errors import InvalidConfig
 
 if TYPE_CHECKING:
     from rich.progress import Progress
 
     from agent_sdk import Bus
     from agent_sdk.evaluation.metrics import EpisodeMetrics
+    from agent_sdk.evaluation.trace import EpisodeTrace
+    from agent_sdk.report import Comparison, Run
 
 NODE = "office"
 ZENOSTAT = [sys.executable, "-P", "-m", "cli.main"]
 
 
 def demo(
-    folder: Annotated[Path, typer.Option(help="Output folder for the recording and the screenshot.")] = Path("demo"),
+    folder: Annotated[
+        Path, typer.Option(help="Output folder for the recording, the report and the screenshot.")
+    ] = Path("demo"),
     building: Annotated[str, argument("building")] = "office-medium",
     weather: Annotated[str, argument("weather")] = "USA_CO_Denver",
     begin: Annotated[str, argument("begin")] = "07-01",
@@ -38,14 +44,18 @@ def demo(
     """
     from agent_sdk import connect
     from agent_sdk.bus.local_node import LocalNode
+    from agent_sdk.evaluation.trace import episode_weather
+    from agent_sdk.report import Comparison, Run
     from bridge.rerun.viewer import NO_VULKAN, has_vulkan
     from bridge.runtime.affinity import Affinity
 
     folder.mkdir(parents=True, exist_ok=True)
-    recording, screenshot = folder / "run.rrd", folder / "run.png"
+    recording, screenshot, report = folder / "run.rrd", folder / "run.png", folder / "report.html"
     results: dict[str, tuple[EpisodeMetrics, float]] = {}
+    runs: list[Run] = []
     with ExitStack() as stack, progress() as bars:
-        settings = {"building": building, "weather": weather, "begin": begin, "end": end, "name": NODE}
+        settings: dict[str, Any] = {"building": building, "weather": weather, "begin": begin, "end": end, "name": NODE}
+        settings["monitoring"] = True  # for the report
         with out.status("starting the node"):
             local_node = LocalNode(settings, Affinity.SEPARATE_CORES)
         stack.callback(local_node.close)
@@ -54,15 +64,37 @@ def demo(
         stack.callback(monitor.terminate)
         bus = stack.enter_context(connect(local_node.endpoint, core=local_node.core))
         for controller, title in (("baseline", "baseline control"), ("rbc", "rule-based control")):
-            results[title] = _episode(bus, local_node.endpoint, controller, title, bars)
+            metrics, trace, rate = _episode(bus, local_node.endpoint, controller, title, bars)
+            results[title] = (metrics, rate)
+            weathers = (episode_weather(bus, trace.manifest),)
+            runs.append(Run(title, (metrics,), trace, weather_names=(trace.manifest.weather,), weathers=weathers))
+        scenario = bus.scenario(NODE)
         bus.stop(NODE)
         local_node.close()
+        notes = _write_report(Comparison(tuple(runs), scenario, command_line()), report)
         monitor_lines = _remaining_lines(monitor)
     show_results(results, f"{building}, {weather}, {begin} to {end}")
     for line in monitor_lines:
         out.print(f"monitor: {line}", markup=False, soft_wrap=True)
     if not has_vulkan():
         out.print(f"no screenshot: {NO_VULKAN}", soft_wrap=True, markup=False)
+    for line in notes:
+        out.print(f"report: {line}", markup=False, soft_wrap=True)
+    files = {"recording": recording, "report": report, "screenshot": screenshot}
+    text = ", ".join(f"{name}: {path}" for name, path in files.items() if path.exists())
+    out.print(text, markup=False, soft_wrap=True)
+
+
+def _write_report(comparison: Comparison, path: Path) -> list[str]:
+    """Write the report; return why it cannot be written, if so: the recording does not depend on it."""
+    from agent_sdk.report import write_report
+
+    path.unlink(missing_ok=True)  # of an earlier run
+    try:
+        write_report(comparison, path)
+    except InvalidConfig as error:  # without Matplotlib
+        return [str(error)]
+    return []
 
 
 def _start(*arguments: object, wait: bool = False) -> subprocess.Popen[str]:
@@ -82,19 +114,23 @@ def _remaining_lines(process: subprocess.Popen[str]) -> list[str]:
     return [line.strip() for line in output.splitlines() if line.strip()]
 
 
-def _episode(bus: Bus, endpoint: str, controller: str, title: str, bars: Progress) -> tuple[EpisodeMetrics, float]:
-    """Run one episode with a controller in its own process; return its metrics and its timesteps per second."""
+def _episode(
+    bus: Bus, endpoint: str, controller: str, title: str, bars: Progress
+) -> tuple[EpisodeMetrics, EpisodeTrace, float]:
+    """Run one episode with a controller in its own process; return metrics, samples and timesteps per second."""
     from agent_sdk.evaluation.metrics import MetricsAccumulator
+    from agent_sdk.evaluation.trace import TraceRecorder
 
     manifest = bus.manifest(NODE)
     metrics, bar = MetricsAccumulator(manifest), bars.add_task(title, total=manifest.steps, rate="")
-    start = 0.0
+    recorder, start = TraceRecorder(manifest), 0.0
     with bus.listen(NODE) as samples:
         process = _start("run", "--node", NODE, "--controller", controller, "--connect", endpoint)
         for sample in samples:
             if sample.step == 1:
                 start = time.monotonic()
             metrics.add(sample)
+            recorder.add(sample)
             if sample.step % 24 == 0 or sample.truncated:
                 rate = (sample.step - 1) / max(time.monotonic() - start, 1e-9) if sample.step > 1 else 0.0
                 bars.update(bar, completed=sample.step, rate=f"{rate:,.0f} steps/s")
@@ -102,4 +138,4 @@ def _episode(bus: Bus, endpoint: str, controller: str, title: str, bars: Progres
                 break
     steps_per_s = (manifest.steps - 1) / (time.monotonic() - start)
     process.communicate(timeout=60)
-    return metrics.result(), steps_per_s
+    return metrics.result(), recorder.trace({controller: title}), steps_per_s

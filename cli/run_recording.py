@@ -56,7 +56,7 @@ class RunRecording:
         self._seeds.append(seed)
         starts = getattr(getattr(link, "accepted", None), "episode_starts", ())
         name = starts[0].weather if starts else self._manifest.weather
-        self._weathers.append((name, episode_weather(link, self._manifest)))
+        self._weathers.append((name, episode_weather(self._bus, self._manifest)))
 
     def comparison(self, command: str) -> Comparison:
         """Return the content of the report."""

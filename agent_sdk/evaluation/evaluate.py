@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 
+from agent_sdk.bus.bus import Bus
 from agent_sdk.controllers import Agent, BaselineController, ControllerProtocol, load_controller, make_controller
 from agent_sdk.controllers.parameters import ControllerMismatch
 from agent_sdk.envs.arguments import of_scenario
@@ -21,7 +22,6 @@ from agent_sdk.evaluation.statistics import MetricSummary, summarize
 from agent_sdk.evaluation.trace import Recording, TraceRecorder, WeatherTrace, episode_weather
 from topics.errors import InvalidAction, InvalidConfig, UsageError, did_you_mean
 from topics.messages import Manifest
-from topics.scenario_fields import MEANING
 
 if TYPE_CHECKING:
     from agent_sdk.report import Comparison
@@ -194,7 +194,7 @@ def evaluate(
     if episodes < 1 or seed < 0:
         raise InvalidConfig(f"episodes={episodes}, seed={seed}: expected at least one episode and a seed of at least 0")
     settings = {**of_scenario(scenario), **overrides}
-    if record and "monitoring" in MEANING:
+    if record and not {"connect", "link"} & settings.keys():  # a node that runs elsewhere has what it has
         settings.setdefault("monitoring", True)
     factories = _factories(controllers)
     arguments = _assign_parameters(factories, parameters or {}, seed)
@@ -233,8 +233,14 @@ def evaluate(
 
 def _scenario_text(env: BuildingEnv) -> str:
     """Return the scenario as YAML; "" if the environment has no node."""
+    bus = _bus(env)
+    return "" if bus is None else bus.scenario(env.manifest.node)
+
+
+def _bus(env: BuildingEnv) -> Bus | None:
+    """Return the bus of an environment; None if its samples come from elsewhere, as in tests."""
     bus = getattr(env.link, "bus", None)
-    return "" if bus is None else str(bus.scenario(env.manifest.node))
+    return bus if isinstance(bus, Bus) else None
 
 
 def _create_controllers(
@@ -275,7 +281,7 @@ def _run_episodes(
         )
         rows.append(EpisodeRecord(name, number, seed, weather, result))
         if recorder is not None:
-            weathers.append(episode_weather(env.link, env.manifest))
+            weathers.append(episode_weather(_bus(env), env.manifest))
     return rows, tuple(weathers)
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from agent_sdk.bus.bus import Bus
 from agent_sdk.bus.sample import SampleView
 from agent_sdk.rewards import Reward
 from topics import codec
@@ -171,12 +172,12 @@ def weather_trace(series: WeatherSeries, span: timedelta) -> WeatherTrace:
     return WeatherTrace(series.step_s, temperature, solar)
 
 
-def episode_weather(link: Any, manifest: Manifest, slot: int = 0) -> WeatherTrace | None:
-    """Query the weather of the running episode; None for a plant that has no weather file."""
-    if getattr(link, "bus", None) is None:
+def episode_weather(bus: Bus | None, manifest: Manifest, slot: int = 0) -> WeatherTrace | None:
+    """Query the weather of the running episode; None without a bus, or for a plant that has no weather file."""
+    if bus is None:
         return None
     try:
-        series = link.bus.weather(manifest.node, WEATHER_COLUMNS, slot)
+        series = bus.weather(manifest.node, WEATHER_COLUMNS, slot)
     except ZenostatError:
         return None
     return weather_trace(series, manifest.steps * manifest.timestep)

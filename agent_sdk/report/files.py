@@ -9,7 +9,6 @@ from pathlib import Path
 from agent_sdk.report.figures.base import Figure
 from agent_sdk.report.page import page
 from agent_sdk.report.runs import Comparison
-from agent_sdk.report.sections import sections
 from agent_sdk.report.svg import save
 from topics.atomic_file import atomic_file
 from topics.errors import InvalidConfig
@@ -39,7 +38,7 @@ def write_figures(comparison: Comparison, folder: str | Path) -> list[Path]:
     target = check_figures_folder(folder)
     target.mkdir(exist_ok=True)
     files: list[Path] = []
-    for figure in (figure for section in sections(comparison) for figure in section.figures):
+    for figure in (figure for section in comparison.sections for figure in section.figures):
         if figure.drawing is not None:
             files += save(figure.drawing, target, figure.name)
         files.append(_write_data(figure, target))

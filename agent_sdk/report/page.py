@@ -14,7 +14,7 @@ from typing import Any
 
 from agent_sdk.report.figures.base import Figure
 from agent_sdk.report.runs import Comparison, Run
-from agent_sdk.report.sections import Section, not_measured, sections
+from agent_sdk.report.sections import Section, not_measured
 from agent_sdk.report.summary import summary
 from agent_sdk.report.svg import inline_svg
 from agent_sdk.report.theme import DARK, LIGHT
@@ -33,7 +33,7 @@ _SCRIPT = (
 
 def page(comparison: Comparison) -> str:
     """Return the report as an HTML document; the same input gives the same text."""
-    parts = sections(comparison)
+    parts = comparison.sections
     policy = (
         "default-src 'none'; img-src data:; style-src 'unsafe-inline'; "
         f"script-src 'sha256-{base64.b64encode(hashlib.sha256(_SCRIPT.encode()).digest()).decode()}'; "
@@ -123,10 +123,10 @@ def _episodes(comparison: Comparison) -> str:
 
 
 def _result(comparison: Comparison) -> str:
-    text = " ".join(summary(comparison))
     notes = [f"{name} was skipped: {reason}" for name, reason in comparison.unfit.items()]
-    paragraphs = "".join(f'<p class="note">{escape(note)}</p>' for note in notes)
-    return f'<section id="result"><h2>Result</h2><p class="lead">{escape(text)}</p>{paragraphs}</section>'
+    paragraphs = [f'<p class="lead">{escape(text)}</p>' for text in summary(comparison)]
+    paragraphs += [f'<p class="note">{escape(note)}</p>' for note in notes]
+    return f'<section id="result"><h2>Result</h2>{"".join(paragraphs)}</section>'
 
 
 def _totals(comparison: Comparison) -> str:

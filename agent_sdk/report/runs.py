@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from agent_sdk.evaluation.metrics import EpisodeMetrics
 from agent_sdk.evaluation.trace import EpisodeTrace, WeatherTrace
 from agent_sdk.report.figures.base import Curve
 from agent_sdk.report.quantities import Quantities
 from topics.errors import InvalidConfig
+
+if TYPE_CHECKING:
+    from agent_sdk.report.sections import Section
 
 
 @dataclass(frozen=True)
@@ -78,3 +81,10 @@ class Comparison:
     def curves(self) -> tuple[Curve, ...]:
         """The runs as they are drawn."""
         return tuple(Curve(run.name, place, run.quantities) for place, run in enumerate(self.runs))
+
+    @cached_property
+    def sections(self) -> list[Section]:
+        """The sections with their figures, drawn once for page and files."""
+        from agent_sdk.report.sections import sections
+
+        return sections(self)

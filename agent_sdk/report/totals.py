@@ -10,6 +10,7 @@ from agent_sdk.evaluation.statistics import MetricSummary, summarize
 from agent_sdk.report.figures.energy import fuel_label
 from agent_sdk.report.runs import Comparison, Run
 
+KELVIN_HOURS = "K\N{NO-BREAK SPACE}h"
 EQUAL_PERCENT = 0.05
 """Differences below this are called equal."""
 
@@ -45,8 +46,8 @@ class Difference:
 
 _COMMON = (
     Metric("peak_kw", "Peak power", "kW"),
-    Metric("occupied_outside_kh", "Outside comfort, occupied", "K h"),
-    Metric("outside_kh", "Outside comfort, always", "K h"),
+    Metric("occupied_outside_kh", "Outside comfort, occupied", KELVIN_HOURS),
+    Metric("outside_kh", "Outside comfort, always", KELVIN_HOURS),
     Metric("outside_percent", "Time with any zone outside", "%"),
     Metric("mean_deviation_k", "Mean deviation from comfort", "K"),
 )
