@@ -72,8 +72,9 @@ class RunRecording:
             baseline = Run("baseline", results, self._baseline.trace(), tuple(self._seeds), names, weathers)
             runs.insert(0, baseline)
         sources = MetricsAccumulator(self._manifest).sources
-        start = f"zenostat node --scenario scenario.yaml --name {shlex.quote(self._node)}"
-        text = f"{start}   # scenario.yaml: the text above\n{command}"
+        options = " --baseline" if self._manifest.baseline else ""
+        start = f"zenostat node --scenario scenario.yaml --name {shlex.quote(self._node)}{options}"
+        text = f"{start}  # scenario.yaml: the text above\n{command}"
         return Comparison(tuple(runs), self._bus.scenario(self._node), text, sources=sources)
 
 

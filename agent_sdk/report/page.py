@@ -21,7 +21,7 @@ from agent_sdk.report.theme import DARK, LIGHT
 from agent_sdk.report.totals import Difference, Metric, difference, metrics, names, number, signed, total
 
 _PACKAGES = ("numpy", "gymnasium", "eclipse-zenoh", "pyenergyplus-lbnl", "matplotlib")
-_MAX_TABLE_ROWS = 60
+_MAX_TABLE_ROWS = 100
 MINUS, NONE = "\N{MINUS SIGN}", "\N{EN DASH}"
 _STYLE = Path(__file__).with_name("page.css")
 _SCRIPT = (
@@ -193,7 +193,7 @@ def _difference_cells(change: Difference | None) -> str:
 
 
 def _section(section: Section) -> str:
-    if len(section.figures) == 1 and section.figures[0].title == section.title:
+    if section.is_single:
         return f'<section id="{section.anchor}"><h2>{escape(section.title)}</h2>{_figure(section.figures[0])}</section>'
     figures = "".join(f"<h3>{escape(figure.title)}</h3>{_figure(figure)}" for figure in section.figures)
     return f'<section id="{section.anchor}"><h2>{escape(section.title)}</h2>{figures}</section>'
@@ -212,10 +212,10 @@ def _figure(figure: Figure) -> str:
 
 
 def _numbers(figure: Figure) -> str:
-    """Return the data of a figure as a folded table, unless it is long."""
+    """Return the data of a figure as a folded table, if there are not too many."""
     columns = list(figure.data.items())
     rows = len(columns[0][1]) if columns else 0
-    if not 0 < rows <= _MAX_TABLE_ROWS or len(columns) > 14:
+    if not figure.is_tabular or rows > _MAX_TABLE_ROWS:
         return ""
     head = "".join(
         f'<th scope="col"{_number_class(place)}>{escape(name)}</th>' for place, (name, _) in enumerate(columns)

@@ -21,6 +21,11 @@ class Section:
     title: str
     figures: tuple[Figure, ...]
 
+    @property
+    def is_single(self) -> bool:
+        """Whether it has one figure, under the section's own heading."""
+        return len(self.figures) == 1 and self.figures[0].title == self.title
+
 
 def sections(comparison: Comparison) -> list[Section]:
     """Return the sections with figures; those without any data are left out."""
@@ -30,22 +35,22 @@ def sections(comparison: Comparison) -> list[Section]:
         carpets.electricity(curves),
         *(carpets.zone(curves, label, number) for number, label in enumerate(zones, 1)),
     ]
-    entries = [
-        ("end-use", "Energy by end use", [energy.end_uses(curves)]),
-        ("duration", "Load duration", [energy.duration(curves)]),
+    entries: list[tuple[str, str, list[Figure | None]]] = [
+        ("end-use", "", [energy.end_uses(curves)]),
+        ("duration", "", [energy.duration(curves)]),
         ("hours", "Hour by hour", hours),
-        ("control", "Set-points and actuators", [actuators.timeline(curves)]),
-        ("periods", "Energy over time", [energy.periods(curves)]),
-        ("comfort", "Comfort by zone", [comfort.degree_hours(curves)]),
-        ("climate", "Weather", [weather.weather(_weathers(comparison), curves[0].quantities.begins[0])]),
-        ("rewards", "Reward", [reward.reward(curves)]),
+        ("control", "", [actuators.timeline(curves)]),
+        ("periods", "", [energy.periods(curves)]),
+        ("comfort", "", [comfort.degree_hours(curves)]),
+        ("climate", "", [weather.weather(_weathers(comparison), curves[0].quantities.begins[0])]),
+        ("rewards", "", [reward.reward(curves)]),
     ]
-    kept = [
-        (anchor, title, tuple(figure for figure in group if figure is not None)) for anchor, title, group in entries
-    ]
-    return [
-        Section(anchor, group[0].title if len(group) == 1 else title, group) for anchor, title, group in kept if group
-    ]
+    kept = []
+    for anchor, title, group in entries:
+        figures = tuple(figure for figure in group if figure is not None)
+        if figures:
+            kept.append(Section(anchor, title or figures[0].title, figures))
+    return kept
 
 
 def _weathers(comparison: Comparison) -> list[tuple[str, WeatherTrace]]:

@@ -79,6 +79,13 @@ def _outside(run: Run, reference: Run, change: Difference, *, is_contrast: bool)
     assert own is not None
     assert base is not None
     opening = "However, occupied" if is_contrast else "Occupied"
+    if own.mean == 0.0:
+        always = f"{opening} zones were within the comfort band at all times"
+        return (
+            f"{always}, as under {reference.name}."
+            if base.mean == 0.0
+            else (f"{always} (under {reference.name} outside by {number(base.mean)} K h).")
+        )
     text = f"{opening} zones were outside the comfort band by {number(own.mean)} K h"
     if change.verdict == "equal":
         text += f", as much as under {reference.name}"

@@ -135,7 +135,7 @@ def _line(axis: Any, curve: Curve, values: Floats, edges: Floats, *, is_long: bo
         axis.fill_between(where, low, high, step="post", color=curve.color, alpha=0.16, linewidth=0)
 
 
-def _source_shares(curve: Curve) -> dict[str, Floats]:
+def source_shares(curve: Curve) -> dict[str, Floats]:
     """Return the share of the actuators that each source set in each timestep; the baseline control is `""`."""
     trace = curve.quantities.trace
     if not trace.manifest.actuators:
@@ -148,7 +148,7 @@ def _strips(figure: Any, axis: Any, curves: Sequence[Curve], first: np.datetime6
     """Draw a strip for each controller, divided among the sources."""
     from matplotlib.patches import Patch
 
-    sources = [_source_shares(curve) for curve in curves]
+    sources = [source_shares(curve) for curve in curves]
     names = list(dict.fromkeys(name for source in sources for name in source))
     colors = {"": LIGHT["line"]} | {curve.name: curve.color for curve in curves}
     for place, name in enumerate(name for name in names if name not in colors):

@@ -46,7 +46,7 @@ class Figure:
         alt: what it shows, in a sentence, for those who do not see it.
         drawing: the Matplotlib figure.
         data: columns of the data behind it, all of one length.
-        is_wide: whether it needs the full width on a small screen, so that it scrolls.
+        is_tabular: whether a page shows the data as a table too.
     """
 
     name: str
@@ -55,7 +55,7 @@ class Figure:
     alt: str
     drawing: Any
     data: Mapping[str, Sequence[Any]] = field(default_factory=dict)
-    is_wide: bool = True
+    is_tabular: bool = False
 
 
 def draw(name: str, height_in: float, fill: Callable[[Any], None], width_in: float = FULL_IN) -> Any:

@@ -44,7 +44,7 @@ def degree_hours(curves: Sequence[Curve]) -> Figure | None:
     if not shown:
         return Figure(
             "degree-hours", "Degree-hours outside comfort, by zone",
-            "All zones were within the comfort band while occupied.", "", None, data,
+            "All zones were within the comfort band while occupied.", "", None, data, is_tabular=True,
         )  # fmt: skip
 
     def fill(figure: Any) -> None:
@@ -76,6 +76,7 @@ def degree_hours(curves: Sequence[Curve]) -> Figure | None:
         "degree-hours", "Degree-hours outside comfort, by zone",
         f"Kelvin hours outside the comfort band while the zone was occupied, zones sorted by the worst.{hidden}",
         f"Bars of kelvin hours by zone; the worst is {shown[0]}.", drawing, data,
+        is_tabular=True,
     )  # fmt: skip
 
 

@@ -72,7 +72,7 @@ def end_uses(curves: Sequence[Curve]) -> Figure | None:
     drawing = draw("end-uses", 0.55 + 0.42 * len(curves) + 0.2 * ((len(keys) + 4) // 5), fill)
     return Figure(
         "end-uses", "Energy by end use", "Site energy of the run period, kWh.", f"Stacked bars of energy: {best}.",
-        drawing, data,
+        drawing, data, is_tabular=True,
     )  # fmt: skip
 
 
@@ -167,6 +167,7 @@ def periods(curves: Sequence[Curve]) -> Figure | None:
     return Figure(
         f"energy-by-{unit}", f"Energy by {unit}", "Site energy, kWh.",
         f"Bars of energy for each {unit} and controller.", draw("periods", 0.4 + 1.75 * len(fuels), fill), data,
+        is_tabular=True,
     )  # fmt: skip
 
 
