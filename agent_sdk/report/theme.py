@@ -72,6 +72,7 @@ def style(salt: str) -> Any:
         "xtick.major.size": 3.0,
         "ytick.major.size": 0.0,
         "text.color": LIGHT["ink"],
+        "text.parse_math": False,  # names may contain dollar signs
         "legend.frameon": False,
         "legend.fontsize": 8.0,
         "lines.linewidth": 1.3,

@@ -1,0 +1,133 @@
+"""Totals, differences and the result in words."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from support.traces import office_comparison
+
+from agent_sdk.evaluation.metrics import EpisodeMetrics
+from agent_sdk.report import Comparison, Run
+from agent_sdk.report.summary import summary
+from agent_sdk.report.totals import Metric, difference, metrics, number, signed
+
+ELECTRICITY = Metric("electricity_kwh", "Electricity", "kWh")
+REWARD = Metric("reward", "Reward", "", 1)
+
+
+def with_electricity(of: Run, *amounts: float) -> Run:
+    """The run with one episode for each amount of electricity."""
+    results = tuple(replace(of.results[0], energy_kwh={"electricity": amount}) for amount in amounts)
+    return replace(of, results=results, seeds=tuple(range(len(amounts))), weathers=of.weathers * len(amounts))
+
+
+def changed(of: Run, **values: object) -> Run:
+    metric: EpisodeMetrics = replace(of.results[0], **values)  # type: ignore[arg-type]
+    return replace(of, results=(metric,))
+
+
+@pytest.fixture(scope="module")
+def comparison() -> Comparison:
+    return office_comparison()
+
+
+def test_the_difference_of_one_episode(comparison: Comparison) -> None:
+    reference, other = comparison.runs
+    change = difference(with_electricity(other, 90.0), with_electricity(reference, 100.0), ELECTRICITY)
+    assert change is not None
+    assert (change.mean, change.percent, change.half_width, change.verdict) == (-10.0, -10.0, None, "better")
+
+
+def test_a_higher_reward_is_better_and_its_percent_has_the_sign_of_the_difference(comparison: Comparison) -> None:
+    reference, other = comparison.runs
+    change = difference(changed(other, reward=-50.0), changed(reference, reward=-100.0), REWARD)
+    assert change is not None
+    assert (change.mean, change.percent, change.verdict) == (50.0, 50.0, "better")
+
+
+def test_differences_are_those_of_the_same_episodes(comparison: Comparison) -> None:
+    # The episodes differ by far more than the controllers, but each time by the same 10 kWh.
+    reference, other = comparison.runs
+    change = difference(with_electricity(other, 90, 490, 890), with_electricity(reference, 100, 500, 900), ELECTRICITY)
+    assert change is not None
+    assert change.mean == -10.0
+    assert change.half_width == pytest.approx(0.0)
+    assert change.verdict == "better"
+
+
+def test_an_interval_that_contains_zero_is_unclear(comparison: Comparison) -> None:
+    pytest.importorskip("scipy")
+    reference, other = comparison.runs
+    change = difference(with_electricity(other, 90, 520, 880), with_electricity(reference, 100, 500, 900), ELECTRICITY)
+    assert change is not None
+    # Differences -10, 20, -20: mean -3.33, deviation 20.8, Student's t for two degrees of freedom 4.303.
+    assert change.half_width == pytest.approx(4.3027 * 20.8167 / 3**0.5, rel=1e-4)
+    assert change.verdict == "unclear"
+
+
+def test_a_reference_of_zero_has_no_percent(comparison: Comparison) -> None:
+    reference, other = comparison.runs
+    change = difference(with_electricity(other, 5.0), with_electricity(reference, 0.0), ELECTRICITY)
+    assert change is not None
+    assert (change.percent, change.verdict) == (None, "worse")
+
+
+def test_quantities_that_nobody_measures_have_no_row(comparison: Comparison) -> None:
+    keys = [metric.key for metric in metrics(comparison)]
+    assert keys[:3] == ["electricity_kwh", "hvac_electricity_kwh", "peak_kw"]
+    assert "natural_gas_kwh" not in keys
+    assert "late" not in keys
+    assert keys[-3:] == ["reward", "reward.energy", "reward.comfort"]
+
+
+def test_the_result_names_savings_and_the_zone_that_pays_for_them(comparison: Comparison) -> None:
+    (text,) = summary(comparison)
+    # 10 kW by day, 30 kW for ten hours: 440 kWh; the second controller uses a tenth less.
+    assert text.startswith(
+        "rbc used 10.0 % less electricity than baseline (396 instead of 440 kWh), with a 10.0 % lower"
+    )
+    assert "However, occupied zones were outside the comfort band by 20 K h" in text
+    assert "the worst zone is South (20 K h too warm)" in text
+
+
+def test_the_result_says_when_nothing_differs(comparison: Comparison) -> None:
+    (text,) = summary(Comparison((comparison.runs[0], replace(comparison.runs[0], name="same"))))
+    assert "same used as much electricity as baseline (440 kWh)" in text
+    assert "Occupied zones were within the comfort band at all times, as under baseline." in text
+
+
+def test_the_result_of_one_controller_alone(comparison: Comparison) -> None:
+    (text,) = summary(Comparison(comparison.runs[1:]))
+    assert text.startswith("rbc used 396 kWh of electricity")
+    assert "outside the comfort band by 20 K h" in text
+
+
+def test_the_result_names_episodes_that_ended_early_and_commands_that_were_not_accepted(comparison: Comparison) -> None:
+    reference, other = comparison.runs
+    texts = summary(Comparison((reference, changed(other, terminated=True, steps=40, late=2, rejected=1))))
+    assert any("ended 1 of 1 episodes early, after 40 of 96 timesteps" in text for text in texts)
+    assert any("did not accept 3 messages of rbc" in text for text in texts)
+
+
+def test_the_result_of_several_episodes_says_so_and_what_is_not_clear(comparison: Comparison) -> None:
+    pytest.importorskip("scipy")
+    reference, other = comparison.runs
+    pair = (with_electricity(reference, 100, 500, 900), with_electricity(other, 90, 520, 880))
+    texts = summary(Comparison(pair))
+    assert "rbc and baseline do not differ clearly in electricity" in texts[0]
+    assert texts[-1] == "Numbers are means over 3 episodes."
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(7695.94, "7,696"), (134.59, "134.6"), (8.351, "8.35"), (0.0667, "0.067"), (0.0, "0"), (-0.00001, "0.000"),
+     (-383.26, "\N{MINUS SIGN}383.3"), (12.0, "12")],
+)  # fmt: skip
+def test_numbers_have_about_four_digits(value: float, text: str) -> None:
+    assert number(value) == text
+
+
+@pytest.mark.parametrize(("value", "text"), [(5.25, "+5.25"), (-5.25, "\N{MINUS SIGN}5.25"), (0.0, "0")])
+def test_differences_have_a_sign(value: float, text: str) -> None:
+    assert signed(value) == text
