@@ -113,9 +113,7 @@ class ScenarioArguments(TypedDict, total=False):
     ]
     unobserved: Annotated[
         Sequence[str] | None,
-        Doc(
-            "Names of sensors and meters that are not part of the observation; a reward that names them reads them."
-        ),
+        Doc("Names of sensors and meters that are not part of the observation; a reward that names them reads them."),
     ]
     monitoring: Annotated[
         bool | None,
