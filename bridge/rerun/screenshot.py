@@ -130,10 +130,10 @@ class Drawing:
     def image(self, screenshot: Screenshot) -> Image.Image:
         """Return the picture, once two in a row are equal."""
         viewer = self.viewer
-        opened = self._call(lambda: viewer.open(str(self._recording.absolute())))
+        self._call(lambda: viewer.open(str(self._recording.absolute())))
         while self._call(viewer.get_state).loading:
             time.sleep(0.1)
-        first_ns, last_ns = self._recorded(set(opened.store_ids))
+        first_ns, last_ns = self._recorded()
         cursor = np.datetime64(_cursor(screenshot.at, first_ns, last_ns), "ns")
         self._hide_panels()
         self._call(lambda: viewer.set_time(TIMELINE, timestamp=cursor, play_state="paused"))
@@ -149,10 +149,10 @@ class Drawing:
                     return image
             before = now
 
-    def _recorded(self, stores: set[str]) -> tuple[int, int]:
+    def _recorded(self) -> tuple[int, int]:
         """Return the first and the last simulated time in ns since 1970."""
         for opened in self._call(self.viewer.get_state).recordings:
-            for line in opened.timelines if opened.store_id in stores else ():
+            for line in opened.timelines:
                 if line.name == TIMELINE and line.start is not None and line.end is not None:
                     return line.start, line.end
         raise ViewerError(f"{self._name} has no samples: there is nothing to draw")

@@ -35,7 +35,7 @@ _ENDS_WITH_PARENT = (
     "import os, sys; from bridge.engine.system_calls import die_with_parent as bind; "
     "bind(int(sys.argv[1])); os.execv(sys.argv[2], sys.argv[2:])"
 )
-"""Python code that becomes a program which the kernel ends with this process."""
+"""Python code that becomes a program, which the kernel ends with the thread that started it."""
 
 
 def program() -> str:
