@@ -12,6 +12,7 @@ import typer
 
 from cli.console import err, out, progress
 from cli.node_options import Begin, End
+from cli.options import Emissions, Price, read_rates
 from cli.reports import FIGURES_HELP, REPORT_HELP, ReportOutputs, command_line
 from cli.run import read_parameters
 from cli.tables import show, show_json
@@ -47,6 +48,8 @@ def evaluate(
         list[str] | None,
         typer.Option("--set", metavar="NAME=VALUE", help="Parameter for each controller that has it; repeatable."),
     ] = None,
+    prices: Price = None,
+    emissions: Emissions = None,
     file: Annotated[
         Path | None, typer.Option("--out", help="Write the table of episodes to FILE.parquet or FILE.csv.")
     ] = None,
@@ -71,6 +74,7 @@ def evaluate(
         watch = None if as_json else _watcher(stack, episodes)
         evaluation = run_all(
             scenario, controllers, episodes=episodes, seed=seed, parameters=read_parameters(parameters or []),
+            prices=read_rates("--price", prices), emissions=read_rates("--emissions", emissions),
             progress=watch, record=outputs.wanted, **period,
         )  # fmt: skip
     if file is not None:
@@ -114,18 +118,26 @@ def _show(evaluation: Evaluation, title: str) -> None:
     for name in shown:
         if name in evaluation.sources:
             notes.setdefault(evaluation.sources[name], []).append(_label(name))
+    for name in ("kpi.cost_tot", "kpi.emis_tot"):
+        if name in evaluation.sources and name not in shown:
+            notes.setdefault(evaluation.sources[name], []).append(_label(name))
     for source, labels in notes.items():
         out.print(f"{', '.join(labels)}: {source}", soft_wrap=True, markup=False)
 
 
 def _is_shown(name: str, summary: Mapping[str, Mapping[str, MetricSummary]]) -> bool:
-    """Whether a row is worth printing: counts of irregularities only if any is above zero."""
-    if name not in ("late", "rejected", "terminated"):
+    """Whether a row is worth printing: counts of irregularities, and air quality, only if any is above zero."""
+    if name not in ("late", "rejected", "terminated", "kpi.idis_tot"):
         return True
     return any(metrics[name].mean > 0 for metrics in summary.values() if name in metrics)
 
 
 def _label(name: str) -> str:
+    if name.startswith("kpi."):
+        from agent_sdk.evaluation.kpis import KPIS
+
+        text, unit = KPIS[name.removeprefix("kpi.")]
+        return f"{text} ({unit})"
     if name.startswith("mean_reward"):
         return name.replace("mean_reward", "reward", 1).replace(".", ": ").replace("_", " ") + " per step"
     words, _, unit = name.rpartition("_")

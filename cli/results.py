@@ -26,12 +26,23 @@ def show_results(results: Mapping[str, tuple[EpisodeMetrics, float]], title: str
         "peak (kW)": [_number(r.peak_kw, 1) for r, _ in pairs],
         "outside comfort, occupied (K h)": [_number(r.occupied_outside_kh, 1) for r, _ in pairs],
         "outside comfort, always (K h)": [_number(r.outside_kh, 1) for r, _ in pairs],
+        **{
+            f"{text} ({unit})": [_number(r.kpis.get(name), 4) for r, _ in pairs]
+            for name, (text, unit) in _kpis().items()
+        },
         "timesteps": [f"{r.steps}" for r, _ in pairs],
         "timesteps/s": [f"{rate:,.0f}" for _, rate in pairs],
         "late, rejected messages": [f"{r.late}, {r.rejected}" for r, _ in pairs],
     }
     cells = [(name, *values) for name, values in rows.items() if {*values} != {_NOT_MEASURED}]
     show(title, ("", *results), cells, right=tuple(results), wrap=("", *results))
+
+
+def _kpis() -> dict[str, tuple[str, str]]:
+    """Return the KPIs of energy; comfort and air quality have rows of their own, or are rarely measured."""
+    from agent_sdk.evaluation.kpis import KPIS
+
+    return {name: text for name, text in KPIS.items() if name not in ("tdis_tot", "idis_tot")}
 
 
 def _number(value: float | None, digits: int) -> str:

@@ -12,7 +12,7 @@ import typer
 
 from bridge.transport.session import default_endpoint
 from cli.console import out, progress
-from cli.options import CertificateName, Connect, Keys
+from cli.options import CertificateName, Connect, Emissions, Keys, Price, read_rates
 from cli.reports import FIGURES_HELP, REPORT_HELP, ReportOutputs, command_line
 from cli.results import show_results
 from topics.errors import InvalidConfig
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from agent_sdk import Bus, ControllerLink
     from agent_sdk.controllers import Agent
-    from agent_sdk.evaluation.metrics import EpisodeMetrics
+    from agent_sdk.evaluation.metrics import EpisodeMetrics, MetricsAccumulator
     from cli.run_recording import RunRecording
 
 _WORDS = {"true": True, "false": False}
@@ -54,6 +54,8 @@ def run(
         int, typer.Option(min=1, max=16, metavar="1-16", help="Priority of the commands; 1 is the highest.")
     ] = 10,
     episodes: Annotated[int, typer.Option(min=1, metavar="N", help="Number of episodes to control.")] = 1,
+    prices: Price = None,
+    emissions: Emissions = None,
     reset: Annotated[
         bool, typer.Option("--reset", help="Start a new episode instead of joining the running one.")
     ] = False,
@@ -67,7 +69,10 @@ def run(
     outputs = ReportOutputs(report, figures)
     from agent_sdk import connect as connect_bus
     from agent_sdk.controllers import Agent, load_controller, make_controller
+    from agent_sdk.evaluation.metrics import MetricsAccumulator
+    from agent_sdk.evaluation.tariffs import read_emissions, read_prices
 
+    rates = read_prices(read_rates("--price", prices)), read_emissions(read_rates("--emissions", emissions))
     factory = load_controller(controller)
     starts_episode = reset or episodes > 1
     arguments = _with_seed(factory, read_parameters(parameters or []), seed, starts_episode, controller)
@@ -75,7 +80,7 @@ def run(
     with connect_bus(connect or default_endpoint(keys), keys=keys, certificate=certificate) as bus:
         agent = Agent(make_controller(factory, bus.manifest(node), arguments))
         results: dict[str, tuple[EpisodeMetrics, float]] = {}
-        recording = _recording(bus, node, controller) if outputs.wanted else None
+        recording = _recording(bus, node, controller, rates) if outputs.wanted else None
         with bus.controller(node, name=name, priority=priority) as link, progress() as bars:
             for number in range(episodes):
                 episode_seed = seed if reset or number else None
@@ -83,7 +88,8 @@ def run(
                     link.reset(seed=seed)
                     seed = None  # later episodes continue the seed sequence
                 heading = controller if episodes == 1 else f"episode {number + 1}"
-                results[heading] = _episode(link, agent, bars, recording)
+                metrics = MetricsAccumulator(link.manifest, None, *rates)
+                results[heading] = _episode(link, agent, metrics, bars, recording)
                 if recording is not None:
                     recording.end_episode(link, results[heading][0], episode_seed)
         if recording is not None:
@@ -93,20 +99,18 @@ def run(
     outputs.show()
 
 
-def _recording(bus: Bus, node: str, controller: str) -> RunRecording:
+def _recording(bus: Bus, node: str, controller: str, rates: tuple[Any, Any]) -> RunRecording:
     from cli.run_recording import RunRecording  # only for a report
 
-    return RunRecording(bus, node, controller)
+    return RunRecording(bus, node, controller, *rates)
 
 
 def _episode(
-    link: ControllerLink, agent: Agent, bars: Progress, recording: RunRecording | None
+    link: ControllerLink, agent: Agent, metrics: MetricsAccumulator, bars: Progress, recording: RunRecording | None
 ) -> tuple[EpisodeMetrics, float]:
     """Answer all samples of one episode and show progress; return its metrics and its timesteps per second."""
-    from agent_sdk.evaluation.metrics import MetricsAccumulator
-
     bar = bars.add_task(f"{link.manifest.node}: {link.name}", total=link.manifest.steps, rate="")
-    metrics, rate = MetricsAccumulator(link.manifest), 0.0
+    rate = 0.0
     start, first, shown = time.monotonic(), None, 0.0
     for sample in link:
         if not sample.truncated:

@@ -19,6 +19,7 @@ from agent_sdk.envs.arguments import of_scenario
 from agent_sdk.envs.building_env import BuildingEnv
 from agent_sdk.evaluation.metrics import EpisodeMetrics, MetricsAccumulator
 from agent_sdk.evaluation.statistics import MetricSummary, summarize
+from agent_sdk.evaluation.tariffs import Rate, read_emissions, read_prices
 from agent_sdk.evaluation.trace import Recording, TraceRecorder, WeatherTrace, episode_weather
 from topics.errors import InvalidAction, InvalidConfig, UsageError, did_you_mean
 from topics.messages import Manifest
@@ -39,6 +40,8 @@ def run_episode(
     *,
     seed: int | None,
     progress: Callable[[int], None] | None = None,
+    prices: Mapping[str, Rate] | None = None,
+    emissions: Mapping[str, Rate] | None = None,
     recorder: TraceRecorder | None = None,
 ) -> tuple[EpisodeMetrics, str]:
     """Run one episode, and return its metrics and the name of its weather.
@@ -48,11 +51,13 @@ def run_episode(
         act: function from observation to action.
         seed: seed for `reset`.
         progress: callback for each timestep, with the step.
+        prices: as for `evaluate`.
+        emissions: as for `evaluate`.
         recorder: records the samples and the terms of the rewards.
     """
     observation, info = env.reset(seed=seed)
     building: Any = env.unwrapped
-    metrics = MetricsAccumulator(building.manifest, building.reward)
+    metrics = MetricsAccumulator(building.manifest, building.reward, prices, emissions)
     weather, terminated, is_over = info.get("weather", ""), False, False
     metrics.add(building.sample)
     if recorder is not None:
@@ -165,6 +170,8 @@ def evaluate(
     episodes: int = 1,
     seed: int = 0,
     parameters: Mapping[str, Any] | None = None,
+    prices: Mapping[str, Rate] | None = None,
+    emissions: Mapping[str, Rate] | None = None,
     progress: Progress | None = None,
     record: bool = False,
     **overrides: Any,
@@ -183,6 +190,10 @@ def evaluate(
         episodes: episodes per controller.
         seed: seed of the first episode, at least 0.
         parameters: parameters of the controllers; each controller gets those that it has.
+        prices: price of each fuel (the keys of `agent_sdk.evaluation.energy_sources.FUELS`, or `gas`) for the KPI
+            of cost: a number in currency per kWh, a number for each hour of a year, a CSV or YAML file, or a form of
+            `agent_sdk.time_series`.
+        emissions: emission factors for the KPI of emissions, in the same forms; numbers are in kg CO2 per kWh.
         progress: callback for each timestep.
         record: record the first episode of each controller, with the points that reports show besides those of the
             scenario (`monitoring`), which no controller observes; see `Evaluation.report`.
@@ -194,6 +205,7 @@ def evaluate(
     if episodes < 1 or seed < 0:
         raise InvalidConfig(f"episodes={episodes}, seed={seed}: expected at least one episode and a seed of at least 0")
     settings = {**of_scenario(scenario), **overrides}
+    prices, emissions = read_prices(prices), read_emissions(emissions)
     if record and not {"connect", "link"} & settings.keys():  # a node that runs elsewhere has what it has
         settings.setdefault("monitoring", True)
     factories = _factories(controllers)
@@ -213,14 +225,15 @@ def evaluate(
             if name not in unfit:
                 try:
                     seeds, recorder = range(seed, seed + episodes), TraceRecorder(env.manifest) if record else None
-                    rows[name], weathers = _run_episodes(name, created[name], env, seeds, progress, recorder)
+                    run = partial(run_episode, env, prices=prices, emissions=emissions)
+                    rows[name], weathers = _run_episodes(name, created[name], run, env, seeds, progress, recorder)
                     if recorder is not None:
                         source_names = {getattr(env.link, "name", ""): name}
                         recordings[name] = Recording(recorder.trace(source_names), weathers, env.reward)
                         text = _scenario_text(env) if not (text and is_baseline) else text
                 except InvalidAction as error:
                     unfit[name] = error
-            sources = MetricsAccumulator(env.manifest, env.reward).sources | sources
+            sources = MetricsAccumulator(env.manifest, env.reward, prices, emissions).sources | sources
     if not rows:
         raise next(iter(unfit.values()))
     reasons = {name: str(unfit[name]) for name in factories if name in unfit}
@@ -262,6 +275,7 @@ def _create_controllers(
 def _run_episodes(
     name: str,
     controller: ControllerProtocol,
+    run: Callable[..., tuple[EpisodeMetrics, str]],
     env: BuildingEnv,
     seeds: Sequence[int],
     progress: Progress | None,
@@ -272,11 +286,10 @@ def _run_episodes(
     rows, weathers = [], []
     for number, seed in enumerate(seeds):
         report = None if progress is None else partial(progress, name, number)
-        result, weather = run_episode(
-            env,
+        result, weather = run(
             lambda _: agent.action(env.sample),
             seed=seed,
-            progress=None if report is None else lambda step, report=report: report(step, steps),  # type: ignore[misc]
+            progress=None if report is None else lambda step, report=report: report(step, steps),
             recorder=recorder if number == 0 else None,
         )
         rows.append(EpisodeRecord(name, number, seed, weather, result))

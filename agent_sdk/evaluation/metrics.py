@@ -3,27 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import timedelta
 
 import numpy as np
 
 from agent_sdk.bus.sample import SampleView
 from agent_sdk.evaluation.comfort import comfort
+from agent_sdk.evaluation.energy_sources import HVAC, facility_sources
+from agent_sdk.evaluation.kpis import KPIS, KpiAccumulator
+from agent_sdk.evaluation.tariffs import Rate, read_emissions, read_prices
 from agent_sdk.rewards import Reward
-from topics.energyplus_names import FACILITY_POWER, HVAC_POWER
-from topics.messages import Aggregation, Manifest
-
-J_PER_KWH = 3.6e6
-FUELS = {
-    "electricity": "Electricity", "natural_gas": "NaturalGas", "district_cooling": "DistrictCooling",
-    "district_heating_water": "DistrictHeatingWater", "district_heating_steam": "DistrictHeatingSteam",
-    "propane": "Propane", "fuel_oil_1": "FuelOilNo1", "fuel_oil_2": "FuelOilNo2", "diesel": "Diesel",
-    "gasoline": "Gasoline", "coal": "Coal", "other_fuel_1": "OtherFuel1", "other_fuel_2": "OtherFuel2",
-}  # fmt: skip
-"""Energy carriers, with their names in EnergyPlus's meters."""
-
-_HVAC = "hvac_electricity"
+from topics.messages import Manifest
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +35,7 @@ class EpisodeMetrics:
         occupied_outside_kh: kelvin hours outside in occupied zones; all hours for zones without an occupant count.
         late, rejected: commands that the node did not accept during the episode.
         terminated: whether a termination limit ended the episode.
+        kpis: key performance indicators by BOPTEST's names; see `agent_sdk.evaluation.kpis`.
     """
 
     steps: int
@@ -60,6 +52,7 @@ class EpisodeMetrics:
     late: int
     rejected: int
     terminated: bool
+    kpis: dict[str, float | None] = field(default_factory=dict)
 
     def metrics(self) -> dict[str, float | None]:
         """Return all metrics by name, terms as `reward.energy` and `mean_reward.energy`, fuels as `electricity_kwh`."""
@@ -82,6 +75,7 @@ class EpisodeMetrics:
             "late": self.late,
             "rejected": self.rejected,
             "terminated": float(self.terminated),
+            **{f"kpi.{name}": self.kpis.get(name) for name in KPIS},
         }
 
 
@@ -96,19 +90,26 @@ class MetricsAccumulator:
     Args:
         manifest: manifest of the node.
         reward: reward with the comfort band; None, or a reward without a band: that of the scenario.
+        prices, emissions: prices and emission factors by fuel for these KPIs; see `agent_sdk.evaluation.tariffs`.
 
     Attributes:
         sources: by metric, the point or reward that it is derived from.
     """
 
-    def __init__(self, manifest: Manifest, reward: Reward | None = None) -> None:
+    def __init__(
+        self,
+        manifest: Manifest,
+        reward: Reward | None = None,
+        prices: Mapping[str, Rate] | None = None,
+        emissions: Mapping[str, Rate] | None = None,
+    ) -> None:
         self._step_h = manifest.step_s / 3600.0
         self._step = timedelta(hours=self._step_h)
-        meters = _energy_sources(manifest)
+        meters = facility_sources(manifest)
         self._names = tuple(meters)
-        self._indices = np.array([meter.index for meter in meters.values()], np.intp)
+        self._indices = np.array([meter.indices[0] for meter in meters.values()], np.intp)
         self._to_kwh = np.array([meter.to_kwh for meter in meters.values()])
-        electric = [name for name in ("electricity", _HVAC) if name in meters]
+        electric = [name for name in ("electricity", HVAC) if name in meters]
         self._electric = self._names.index(electric[0]) if electric else None
         self._comfort = comfort(manifest, reward)
         self.sources = {f"{name}_kwh": meter.source for name, meter in meters.items()}
@@ -116,6 +117,9 @@ class MetricsAccumulator:
             self.sources |= dict.fromkeys(("mean_power_w", "peak_kw"), meters[electric[0]].source)
         if self._comfort is not None:
             self.sources["mean_deviation_k"] = self._comfort.source
+        rates = read_prices(prices), read_emissions(emissions)
+        self._kpis = KpiAccumulator(manifest, self._comfort, *rates)
+        self.sources |= {f"kpi.{name}": source for name, source in self._kpis.sources.items()}
         self._reset()
 
     def _reset(self) -> None:
@@ -128,6 +132,7 @@ class MetricsAccumulator:
     def begin(self, sample: SampleView) -> None:
         """Start from `sample`, at any step: the timestep that it closes does not count."""
         self._reset()
+        self._kpis.begin(sample.fault_free_values)
         self._initially_not_accepted = self._not_accepted = (sample.message.late, sample.message.rejected)
 
     def add(self, sample: SampleView, terms: Mapping[str, float] | None = None) -> None:
@@ -136,16 +141,17 @@ class MetricsAccumulator:
             self.begin(sample)
             return
         not_accepted = (sample.message.late, sample.message.rejected)
-        values = sample.fault_free_values
+        values, begin = sample.fault_free_values, sample.time - self._step
         kwh = values[self._indices] * self._to_kwh
         self._kwh += kwh
         if self._electric is not None:
             self._peak_kwh = max(self._peak_kwh, float(kwh[self._electric]))
         if self._comfort is not None:
-            outside = self._comfort.outside(values, sample.time - self._step)
+            outside = self._comfort.outside(values, begin)
             self._outside_k += float(outside.sum())
             self._occupied_k += float(outside[self._comfort.is_occupied(values)].sum())
             self._steps_outside += bool((outside > 0.0).any())
+        self._kpis.add(values, begin)
         for name, term in (terms or {}).items():
             self._terms = self._terms or {}
             self._terms[name] = self._terms.get(name, 0.0) + float(term)
@@ -155,7 +161,7 @@ class MetricsAccumulator:
     def result(self, *, terminated: bool = False) -> EpisodeMetrics:
         """Return the totals so far; without any timestep, energy, power and comfort are None."""
         kwh = dict(zip(self._names, self._kwh.tolist(), strict=True)) if self._steps else {}
-        hvac_kwh = kwh.pop(_HVAC, None)
+        hvac_kwh = kwh.pop(HVAC, None)
         electric = self._electric if self._steps else None
         comfort = self._comfort if self._steps else None
         mean_kwh = None if electric is None else float(self._kwh[electric]) / self._steps
@@ -174,36 +180,5 @@ class MetricsAccumulator:
             late=self._not_accepted[0] - self._initially_not_accepted[0],
             rejected=self._not_accepted[1] - self._initially_not_accepted[1],
             terminated=terminated,
+            kpis=self._kpis.result() if self._steps else {},
         )
-
-
-@dataclass(frozen=True, slots=True)
-class _EnergySource:
-    """Index of an energy in a sample's values, conversion factor to kWh, and description of the point."""
-
-    index: int
-    to_kwh: float
-    source: str
-
-
-def _energy_sources(manifest: Manifest) -> dict[str, _EnergySource]:
-    """Return the sources of all fuels and of the HVAC's electricity that the node measures."""
-    first = len(manifest.sensors)
-    meter_names = {fuel: f"{name}:Facility" for fuel, name in FUELS.items()} | {_HVAC: "Electricity:HVAC"}
-    meters = {
-        (meter.meter or meter_names.get(meter.name, "")).casefold(): (first + index, meter)
-        for index, meter in enumerate(manifest.meters)
-        if meter.unit == "J"
-    }
-    sources = {}
-    for name, meter_name in meter_names.items():
-        if meter_name.casefold() in meters:
-            index, meter = meters[meter_name.casefold()]
-            sources[name] = _EnergySource(index, 1.0 / J_PER_KWH, f"meter {meter.meter or meter.name}")
-    for name, variable in (("electricity", FACILITY_POWER), (_HVAC, HVAC_POWER)):
-        for index, sensor in enumerate(manifest.sensors):
-            if name not in sources and sensor.variable.casefold() == variable.casefold() and sensor.unit == "W":
-                note = ", read at its end (an approximation)" if sensor.aggregation is Aggregation.INSTANT else ""
-                source = f"sensor {sensor.name}, W times the timestep{note}"
-                sources[name] = _EnergySource(index, 1e-3 / (3600.0 / manifest.step_s), source)
-    return sources

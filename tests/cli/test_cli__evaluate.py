@@ -67,7 +67,7 @@ def test_json_is_the_table_of_the_episodes_and_csv_the_same(scratch: Path) -> No
     assert row["mean_power_w"] == pytest.approx(row["electricity_kwh"] / 24 * 1e3)
     with (scratch / "rows.csv").open(newline="") as file:
         (read,) = csv.DictReader(file)
-    assert {name: str(value) for name, value in row.items()} == read
+    assert {name: "" if value is None else str(value) for name, value in row.items()} == read
 
 
 @pytest.mark.parametrize(
