@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Mapping
 
 from agent_sdk import Bus, ControllerLink, SampleView
 from agent_sdk.evaluation.metrics import EpisodeMetrics, MetricsAccumulator
+from agent_sdk.evaluation.tariffs import Rate
 from agent_sdk.evaluation.trace import TraceRecorder, WeatherTrace, episode_weather
 from agent_sdk.report import Comparison, Run
 from topics.points import value_index
@@ -18,14 +20,17 @@ class RunRecording:
         bus: the bus of the node.
         node: name of the node.
         title: name of the controller in the report.
+        prices, emissions: as for `MetricsAccumulator`.
     """
 
-    def __init__(self, bus: Bus, node: str, title: str) -> None:
+    def __init__(
+        self, bus: Bus, node: str, title: str, prices: Mapping[str, Rate] | None, emissions: Mapping[str, Rate] | None
+    ) -> None:
         self._bus, self._node, self._title = bus, node, title
         self._manifest = bus.manifest(node)
         self._own = TraceRecorder(self._manifest)
         self._baseline = TraceRecorder(self._manifest)
-        self._baseline_metrics = MetricsAccumulator(self._manifest)
+        self._baseline_metrics = MetricsAccumulator(self._manifest, None, prices, emissions)
         self._name = ""
         self._results: list[EpisodeMetrics] = []
         self._baseline_results: list[EpisodeMetrics] = []
@@ -71,7 +76,7 @@ class RunRecording:
             results = tuple(self._baseline_results)
             baseline = Run("baseline", results, self._baseline.trace(), tuple(self._seeds), names, weathers)
             runs.insert(0, baseline)
-        sources = MetricsAccumulator(self._manifest).sources
+        sources = self._baseline_metrics.sources
         options = " --baseline" if self._manifest.baseline else ""
         start = f"zenostat node --scenario scenario.yaml --name {shlex.quote(self._node)}{options}"
         text = f"{start}  # scenario.yaml: the text above\n{command}"

@@ -12,17 +12,19 @@ from math import isnan
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from agent_sdk.report.figures.base import Figure
 from agent_sdk.report.runs import Comparison, Run
-from agent_sdk.report.sections import Section, not_measured
+from agent_sdk.report.sections import Section
 from agent_sdk.report.summary import summary
 from agent_sdk.report.svg import inline_svg
 from agent_sdk.report.theme import DARK, LIGHT
-from agent_sdk.report.totals import Difference, Metric, difference, metrics, names, number, signed, total
+from agent_sdk.report.totals import names, number
+from agent_sdk.report.totals_section import NONE, totals_section
 
 _PACKAGES = ("numpy", "gymnasium", "eclipse-zenoh", "pyenergyplus-lbnl", "matplotlib")
 _MAX_TABLE_ROWS = 100
-MINUS, NONE = "\N{MINUS SIGN}", "\N{EN DASH}"
 _STYLE = Path(__file__).with_name("page.css")
 _SCRIPT = (
     "for(const [e,o] of [['beforeprint',1],['afterprint',0]])addEventListener(e,()=>"
@@ -46,7 +48,7 @@ def page(comparison: Comparison) -> str:
         [
             f'<header>{heading}</header><nav aria-label="Sections"><ul>{toc}</ul></nav><main>',
             _result(comparison),
-            _totals(comparison),
+            totals_section(comparison),
             *(_section(part) for part in parts),
             _origin(comparison),
             "</main>",
@@ -72,7 +74,7 @@ def _css() -> str:
 
 def _title(comparison: Comparison) -> str:
     manifest = comparison.reference.trace.manifest
-    return f"{manifest.building}: {' and '.join(run.name for run in comparison.runs)}"
+    return f"{manifest.building}: {' and '.join(run.label for run in comparison.runs)}"
 
 
 def _heading(comparison: Comparison) -> str:
@@ -87,7 +89,7 @@ def _heading(comparison: Comparison) -> str:
         ("Weather", place),
         ("Run period", f"{trace.begin:%Y-%m-%d %H:%M} to {trace.end:%Y-%m-%d %H:%M}, {steps}"),
         ("Comfort band", _band(reference) if comfort is not None else "none"),
-        ("Controllers", names([run.name for run in comparison.runs])),
+        ("Controllers", names([_full_name(run) for run in comparison.runs])),
         ("Episodes", _episodes(comparison)),
         (
             "Versions",
@@ -108,10 +110,14 @@ def _duration(seconds: float) -> str:
 def _band(run: Run) -> str:
     comfort = run.quantities.comfort
     assert comfort is not None
-    bands = sorted({(float(a), float(b)) for a, b in zip(comfort.low.ravel(), comfort.high.ravel(), strict=True)})
+    bands = np.unique(np.stack([comfort.low.ravel(), comfort.high.ravel()]), axis=1).T.tolist()
     texts = [f"{low:g} to {high:g} °C" for low, high in bands]
     text = names(texts) if len(texts) <= 2 else f"by zone and time, {comfort.low.min():g} to {comfort.high.max():g} °C"
     return f"{text} ({comfort.source})" if comfort.is_rated else f"{text} (assumed: no reward has a band)"
+
+
+def _full_name(run: Run) -> str:
+    return run.label if run.label == run.name else f"{run.label} ({run.name})"
 
 
 def _episodes(comparison: Comparison) -> str:
@@ -127,69 +133,6 @@ def _result(comparison: Comparison) -> str:
     paragraphs = [f'<p class="lead">{escape(text)}</p>' for text in summary(comparison)]
     paragraphs += [f'<p class="note">{escape(note)}</p>' for note in notes]
     return f'<section id="result"><h2>Result</h2>{"".join(paragraphs)}</section>'
-
-
-def _totals(comparison: Comparison) -> str:
-    rows = metrics(comparison)
-    reference, others = comparison.reference, comparison.runs[1:]
-    head = "".join(f'<th scope="col" class="n">{escape(run.name)}</th>' for run in comparison.runs)
-    head += "".join(
-        f'<th scope="colgroup" colspan="2" class="n">{escape(run.name)} {MINUS} {escape(reference.name)}</th>'
-        for run in others
-    )
-    body = "".join(_metric_row(comparison, metric) for metric in rows)
-    notes = []
-    if comparison.episodes > 1:
-        has_interval = total(reference, rows[0].key) is not None and total(reference, rows[0].key).interval is not None  # type: ignore[union-attr]
-        notes.append(
-            f"Means over {comparison.episodes} episodes"
-            + (" ± half the 95 % confidence interval (Student's t); differences are those of the same episodes, and "
-               "“unclear” where their interval contains zero." if has_interval else "; intervals need SciPy.")
-        )  # fmt: skip
-        notes.append("All figures show the first episode.")
-    missing = not_measured(comparison)
-    if missing:
-        notes.append(f"Not measured: {names(missing)}.")
-    by_source: dict[str, list[str]] = {}
-    for metric in rows:
-        if metric.key in comparison.sources:
-            by_source.setdefault(comparison.sources[metric.key], []).append(metric.label.removeprefix("of which "))
-    sources = "; ".join(f"{', '.join(labels)}: {source}" for source, labels in by_source.items())
-    if sources:
-        notes.append(f"Sources: {sources}.")
-    text = "".join(f"<p>{escape(note)}</p>" for note in notes)
-    return (
-        '<section id="totals"><h2>Totals</h2><div class="scroll" role="group" aria-label="Totals" tabindex="0"><table>'
-        f'<thead><tr><th scope="col">Quantity</th>{head}</tr></thead><tbody>{body}</tbody></table></div>'
-        f'<div class="notes">{text}</div></section>'
-    )
-
-
-def _metric_row(comparison: Comparison, metric: Metric) -> str:
-    cells = []
-    for run in comparison.runs:
-        amount = total(run, metric.key)
-        text = NONE if amount is None else number(amount.mean)
-        if amount is not None and amount.interval is not None:
-            text += f" ± {number((amount.interval[1] - amount.interval[0]) / 2)}"
-        cells.append(f'<td class="n">{text}</td>')
-    cells += [_difference_cells(difference(run, comparison.reference, metric)) for run in comparison.runs[1:]]
-    unit = f' <span class="unit">{escape(metric.unit)}</span>' if metric.unit else ""
-    label_class = ' class="part"' if metric.is_part else ""
-    head = f'<th scope="row"{label_class}>{escape(metric.label)}{unit}</th>'
-    return f'<tr data-metric="{escape(metric.key)}">{head}{"".join(cells)}</tr>'
-
-
-def _difference_cells(change: Difference | None) -> str:
-    if change is None:
-        return f'<td class="n">{NONE}</td><td></td>'
-    text = signed(change.mean)
-    if change.half_width is not None:
-        text += f" ± {number(change.half_width)}"
-    percent = "" if change.percent is None else f"{signed(change.percent, 1)} %"
-    arrow = {"better": "✓", "worse": "✗"}.get(change.verdict, "")
-    verdict = f'<span class="v {change.verdict}">{arrow} {change.verdict}</span>' if change.verdict else ""
-    return f'<td class="n d">{text}</td><td class="n p">{percent} {verdict}</td>'
 
 
 def _section(section: Section) -> str:

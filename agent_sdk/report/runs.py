@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +15,9 @@ from topics.errors import InvalidConfig
 
 if TYPE_CHECKING:
     from agent_sdk.report.sections import Section
+
+_MAX_NAME = 28
+"""Letters of a name that fit beside bars and into legends."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +32,7 @@ class Run:
         weather_names: name of the weather of each episode.
         weathers: weather of each episode; None where it is not known.
         reward: reward with the comfort band; None: that of the scenario.
+        short_name: name in tables and figures; "" is the name itself. `Comparison` chooses it.
     """
 
     name: str
@@ -38,6 +42,12 @@ class Run:
     weather_names: tuple[str, ...] = ()
     weathers: tuple[WeatherTrace | None, ...] = ()
     reward: Any = None
+    short_name: str = ""
+
+    @property
+    def label(self) -> str:
+        """Name in tables and figures."""
+        return self.short_name or self.name
 
     @cached_property
     def quantities(self) -> Quantities:
@@ -66,6 +76,9 @@ class Comparison:
     def __post_init__(self) -> None:
         if not self.runs:
             raise InvalidConfig("a report needs at least one run")
+        short = short_names([run.name for run in self.runs])
+        runs = tuple(replace(run, short_name=name) for run, name in zip(self.runs, short, strict=True))
+        object.__setattr__(self, "runs", runs)
 
     @property
     def reference(self) -> Run:
@@ -80,7 +93,7 @@ class Comparison:
     @cached_property
     def curves(self) -> tuple[Curve, ...]:
         """The runs as they are drawn."""
-        return tuple(Curve(run.name, place, run.quantities) for place, run in enumerate(self.runs))
+        return tuple(Curve(run.label, place, run.quantities, run.name) for place, run in enumerate(self.runs))
 
     @cached_property
     def sections(self) -> list[Section]:
@@ -88,3 +101,17 @@ class Comparison:
         from agent_sdk.report.sections import sections
 
         return sections(self)
+
+
+def short_names(names: Sequence[str]) -> list[str]:
+    """Return names that fit into figures: the class of `path/to/file.py:Class`, the file of `ppo:path/to/model.zip`."""
+    short = []
+    for name in names:
+        text = name.rpartition(":")[2]
+        text = text.rpartition("/")[2] or name
+        short.append(text if len(text) <= _MAX_NAME else f"{text[: _MAX_NAME - 1]}\N{HORIZONTAL ELLIPSIS}")
+    unique = [f"{text} {place + 1}" if short.count(text) > 1 else text for place, text in enumerate(short)]
+    return [
+        name if len(name) <= _MAX_NAME and names.count(name) == 1 and ":" not in name else text
+        for name, text in zip(names, unique, strict=True)
+    ]

@@ -66,6 +66,10 @@ def _weathers(comparison: Comparison) -> list[tuple[str, WeatherTrace]]:
     return [(label, trace) for label, trace in zip(labels, known, strict=True) if trace is not None]
 
 
+def _has_kpi(comparison: Comparison, name: str) -> bool:
+    return any(result.kpis.get(name) is not None for run in comparison.runs for result in run.results)
+
+
 def not_measured(comparison: Comparison) -> list[str]:
     """Return what the scenario does not measure, by name."""
     every = [curve.quantities for curve in comparison.curves]
@@ -77,5 +81,7 @@ def not_measured(comparison: Comparison) -> list[str]:
         "occupants": any(zone.occupants is not None for quantities in every for zone in quantities.roles.zones),
         "weather": any(quantities.weather is not None for quantities in every),
         "reward": any(quantities.trace.terms for quantities in every),
+        "cost (no price)": _has_kpi(comparison, "cost_tot"),
+        "emissions (no factor)": _has_kpi(comparison, "emis_tot"),
     }
     return [name for name, is_measured in checks.items() if not is_measured]

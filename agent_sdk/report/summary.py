@@ -37,7 +37,8 @@ def _compared(run: Run, reference: Run) -> str:
     peak = difference(run, reference, _PEAK)
     if peak is not None:
         parts.append(_peak(run, reference, peak, is_first=not parts))
-    sentences = ["".join(parts) + "." if parts else f"{run.name} and {reference.name}: no energy is measured."]
+    unknown = f"{run.label} and {reference.label}: no energy is measured."
+    sentences = ["".join(parts) + "." if parts else unknown]
     outside = difference(run, reference, _OUTSIDE)
     if outside is not None:
         is_contrast = {*verdicts, outside.verdict} == {"better", "worse"}
@@ -51,21 +52,21 @@ def _amount(run: Run, reference: Run, metric: Metric, change: Difference) -> str
     assert base is not None
     amounts = f"{number(own.mean)} instead of {number(base.mean)} {metric.unit}"
     if change.verdict == "equal" or change.percent is None:
-        return f"{run.name} used as much {metric.label} as {reference.name} ({number(own.mean)} {metric.unit})"
+        return f"{run.label} used as much {metric.label} as {reference.label} ({number(own.mean)} {metric.unit})"
     if change.verdict == "unclear":
         return (
-            f"{run.name} and {reference.name} do not differ clearly in {metric.label} ({amounts}; the 95 % interval of "
-            "the difference contains zero)"
+            f"{run.label} and {reference.label} do not differ clearly in {metric.label} ({amounts}; the 95 % interval "
+            "of the difference contains zero)"
         )
     less = "less" if change.mean < 0 else "more"
-    return f"{run.name} used {abs(change.percent):.1f} % {less} {metric.label} than {reference.name} ({amounts})"
+    return f"{run.label} used {abs(change.percent):.1f} % {less} {metric.label} than {reference.label} ({amounts})"
 
 
 def _peak(run: Run, reference: Run, change: Difference, *, is_first: bool) -> str:
     own, base = total(run, "peak_kw"), total(reference, "peak_kw")
     assert own is not None
     assert base is not None
-    subject = f"{run.name} has" if is_first else ", with"
+    subject = f"{run.label} has" if is_first else ", with"
     if change.verdict in ("equal", "unclear") or change.percent is None:
         return f"{subject} about the same peak power ({number(own.mean)} kW)"
     lower = "lower" if change.mean < 0 else "higher"
@@ -82,20 +83,20 @@ def _outside(run: Run, reference: Run, change: Difference, *, is_contrast: bool)
     if own.mean == 0.0:
         always = f"{opening} zones were within the comfort band at all times"
         return (
-            f"{always}, as under {reference.name}."
+            f"{always}, as under {reference.label}."
             if base.mean == 0.0
-            else (f"{always} (under {reference.name} outside by {number(base.mean)} K h).")
+            else (f"{always} (under {reference.label} outside by {number(base.mean)} K h).")
         )
     text = f"{opening} zones were outside the comfort band by {number(own.mean)} K h"
     if change.verdict == "equal":
-        text += f", as much as under {reference.name}"
+        text += f", as much as under {reference.label}"
     elif change.verdict == "unclear":
-        text += f" (under {reference.name} {number(base.mean)} K h; the difference is not clear)"
+        text += f" (under {reference.label} {number(base.mean)} K h; the difference is not clear)"
     elif change.percent is not None:
         less = "less" if change.mean < 0 else "more"
-        text += f", {abs(change.percent):.0f} % {less} than under {reference.name} ({number(base.mean)} K h)"
+        text += f", {abs(change.percent):.0f} % {less} than under {reference.label} ({number(base.mean)} K h)"
     else:
-        text += f"; under {reference.name} they were within it"
+        text += f"; under {reference.label} they were within it"
     return f"{text}{_worst(run)}."
 
 
@@ -121,7 +122,7 @@ def _alone(run: Run) -> str:
         used = total(run, metric.key)
         if used is not None:
             parts.append(f"{number(used.mean)} {metric.unit} of {metric.label}")
-    sentences = [f"{run.name} used {names(parts)}." if parts else f"{run.name}: no energy is measured."]
+    sentences = [f"{run.label} used {names(parts)}." if parts else f"{run.label}: no energy is measured."]
     outside = total(run, _OUTSIDE.key)
     if outside is not None:
         sentences.append(f"Occupied zones were outside the comfort band by {number(outside.mean)} K h{_worst(run)}.")
@@ -135,15 +136,15 @@ def _irregular(run: Run) -> list[str]:
     texts = []
     if early:
         texts.append(
-            f"{run.name}: a termination limit ended {len(early)} of {len(run.results)} episodes early, after "
+            f"{run.label}: a termination limit ended {len(early)} of {len(run.results)} episodes early, after "
             f"{names([str(result.steps) for result in early])} of {planned} timesteps."
         )
     partial = [result for result in run.results if not result.terminated and result.steps < planned]
     if partial:
-        texts.append(f"{run.name} controlled {partial[0].steps} of {planned} timesteps.")
+        texts.append(f"{run.label} controlled {partial[0].steps} of {planned} timesteps.")
     not_accepted = sum(result.late + result.rejected for result in run.results)
     if not_accepted:
-        texts.append(f"The node did not accept {not_accepted} messages of {run.name} (late or rejected).")
+        texts.append(f"The node did not accept {not_accepted} messages of {run.label} (late or rejected).")
     return texts
 
 

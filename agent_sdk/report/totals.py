@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isfinite
 
+from agent_sdk.evaluation.kpis import KPIS
 from agent_sdk.evaluation.statistics import MetricSummary, summarize
 from agent_sdk.report.figures.energy import fuel_label
 from agent_sdk.report.runs import Comparison, Run
@@ -88,6 +89,15 @@ def metrics(comparison: Comparison) -> list[Metric]:
     ]
 
 
+def kpis(comparison: Comparison) -> list[Metric]:
+    """Return the key performance indicators that at least one run has; air quality only where it is ever poor."""
+    return [
+        Metric(f"kpi.{name}", f"{label[:1].upper()}{label[1:]} ({name})", unit.replace(" ", "\N{NO-BREAK SPACE}"))
+        for name, (label, unit) in KPIS.items()
+        if any(_values(run, f"kpi.{name}", any_zero=name != "idis_tot") for run in comparison.runs)
+    ]
+
+
 def _values(run: Run, key: str, *, any_zero: bool = True) -> list[float]:
     values = [result.metrics().get(key) for result in run.results]
     if any(value is None for value in values):
@@ -127,6 +137,8 @@ def _verdict(summary: MetricSummary, percent: float | None, sign: int) -> str:
 def number(value: float, digits: int | None = None) -> str:
     """Return a number with about four significant digits and a minus sign."""
     size = abs(value)
+    if abs(value - round(value)) < 1e-9 * size:  # of rounding
+        value = float(round(value))
     if digits is None:
         digits = 0 if size >= 1000 or value == int(value) else 1 if size >= 100 else 2 if size >= 1 else 3
     text = f"{value:,.{digits}f}".replace("-", "\N{MINUS SIGN}")

@@ -20,7 +20,7 @@ from agent_sdk.report import Comparison, Run, write_figures, write_report
 from agent_sdk.report.figures.base import Figure
 from agent_sdk.report.page import page
 from agent_sdk.report.theme import DARK, LIGHT
-from agent_sdk.report.totals import difference, metrics, number, total
+from agent_sdk.report.totals import difference, kpis, metrics, number, total
 from bridge.display.colors import contrast
 from topics.errors import InvalidConfig
 
@@ -72,9 +72,10 @@ def text(comparison: Comparison) -> str:
 
 def test_the_totals_are_those_of_the_evaluation(comparison: Comparison, text: str) -> None:
     rows = dict(re.findall(r'<tr data-metric="([^"]+)">(.*?)</tr>', text))
-    assert list(rows) == [metric.key for metric in metrics(comparison)]
+    assert list(rows) == [metric.key for metric in (*metrics(comparison), *kpis(comparison))]
+    assert "kpi.tdis_tot" in rows
     reference, other = comparison.runs
-    for metric in metrics(comparison):
+    for metric in (*metrics(comparison), *kpis(comparison)):
         cells = [re.sub(r"<[^>]+>", "", cell) for cell in re.findall(r"<td.*?</td>", rows[metric.key])]
         for cell, each in zip(cells, comparison.runs, strict=False):
             value = total(each, metric.key)
@@ -156,7 +157,10 @@ def test_what_is_not_measured_is_named() -> None:
     trace = whole.trace
     object.__setattr__(trace, "manifest", of)
     text = page(Comparison((whole,)))
-    assert "Not measured: electricity, electricity of the HVAC, end uses and reward." in text
+    assert (
+        "Not measured: electricity, electricity of the HVAC, end uses, reward, cost (no price) and emissions (no factor)."
+        in text
+    )
     assert 'id="end-use"' not in text
 
 

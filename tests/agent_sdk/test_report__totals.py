@@ -9,6 +9,7 @@ from support.traces import office_comparison
 
 from agent_sdk.evaluation.metrics import EpisodeMetrics
 from agent_sdk.report import Comparison, Run
+from agent_sdk.report.runs import short_names
 from agent_sdk.report.summary import summary
 from agent_sdk.report.totals import Metric, difference, metrics, number, signed
 
@@ -95,6 +96,19 @@ def test_the_result_says_when_nothing_differs(comparison: Comparison) -> None:
     (text,) = summary(Comparison((comparison.runs[0], replace(comparison.runs[0], name="same"))))
     assert "same used as much electricity as baseline (440 kWh)" in text
     assert "Occupied zones were within the comfort band at all times, as under baseline." in text
+
+
+@pytest.mark.parametrize(
+    ("names", "short"),
+    [
+        (["baseline", "rbc"], ["baseline", "rbc"]),
+        (["baseline", "experiments/mine.py:Mine"], ["baseline", "Mine"]),
+        (["ppo:runs/1/model.zip", "ppo:runs/2/model.zip"], ["model.zip 1", "model.zip 2"]),
+        (["package.module:" + "Long" * 9], ["LongLongLongLongLongLongLon\N{HORIZONTAL ELLIPSIS}"]),
+    ],
+)
+def test_long_names_are_shortened_and_stay_distinct(names: list[str], short: list[str]) -> None:
+    assert short_names(names) == short
 
 
 def test_the_result_of_one_controller_alone(comparison: Comparison) -> None:

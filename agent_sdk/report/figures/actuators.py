@@ -150,7 +150,7 @@ def _strips(figure: Any, axis: Any, curves: Sequence[Curve], first: np.datetime6
 
     sources = [source_shares(curve) for curve in curves]
     names = list(dict.fromkeys(name for source in sources for name in source))
-    colors = {"": LIGHT["line"]} | {curve.name: curve.color for curve in curves}
+    colors = {"": LIGHT["line"]} | {curve.source: curve.color for curve in curves}
     for place, name in enumerate(name for name in names if name not in colors):
         colors[name] = series_color(len(curves) + place)
     for row, (curve, shares) in enumerate(zip(curves, sources, strict=True)):
@@ -162,7 +162,8 @@ def _strips(figure: Any, axis: Any, curves: Sequence[Curve], first: np.datetime6
                 where, row + 0.1 + 0.8 * low, row + 0.1 + 0.8 * high, step="post", color=colors[name], linewidth=0
             )
             base = top
-    patches = [Patch(color=colors[name], label=f"set by {name or BASELINE}") for name in names]
+    labels = {"": BASELINE} | {curve.source: curve.name for curve in curves}
+    patches = [Patch(color=colors[name], label=f"set by {labels.get(name, name)}") for name in names]
     figure.legend(handles=patches, loc="outside lower left", ncols=4, handlelength=0.9, handleheight=0.9)
     axis.set_ylim(len(curves), 0)
     axis.set_yticks([row + 0.5 for row in range(len(curves))], [curve.name for curve in curves])

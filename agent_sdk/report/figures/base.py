@@ -18,11 +18,19 @@ LONG_DAYS = 45
 
 @dataclass(frozen=True)
 class Curve:
-    """One controller in the figures: its name, its place among them, and the quantities of its first episode."""
+    """One controller in the figures.
+
+    Attributes:
+        name: its label.
+        place: its place among the controllers, from 0.
+        quantities: quantities of its first episode.
+        source: its name among the value sources.
+    """
 
     name: str
     place: int
     quantities: Quantities
+    source: str = ""
 
     @property
     def color(self) -> str:

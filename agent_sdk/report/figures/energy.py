@@ -100,8 +100,9 @@ def duration(curves: Sequence[Curve]) -> Figure | None:
         axis = figure.subplots()
         for curve, share, falling in lines:
             keep = np.unique(np.linspace(0, len(share) - 1, _MAX_CURVE_POINTS).astype(int))
+            drawstyle = "default" if len(keep) < len(share) else "steps-post"
             axis.plot(
-                share[keep], falling[keep], color=curve.color, linestyle=curve.dashes,
+                share[keep], falling[keep], color=curve.color, linestyle=curve.dashes, drawstyle=drawstyle,
                 label=f"{curve.name}, peak {falling[0]:,.1f} kW",
             )  # fmt: skip
         axis.set_xlim(0, 100)
