@@ -127,20 +127,27 @@ def _zones(
         if not storeys or height > storeys[-1] + STOREY_M:
             storeys.append(height)
     storeys = storeys or [0.0]
-    conditioned, areas, multipliers = conditioned_zones(objects), zone_areas(objects), zone_multipliers(objects)
+    conditioned, areas, multipliers = conditioned_zones(objects), _floor_areas(objects), zone_multipliers(objects)
     # A zone without surfaces is on the lowest storey.
     below = {zone: sum(storey <= height + STOREY_M for storey in storeys) - 1 for zone, height in floors.items()}
     zones = [
         ZoneGeometry(
             name=name,
             storey=max(0, below.get(name.casefold(), 0)),
-            floor_area_m2=max(0.0, areas[name]),
+            floor_area_m2=areas.get(name, 0.0),
             multiplier=multipliers[name],
             is_conditioned=name.casefold() in conditioned,
         )
         for name in objects.get("Zone", {})
     ]
     return zones, storeys
+
+
+def _floor_areas(objects: Mapping[str, Objects]) -> dict[str, float]:
+    try:
+        return {zone: max(0.0, area) for zone, area in zone_areas(objects).items()}
+    except (KeyError, TypeError, ValueError):  # a floor whose corners are no numbers
+        return {}
 
 
 def _floor_heights(polygons: Sequence[Polygon], placed: _Corners) -> dict[str, float]:

@@ -196,6 +196,10 @@ BROKEN = {
         surface("Wall", "A", "Outdoors", (0, 0, 1e39), (1, 1, 1), (2, 0, 0)),
         "a coordinate of a corner is missing, not a number, or above 10,000 km",
     ),
+    "floor": (
+        surface("Floor", "A", "Ground", (0, 0, "x"), (1, 1, 1), (2, 0, 0)),  # type: ignore[arg-type]
+        "a coordinate of a corner is missing, not a number, or above 10,000 km",
+    ),
     "lost": (surface("Wall", "C", "Outdoors", (0, 0, 0), (1, 1, 1), (2, 0, 0)), "there is no zone 'C'"),
     "odd": (surface("Lid", "A", "Outdoors", (0, 0, 0), (1, 1, 1), (2, 0, 0)), "its surface type is 'Lid'"),
 }
