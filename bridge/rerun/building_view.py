@@ -115,15 +115,15 @@ class BuildingView:
                 albedo_factor=_GROUND,
             ),
         )
-        tail = np.array([left - 0.4 * margin, front, low[2]])
+        tail = np.array([left + 0.45 * margin, front + margin, low[2]])
         north = np.array([0.0, margin, 0.0])
         self._log.static(
             f"{BUILDING}/north",
-            rr.Arrows3D(origins=[tail], vectors=[2.2 * north], radii=[0.06 * margin], colors=[_NORTH]),
+            rr.Arrows3D(origins=[tail], vectors=[1.5 * north], radii=[0.06 * margin], colors=[_NORTH]),
         )
         self._log.static(
             f"{BUILDING}/north/label",
-            rr.Points3D([tail + 2.5 * north], labels=["N"], colors=[_NORTH], radii=0.01, show_labels=True),
+            rr.Points3D([tail + 1.9 * north], labels=["N"], colors=[_NORTH], radii=0.01, show_labels=True),
         )
         if self._model.storey_labels:
             self._log.static(
@@ -163,7 +163,7 @@ class BuildingView:
             block,
             rr.Points3D.columns(
                 positions=flat,
-                radii=[0.055 * self._model.radius_m] * len(flat),
+                radii=[0.04 * self._model.radius_m] * len(flat),
                 colors=[list(_SUN)] * len(flat),
             ).partition(counts),
             rows,

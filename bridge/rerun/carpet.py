@@ -13,16 +13,17 @@ from numpy.typing import NDArray
 from bridge.display.colors import comfort_colors
 from bridge.rerun.recording import EpisodeLog
 from bridge.rerun.samples import Floats, SampleBlock
+from bridge.rerun.timelines import WITHIN_COLOR
 
 CARPET = "carpet"
 MAX_COLUMNS = 1400
 """Largest width of the carpet in pixels."""
 
 _ASPECT = 2.6
-_EMPTY = 40
+_EMPTY = 34
 _GAP = (14, 14, 14)
 _TEXT = (225, 225, 225)
-_MAX_LABELS = 26
+_MAX_LABELS = 16
 
 
 class Carpet:
@@ -60,6 +61,7 @@ def row_height(zones: int, columns: int) -> int:
 def picture(deviations: Floats, height: int) -> NDArray[np.uint8]:
     """Return the pixels of a carpet, shape (zones * height, columns, 3); unknown values are dark."""
     pixels = comfort_colors(deviations)
+    pixels[deviations == 0] = WITHIN_COLOR
     pixels[np.isnan(deviations)] = _EMPTY
     tall = np.repeat(pixels, height, axis=0)
     if height > 4:
@@ -111,12 +113,12 @@ class CarpetView:
         bottom = len(self._zones) * self._height
         places, texts = [], []
         for place in shown:
-            places.append((-8.0, (place + 0.5) * self._height))
+            places.append((-0.1 * self._carpet.deviations.shape[1] * self._scale, (place + 0.5) * self._height))
             texts.append(self._zones[place])
         for day in ticks:
             step = int((day - begin) / np.timedelta64(1, "s") / step_s)
             if 0 <= step <= steps:
-                places.append((self._carpet.column_of(step) * self._scale, bottom + 14.0))
+                places.append((self._carpet.column_of(step) * self._scale, bottom + 18.0))
                 texts.append(day.astype("M8[s]").item().strftime("%-d %b"))
         self._log.static(
             f"{CARPET}/labels",

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from datetime import datetime, timedelta
+from datetime import timedelta
 
 import numpy as np
 import rerun as rr
@@ -18,8 +19,11 @@ from bridge.rerun.samples import BlockReader, Comfort, Floats, RewardTerms, Samp
 from bridge.rerun.series import REWARD, Lines, Series, all_series, reward_lines, significant_rows, vectors
 from bridge.rerun.summary import MAX_TEXTS, NUMBERS, NodeNumbers, markdown, numbers_at
 from bridge.rerun.timelines import SourceTimelines, ZoneTimelines
-from bridge.rerun.totals import Totals
+from bridge.rerun.totals import TotalRows, Totals
 from topics.messages import Geometry, Manifest, Sample
+
+_TEXT_PERIOD_S = 0.3
+_MARKDOWN = "text/markdown"
 
 MAX_TIMELINE_ZONES = 20
 MAX_TIMELINE_DAYS = 14.5
@@ -79,9 +83,8 @@ class EpisodeView:
         self.reward: Lines | None = None  # known at the first timestep
         self._reader = BlockReader(manifest, roles, comfort)
         self._totals = Totals(manifest, roles)
-        self._since: datetime | None = None
-        self._stride = max(1, manifest.steps // MAX_TEXTS)
-        self._last: tuple[SampleBlock, int] | None = None
+        self._stride = -(-manifest.steps // MAX_TEXTS) or 1
+        self._text_s = 0.0
         by_temperature = {zone.temperature: zone for zone in roles.zones}
         zones = [] if comfort is None else [by_temperature[index] for index in comfort.zones.tolist()]
         names = [zone.label for zone in zones]
@@ -111,16 +114,21 @@ class EpisodeView:
             self._building.add(block)
         if self._reward is not None:
             self._add_reward(self._reward, block)
-        if self._since is None:
-            self._since = block.times[0].astype("M8[s]").item()
-        rows = np.flatnonzero(block.steps % self._stride == 0)
-        rows = rows if len(rows) and rows[-1] == len(block) - 1 else np.append(rows, len(block) - 1)
-        all_numbers = [numbers_at(int(row), block, totals, self._node.roles, self._since) for row in rows]
-        controllers, faults = self._status()
-        for numbers in all_numbers:
-            numbers.controllers, numbers.faults = controllers, faults
-        self.numbers = all_numbers[-1]
-        self._add_texts(block, rows, all_numbers)
+        self._add_numbers(block, totals)
+
+    def _add_numbers(self, block: SampleBlock, totals: TotalRows) -> None:
+        """Log the numbers at regular steps, at the end and, a few times a second, those of the newest sample."""
+        is_regular = (block.steps % self._stride == 0) | (block.steps == self._node.manifest.steps)
+        rows, last, now_s = np.flatnonzero(is_regular).tolist(), len(block) - 1, time.monotonic()
+        if now_s - self._text_s > _TEXT_PERIOD_S and last not in rows:
+            rows.append(last)
+        status = self._status()
+        shown = [numbers_at(row, block, totals, self._node.roles, *status) for row in rows]
+        self.numbers = shown[-1] if last in rows else numbers_at(last, block, totals, self._node.roles, *status)
+        if rows:
+            self._text_s = now_s
+            columns = rr.TextDocument.columns(text=list(map(markdown, shown)), media_type=[_MARKDOWN] * len(rows))
+            self.log.columns(NUMBERS, block, columns, np.array(rows, np.intp))
 
     def _add_series(self, series: Series, block: SampleBlock, table: Floats) -> None:
         rows = significant_rows(table) if series.is_sparse else np.arange(len(table))
@@ -138,11 +146,6 @@ class EpisodeView:
             self.log.static(REWARD, self.reward.style())
         table = np.array([[float(value) for value in row.values()] for row in terms])
         self.log.columns(REWARD, block, vectors(table), rows)
-
-    def _add_texts(self, block: SampleBlock, rows: np.ndarray, numbers: Sequence[NodeNumbers]) -> None:
-        texts = [markdown(entry) for entry in numbers]
-        columns = rr.TextDocument.columns(text=texts, media_type=["text/markdown"] * len(texts))
-        self.log.columns(NUMBERS, block, columns, rows)
 
     def draw(self) -> None:
         """Log the image of the zones over time, which is too large to be logged with each block."""

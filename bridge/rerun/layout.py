@@ -20,10 +20,11 @@ from bridge.rerun.recording import SIMULATED, entity_path
 from bridge.rerun.series import Lines
 from bridge.rerun.summary import NUMBERS
 from bridge.rerun.timelines import SOURCES, ZONES
+from topics.energyplus_names import THERMOSTAT
 
 OVERVIEW = "overview"
 EVENTS = "events"
-MAX_LEGEND = 12
+MAX_LEGEND = 20
 """Largest number of lines in a plot with a visible legend."""
 
 MAX_ZONE_PLOTS = 24
@@ -166,10 +167,13 @@ class _NodePage:
 
     def control(self) -> rrb.Container | None:
         """Return the tab of setpoints, value sources and the reward."""
-        if not self._model.manifest.actuators:
+        commanded = self._model.manifest.actuators
+        if not commanded:
             return None
         actuators = [self._plot(series) for path, series in self._series.items() if path.startswith(names.ACTUATORS)]
-        setpoints = self._plots([names.HEATING_SETPOINTS, names.COOLING_SETPOINTS])
+        # A thermostat's own actuators report these setpoints as their effective values.
+        is_other = any(actuator.component_type.casefold() != THERMOSTAT.casefold() for actuator in commanded)
+        setpoints = self._plots([names.HEATING_SETPOINTS, names.COOLING_SETPOINTS]) if is_other else []
         sources = rrb.StateTimelineView(
             origin=self._path(SOURCES), name="Who sets each actuator", time_view=self._whole_axis
         )
@@ -218,9 +222,13 @@ def _log_view(origin: str, name: str, contents: Sequence[str] = ("$origin/**",))
 
 def _camera(building: BuildingModel) -> rrb.EyeControls3D:
     """Return a camera south-west of the building and above it, so that north is up and to the right."""
-    direction = np.array([-0.42, -0.85, 0.78])
-    position = building.center + 2.3 * building.radius_m * direction / np.linalg.norm(direction)
-    return rrb.EyeControls3D(kind="Orbital", position=position, look_target=building.center, eye_up=[0.0, 0.0, 1.0])
+    width, depth, height = building.high - building.low
+    is_flat = height < 0.25 * min(width, depth)
+    direction = np.array([-0.22, -0.85, 0.8] if is_flat else [-0.42, -0.85, 0.68])
+    distance = (1.75 if is_flat else 2.1) * building.radius_m
+    target = building.center - [0.0, 0.0, 0.06 * building.radius_m]
+    position = target + distance * direction / np.linalg.norm(direction)
+    return rrb.EyeControls3D(kind="Orbital", position=position, look_target=target, eye_up=[0.0, 0.0, 1.0])
 
 
 def _time_axis(begin: datetime, end: datetime) -> rrb.TimeAxis:

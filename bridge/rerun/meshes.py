@@ -20,6 +20,9 @@ CUT_M = 1.3
 MAX_STACKED = 4
 """Largest number of storeys drawn above each other; more hide each other and are drawn side by side."""
 
+_ROWS_ASPECT = 2.6
+"""Width by depth of storeys side by side, which a view from above at a slant shortens."""
+
 _CUT_SHARE = 0.035
 """Height of the cut as a share of the building's horizontal extent, so that walls of large buildings are seen."""
 
@@ -94,10 +97,11 @@ def storey_offsets(extents: Points, floors: Sequence[float]) -> Points:
     count = len(floors)
     offsets = np.zeros((count, 3))
     if count <= MAX_STACKED:
-        offsets[:, 2] = np.arange(count) * 0.3 * math.hypot(*extents)
+        offsets[:, 2] = np.arange(count) * 0.24 * math.hypot(*extents)
         return offsets
-    width, depth = extents * 1.18
-    columns = min(count, max(1, round(math.sqrt(count * 1.5 * depth / width))))
+    width, depth = extents * (1.12, 1.3)
+    columns = min(count, max(1, round(math.sqrt(_ROWS_ASPECT * count * depth / width))))
+    columns = -(-count // -(-count // columns))  # rows of equal length
     places = np.arange(count)
     offsets[:, 0] = places % columns * width
     offsets[:, 1] = -(places // columns) * depth
@@ -190,7 +194,7 @@ def _storey_labels(
     low, high = corners.min(axis=0), corners.max(axis=0)
     labels = []
     for number, (storey, offset) in enumerate(zip(storeys, offsets, strict=True), 1):
-        times = max((zone.multiplier for zone in geometry.zones if zone.storey == storey), default=1)
+        times = min(zone.multiplier for zone in geometry.zones if zone.storey == storey)
         text = f"Storey {number}" + (f" (x {times:g})" if times > 1 else "")
         front = np.array([(low[0] + high[0]) / 2, low[1] - 0.04 * (high[1] - low[1]), geometry.storeys[storey]])
         labels.append((text, front + offset))

@@ -34,7 +34,10 @@ MAX_WAIT_S = 10.0
 """Longest time for which samples are gathered for a file."""
 
 DRAW_PERIOD_S = 2.0
-"""Shortest interval between two layouts, and between two images of a carpet."""
+"""Shortest interval between two layouts, and between two images of a carpet, for a viewer."""
+
+FILE_DRAW_PERIOD_S = 60.0
+"""The same for a file, of which mostly the last ones are seen; a layout takes half a megabyte."""
 
 _OVERVIEW_PERIOD_S = 0.5
 _VERSION_CHUNK = 1
@@ -150,13 +153,12 @@ class RerunStream:
                 node.flush()
         if len(self._nodes) > 1 and (is_last or now_s - self._overview_s > _OVERVIEW_PERIOD_S):
             self._log_overview(now_s)
-        if is_last or now_s - self._drawn_s > DRAW_PERIOD_S:
-            self._draw(now_s, is_last=is_last)
+        if is_last or now_s - self._drawn_s > (DRAW_PERIOD_S if self._is_live else FILE_DRAW_PERIOD_S):
+            self._draw(now_s)
 
-    def _draw(self, now_s: float, *, is_last: bool) -> None:
-        if self._is_live or is_last:
-            for node in self._nodes.values():
-                node.draw()
+    def _draw(self, now_s: float) -> None:
+        for node in self._nodes.values():
+            node.draw()
         changes = [node.take_layout_change() for node in self._nodes.values()]
         shown = [node for _, node in sorted(self._nodes.items())]
         views = [(node.model, node.view) for node in shown if node.view is not None]

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import datetime
+from math import isnan
 
 import numpy as np
 
@@ -25,18 +26,16 @@ class NodeNumbers:
 
     Attributes:
         time: simulated time.
-        since: simulated time of the first sample that the energy and the degree-hours include.
         low_degc, high_degc: lowest and highest zone temperature.
         zones_outside: number of zones outside their comfort band.
         facility_kw, hvac_kw: electric power.
-        facility_kwh, hvac_kwh: electricity since `since`.
-        outside_kh, occupied_kh: kelvin hours outside the band since `since`: all, and of occupied zones.
+        facility_kwh, hvac_kwh: electricity since the first sample.
+        outside_kh, occupied_kh: kelvin hours outside the band since the first sample: all, and of occupied zones.
         controllers: names of the connected controllers.
         faults: injected faults that are active.
     """
 
     time: datetime | None = None
-    since: datetime | None = None
     outdoor_degc: float | None = None
     low_degc: float | None = None
     high_degc: float | None = None
@@ -50,37 +49,45 @@ class NodeNumbers:
     outside_kh: float | None = None
     occupied_kh: float | None = None
     controllers: tuple[str, ...] = ()
-    faults: tuple[str, ...] = field(default=())
+    faults: tuple[str, ...] = ()
 
 
 def numbers_at(
-    row: int, block: SampleBlock, totals: TotalRows, roles: PointRoles, since: datetime | None
+    row: int,
+    block: SampleBlock,
+    totals: TotalRows,
+    roles: PointRoles,
+    controllers: tuple[str, ...] = (),
+    faults: tuple[str, ...] = (),
 ) -> NodeNumbers:
     """Return a node's numbers at one row of a block."""
-    air = [block.values[row, zone.temperature] for zone in roles.zones if zone.temperature is not None]
-    people = [block.values[row, zone.occupants] for zone in roles.zones if zone.occupants is not None]
+    values = block.values[row]
+    zones = [zone.temperature for zone in roles.zones if zone.temperature is not None]
+    air = [value for value in values[zones].tolist() if not isnan(value)]
+    people = [values[zone.occupants] for zone in roles.zones if zone.occupants is not None]
     has_band = block.deviations.shape[1] > 0
     outdoor = roles.outdoor_temperature
     return NodeNumbers(
         time=block.times[row].astype("M8[s]").item(),
-        since=since,
-        outdoor_degc=None if outdoor is None else _known(block.values[row, outdoor]),
-        low_degc=_known(min(air)) if air else None,
-        high_degc=_known(max(air)) if air else None,
-        zones=len(air),
+        outdoor_degc=None if outdoor is None else _known(values[outdoor]),
+        low_degc=min(air, default=None),
+        high_degc=max(air, default=None),
+        zones=len(zones),
         zones_outside=int((np.abs(block.deviations[row]) > 0.05).sum()) if has_band else None,
-        people=sum(people) if people else None,
+        people=float(sum(people)) if people else None,
         facility_kw=_known(totals.facility_kw[row]),
         hvac_kw=_known(totals.hvac_kw[row]),
         facility_kwh=_known(totals.facility_kwh[row]),
         hvac_kwh=_known(totals.hvac_kwh[row]),
         outside_kh=_known(totals.outside_kh[row]) if has_band else None,
         occupied_kh=_known(totals.occupied_kh[row]) if has_band else None,
+        controllers=controllers,
+        faults=faults,
     )
 
 
 def _known(value: float) -> float | None:
-    return None if np.isnan(value) else float(value)
+    return None if isnan(value) else float(value)
 
 
 def quantity(value: float | None, unit: str, digits: int = 1) -> str:

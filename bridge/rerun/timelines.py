@@ -26,7 +26,7 @@ _WITHIN = "within"
 _UNKNOWN_STATE = "unknown"
 _UNOCCUPIED = ", unoccupied"
 _NO_LABEL = "\u00a0"  # an empty label would show the state
-_WITHIN_COLOR: RGB = (116, 124, 118)  # darker than in other pictures: lit rows would outshine the deviations
+WITHIN_COLOR: RGB = (116, 124, 118)  # darker than in other pictures: lit rows would outshine the deviations
 _DARK: RGB = (24, 26, 28)
 _BASELINE_COLOR: RGB = (84, 88, 92)
 
@@ -53,7 +53,7 @@ def comfort_states(deviations: Floats, is_occupied: NDArray[np.bool_]) -> NDArra
 
 def comfort_styles() -> dict[str, tuple[str, RGB]]:
     """Return the label and the color of each state; those of unoccupied zones are dark."""
-    styles = {_WITHIN: (_NO_LABEL, _WITHIN_COLOR), _UNKNOWN_STATE: ("unknown", UNKNOWN)}
+    styles = {_WITHIN: (_NO_LABEL, WITHIN_COLOR), _UNKNOWN_STATE: ("unknown", UNKNOWN)}
     for sign, names in ((-1, _BELOW), (1, _ABOVE)):
         for name, deviation in zip(names, _COLORS_K, strict=True):
             styles[name] = (
