@@ -32,12 +32,16 @@ class Comfort:
         source: what the band is derived from, for readers.
         zones: indices of the zones' air temperatures among the values of a sample, shape (zones,).
         people: indices of the zones' occupant counts, None for a zone without one.
+        is_shared: whether all zones have the same band.
     """
 
-    def __init__(self, source: str, zones: Sequence[int], people: Sequence[int | None], band: _Band) -> None:
+    def __init__(
+        self, source: str, zones: Sequence[int], people: Sequence[int | None], band: _Band, *, is_shared: bool = True
+    ) -> None:
         self.zones = np.array(zones, np.intp)
         self.people = tuple(people)
         self.source = f"{len(zones)} zone{'' if len(zones) == 1 else 's'}, {source}"
+        self.is_shared = is_shared
         self._band = band
         self._always_occupied = np.array([index is None for index in people])
         self._counts = np.array([index or 0 for index in people], np.intp)
@@ -98,7 +102,7 @@ def display_comfort(manifest: Manifest, reward: Reward | None = None) -> Comfort
     """Return comfort bands of all zones of a manifest, for pictures; None where it has no zone temperature.
 
     The zones are those of `bridge.display.roles`, in its order. Those that the reward rates have its band; all others
-    have the band of the reward too, or `DISPLAY_BAND_DEGC` where that differs by zone or no reward has one.
+    have the band of the reward too, or `DISPLAY_BAND_DEGC` where each zone has its own or no reward has one.
     """
     zones = [zone for zone in roles(manifest).zones if zone.temperature is not None]
     if not zones:
@@ -113,8 +117,7 @@ def display_comfort(manifest: Manifest, reward: Reward | None = None) -> Comfort
 
     def band(values: Floats, begin: datetime) -> tuple[Floats, Floats]:
         low, high = rated.limits(values, begin)
-        same = len(set(zip(low.tolist(), high.tolist(), strict=True))) == 1
-        rest = (float(low[0]), float(high[0])) if same else DISPLAY_BAND_DEGC
+        rest = (float(low[0]), float(high[0])) if rated.is_shared else DISPLAY_BAND_DEGC
         return np.append(low, rest[0])[places], np.append(high, rest[1])[places]
 
     return Comfort(rated.source.partition(", ")[2], air, people, band)
@@ -133,7 +136,13 @@ def _from_setpoints(reward: MultiZoneReward, manifest: Manifest) -> Comfort:
     air, heat, cool = map(list, zip(*reward._points(manifest), strict=True))  # noqa: SLF001
     threshold = reward.threshold
     people = same_zone(air, PEOPLE, manifest, observed=False)
-    return Comfort(_of(reward), air, people, lambda values, _: (values[heat] - threshold, values[cool] + threshold))
+    return Comfort(
+        _of(reward),
+        air,
+        people,
+        lambda values, _: (values[heat] - threshold, values[cool] + threshold),
+        is_shared=False,
+    )
 
 
 def _of(reward: ComfortBand | MultiZoneReward) -> str:

@@ -45,6 +45,9 @@ _NO_PLACE = {
 } | _SETPOINT_WORDS  # fmt: skip
 """Words of a setpoint's name that do not tell its zone."""
 
+_UNCONDITIONED = {"attic", "crawlspace", "plenum"}
+"""Words of zones that a setpoint without a place does not serve."""
+
 _END_USE_LABELS = {"humidifier": "humidification"}
 
 
@@ -263,11 +266,12 @@ def _setpoint_actuator(manifest: Manifest, zone: str, kind: str) -> int | None:
             and actuator.key.casefold() == zone.casefold()
         ):
             return index
-    zone_words, best, fewest = set(words(zone)), None, -1
+    zone_words, best, most_words = set(words(zone)), None, -1
     for index, actuator in enumerate(manifest.actuators):
         place = _place_of_setpoint(actuator, kind)
-        if place is not None and place <= zone_words and len(place) > fewest:
-            best, fewest = index, len(place)
+        is_served = place is not None and place <= zone_words and (place or not zone_words & _UNCONDITIONED)
+        if place is not None and is_served and len(place) > most_words:
+            best, most_words = index, len(place)
     return best
 
 

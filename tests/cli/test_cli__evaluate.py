@@ -59,12 +59,16 @@ def test_json_is_the_table_of_the_episodes_and_csv_the_same(scratch: Path) -> No
         "        super().__init__(manifest, cooling_setpoint=core)\n"
     )
     call = ["ref-small-office-USA_CO_Denver-continuous-v1", "--controller", "mine.py:Mine", "--set", "core=25.5"]
+    call += ["--price", "electricity=0.5", "--price", "gas=0", "--emissions", "electricity=0.25"]
     done = run_program("evaluate", *call, *DAY, "--json", "--out", "rows.csv", cwd=scratch)
     assert done.returncode == 0, done.stderr
     (row,) = json.loads(done.stdout)
     assert row["controller"] == "mine.py:Mine"
     assert row["reward"] == pytest.approx(row["reward.energy"] + row["reward.comfort"])
     assert row["mean_power_w"] == pytest.approx(row["electricity_kwh"] / 24 * 1e3)
+    assert row["kpi.cost_tot"] > 0.0
+    assert row["kpi.cost_tot"] < 0.5 * row["kpi.ener_tot"]  # gas costs nothing
+    assert row["kpi.emis_tot"] in (None, pytest.approx(row["kpi.cost_tot"] / 2))  # None if gas was used
     with (scratch / "rows.csv").open(newline="") as file:
         (read,) = csv.DictReader(file)
     assert {name: "" if value is None else str(value) for name, value in row.items()} == read
@@ -81,6 +85,11 @@ def test_json_is_the_table_of_the_episodes_and_csv_the_same(scratch: Path) -> No
         (["--controller", "rbc", "--set", "margin"], "--set margin: expected a name and a value"),
         (["--controller", "mine.py:Mine"], "there is no file"),
         (["--controller", "rbc", "--begin", "13-01"], "13-01"),
+        (["--controller", "rbc", "--price", "wood=1"], "prices: no fuel 'wood'"),
+        (["--controller", "rbc", "--price", "gas"], "--price gas: expected a fuel and a number or file"),
+        (["--controller", "rbc", "--price", "gas=1", "--price", "gas=2"], "--price gas occurs twice: 1.0 and 2"),
+        (["--controller", "rbc", "--price", "gas=no.csv"], "prices: gas: cannot read the time series no.csv"),
+        (["--controller", "rbc", "--emissions", "electricity=-1"], "electricity has the factor -1"),
     ],
 )
 def test_mistakes_are_one_sentence(scratch: Path, arguments: list[str], says: str) -> None:
