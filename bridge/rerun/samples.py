@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import Protocol
@@ -79,7 +79,8 @@ class SampleBlock:
         effective: the actuators' effective values, shape (n, actuators).
         sources: name of each actuator's value source, shape (n, actuators); empty for baseline control.
         low, high: limits of the comfort band in degC, shape (n, zones); no zones without a comfort band.
-        deviations: deviation from the band in K, negative below it, 0 within, NaN if unknown, shape (n, zones).
+        deviations: deviation from the band in K, without injected faults: negative below the band, 0 within, NaN if
+            unknown, shape (n, zones).
         is_occupied: whether each zone is occupied, shape (n, zones); True for a zone without an occupant count.
     """
 
@@ -123,10 +124,10 @@ class BlockReader:
     def block(self, samples: Sequence[Sample]) -> SampleBlock:
         """Return the first slot of the samples as arrays."""
         values = self._rows((s.values for s in samples), self._points, "values")
-        plant = [s.fault_free_values or s.values for s in samples]
-        plant_values = self._rows(iter(plant), self._points, "fault_free_values")
-        low, high = self._limits(values, samples)
-        air = values[:, self._air]
+        plant = (s.fault_free_values or s.values for s in samples)
+        plant_values = self._rows(plant, self._points, "fault_free_values")
+        low, high = self._limits(plant_values, samples)
+        air = plant_values[:, self._air]
         return SampleBlock(
             steps=np.array([s.step[0] for s in samples], np.int64),
             times=np.array([s.time[0] for s in samples], "datetime64[ns]"),
@@ -140,9 +141,9 @@ class BlockReader:
             is_occupied=self._always_occupied | (plant_values[:, self._people] > 0.0),
         )
 
-    def _rows(self, raw: object, width: int, what: str) -> Floats:
-        rows = [codec.row(data, 0, self._slots, width, what) for data in raw]  # type: ignore[attr-defined]
-        return np.array(rows, np.float64).reshape(-1, width)
+    def _rows(self, raw: Iterable[bytes], width: int, what: str) -> Floats:
+        rows = [codec.row(data, 0, self._slots, width, what) for data in raw]
+        return np.array(rows, np.float64).reshape(len(rows), width)
 
     def _limits(self, values: Floats, samples: Sequence[Sample]) -> tuple[Floats, Floats]:
         if self._comfort is None:

@@ -28,7 +28,7 @@ HVAC: RGB = (186, 104, 200)
 
 TEMPERATURES = "temperatures"
 TEMPERATURE_RANGE = "temperature_range"
-BAND_PATH = "comfort_band"
+BAND_PATH = "thermal_comfort_band"  # drawn last, since entities are drawn in alphabetical order
 OUTDOORS = "outdoors"
 HEATING_SETPOINTS = "heating_setpoints"
 COOLING_SETPOINTS = "cooling_setpoints"

@@ -1,0 +1,197 @@
+"""What one node's messages become in a recording."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rerun as rr
+from support import builders
+from support.monitor import BEGIN, STEP, logged, office, rows, samples, static, times, two_storeys
+
+from bridge.display.colors import comfort_color
+from bridge.rerun.layout import blueprint
+from bridge.rerun.node_stream import NodeStream
+from bridge.rerun.samples import fixed_band
+from topics.errors import InvalidConfig
+from topics.messages import Event, EventKind, Geometry, Manifest
+
+EPISODE = "/office/episode_0000"
+
+
+@contextmanager
+def _node(
+    path: Path, manifest: Manifest, geometry: Geometry | None = None, reward: Any = None
+) -> Iterator[NodeStream]:
+    rr.set_strict_mode(True)
+    recording = rr.RecordingStream("zenostat")
+    recording.set_sinks(rr.FileSink(str(path)))
+    node = NodeStream(recording, manifest, geometry, fixed_band, reward)
+    yield node
+    node.flush()
+    node.draw()
+    recording.send_blueprint(blueprint([(node.model, node.view)]))
+    recording.flush()
+    recording.disconnect()
+
+
+def _add(node: NodeStream, *args: Any, **kwargs: Any) -> None:
+    for sample in samples(*args, **kwargs):
+        node.add_sample(sample)
+
+
+def test_values_colors_and_times_are_those_of_the_samples(scratch: Path) -> None:
+    path, manifest = scratch / "run.rrd", office()
+    table = rows(8, core_air_temperature=[22, 22, 28, 28, 28.01, 17, 17, 22], outdoor_temperature=np.arange(8.0))
+    with _node(path, manifest, two_storeys()) as node:
+        _add(node, manifest, table[:5])
+        node.flush()
+        _add(node, manifest, table[5:], first=5)
+    scalars = logged(path, "Scalars:scalars")
+    assert [scalars[f"{EPISODE}/temperatures"][step] for step in range(8)] == table[:, 1:3].tolist()
+    assert [scalars[f"{EPISODE}/outdoors"][step] for step in range(8)] == [[n] for n in range(8)]
+    assert times(path, f"{EPISODE}/temperatures") == {step: BEGIN + step * STEP for step in range(8)}
+    colors = logged(path, "Mesh3D:albedo_factor")
+    packed = {k: (r << 24) + (g << 16) + (b << 8) + 255 for k, (r, g, b) in ((k, comfort_color(k)) for k in (0, 2, -3))}
+    core = f"{EPISODE}/building/zones/Core"
+    assert colors[core] == {0: [packed[0]], 2: [packed[2]], 5: [packed[-3]], 7: [packed[0]]}
+    assert colors[f"{EPISODE}/building/zones/Perimeter_1"] == {0: [packed[0]]}
+    assert "Mesh3D:albedo_factor" not in static(path, "Mesh3D:albedo_factor")  # it would hide the colors over time
+    assert core not in static(path, "Mesh3D:albedo_factor")
+    assert core in static(path, "Mesh3D:vertex_positions")
+
+
+def test_zones_and_value_sources_change_states(scratch: Path) -> None:
+    path, manifest = scratch / "run.rrd", office()
+    table = rows(4, core_air_temperature=[22, 27.5, 27.5, 22], core_occupants=[0, 0, 1, 1])
+    sources = [("", ""), ("", ""), ("rbc", ""), ("", "")]
+    with _node(path, manifest) as node:
+        _add(node, manifest, table[:2], sources=sources[:2])
+        node.flush()
+        _add(node, manifest, table[2:], first=2, sources=sources[2:])
+    states = logged(path, "StateChange:state")
+    core = {0: ["within, unoccupied"], 1: ["1 to 2 K above, unoccupied"], 2: ["1 to 2 K above"], 3: ["within"]}
+    assert states[f"{EPISODE}/zones/Core"] == core
+    rbc = {0: ["baseline control"], 2: ["rbc"], 3: ["baseline control"]}
+    assert states[f"{EPISODE}/sources/Heating_setpoint"] == rbc
+    assert states[f"{EPISODE}/sources/Cooling_setpoint"] == {0: ["baseline control"]}
+    assert "rbc" in static(path, "StateConfiguration:values")[f"{EPISODE}/sources/Heating_setpoint"]
+
+
+def test_events_have_the_simulated_time_of_their_step(scratch: Path) -> None:
+    path, manifest = scratch / "run.rrd", office()
+    with _node(path, manifest) as node:
+        _add(node, manifest, rows(1))
+        node.add_event(Event(kind=EventKind.FAULT, text="stuck damper begins", step=10))
+        assert node.numbers().faults == ("stuck damper",)
+        node.add_event(Event(kind=EventKind.CONNECTED, text="rbc controls", source="rbc", step=12))
+        node.add_event(Event(kind=EventKind.FAULT, text="stuck damper ends", step=20))
+        assert node.numbers().faults == ()
+    assert times(path, "/office/events") == {step: BEGIN + step * STEP for step in (10, 12, 20)}
+    assert logged(path, "TextLog:level")["/office/events"] == {10: ["WARN"], 12: ["INFO"], 20: ["WARN"]}
+    assert logged(path, "TextLog:text")["/office/events"][12] == ["1 Jul 03:00  connected: rbc controls (rbc)"]
+
+
+def test_each_episode_has_entities_of_its_own_and_the_layout_the_newest(scratch: Path) -> None:
+    path, manifest = scratch / "run.rrd", office()
+    with _node(path, manifest) as node:
+        for episode in (0, 1):
+            _add(node, manifest, rows(3, core_air_temperature=20.0 + episode), episode=episode)
+        assert node.take_layout_change()
+        assert not node.take_layout_change()
+        assert node.view.log.root == "/office/episode_0001"
+    scalars = logged(path, "Scalars:scalars")
+    for episode in (0, 1):
+        vectors = scalars[f"/office/episode_000{episode}/temperatures"]
+        assert [vectors[step][0] for step in range(3)] == [20.0 + episode] * 3
+
+
+def test_lost_samples_are_counted_and_old_ones_ignored(scratch: Path) -> None:
+    manifest = office()
+    all_samples = samples(manifest, rows(10))
+    with _node(scratch / "run.rrd", manifest) as node:
+        assert node.add_sample(all_samples[4], queried=True) == 1
+        assert [node.add_sample(all_samples[step]) for step in (3, 4, 5, 5, 8)] == [0, 0, 1, 0, 1]
+        assert node.missed == 2
+
+
+def test_numbers_of_the_newest_sample(scratch: Path) -> None:
+    path, manifest = scratch / "run.rrd", office()
+    table = rows(3, core_air_temperature=28.0, electricity=3.6e6, core_occupants=[0, 2, 2], outdoor_temperature=31.5)
+    with _node(path, manifest) as node:
+        node.set_controller("rbc", is_connected=True)
+        _add(node, manifest, table)
+        node.flush()
+        numbers = node.numbers()
+    assert (numbers.low_degc, numbers.high_degc, numbers.outdoor_degc) == (22.0, 28.0, 31.5)
+    assert (numbers.zones, numbers.zones_outside, numbers.people) == (2, 1, 2.0)
+    assert (numbers.facility_kw, numbers.facility_kwh) == pytest.approx((4.0, 2.0))
+    assert (numbers.outside_kh, numbers.occupied_kh) == pytest.approx((1.0, 1.0))
+    assert numbers.controllers == ("rbc",)
+    (text,) = logged(path, "TextDocument:text")[f"{EPISODE}/numbers"][2]
+    for shown in ("Sat 1 Jul 2017, 00:30", "31.5 °C", "22.0 to 28.0 °C", "1 of 2 zones", "2 kWh", "1.0 K h", "rbc"):
+        assert f"**{shown}**" in text
+
+
+def test_reward_terms_are_those_of_each_timestep(scratch: Path) -> None:
+    path, manifest, begins = scratch / "run.rrd", office(), []
+
+    def terms(values: Any, begin: Any) -> dict[str, float]:
+        begins.append(np.datetime64(begin, "ns"))
+        return {"energy": -values[5], "comfort": values[1]}
+
+    with _node(path, manifest, reward=lambda _: terms) as node:
+        _add(node, manifest, rows(3, electricity=[1.0, 2.0, 3.0]))
+    assert logged(path, "Scalars:scalars")[f"{EPISODE}/reward"] == {1: [-2.0, 22.0], 2: [-3.0, 22.0]}
+    assert begins == [BEGIN, BEGIN + STEP]
+    assert static(path, "SeriesLines:names")[f"{EPISODE}/reward"] == ["Energy", "Comfort"]
+
+
+def test_a_reward_that_cannot_be_bound_is_left_out(scratch: Path) -> None:
+    path, manifest = scratch / "run.rrd", office()
+
+    def unbound(_: Manifest) -> None:
+        raise InvalidConfig("the node lacks a point")
+
+    with _node(path, manifest, reward=unbound) as node:
+        _add(node, manifest, rows(2))
+    assert f"{EPISODE}/reward" not in logged(path, "Scalars:scalars")
+
+
+def test_a_long_episode_has_a_carpet_in_place_of_timelines(scratch: Path) -> None:
+    path = scratch / "run.rrd"
+    manifest = office(steps=96 * 60, end="2017-08-30T00:00:00")
+    with _node(path, manifest) as node:
+        _add(node, manifest, rows(5))
+    assert f"{EPISODE}/zones/Core" not in logged(path, "StateChange:state")
+    assert f"{EPISODE}/carpet" in static(path, "EncodedImage:blob")
+
+
+@pytest.mark.parametrize(
+    "manifest",
+    [
+        builders.manifest(),
+        builders.manifest(sensors=[builders.sensor("level", "", unit="m").model_copy(update={"key": ""})]),
+        builders.manifest(actuators=[builders.actuator("valve")]),
+    ],
+    ids=["empty", "sensor", "actuator"],
+)
+def test_a_plant_without_zones_has_a_layout(scratch: Path, manifest: Manifest) -> None:
+    path = scratch / "run.rrd"
+    with _node(path, manifest) as node:
+        _add(node, manifest, np.ones((3, len(manifest.points))))
+    entities = {entity for entity, _ in logged(path, "Scalars:scalars").items()}
+    assert len(entities) == bool(manifest.points) + bool(manifest.actuators)
+
+
+def test_only_the_first_slot_is_shown(scratch: Path) -> None:
+    path, manifest = scratch / "run.rrd", office(slots=2)
+    with _node(path, manifest) as node:
+        for sample in samples(office(), rows(2, core_air_temperature=21.5)):
+            doubled = {name: 2 * getattr(sample, name) for name in ("values", "effective", "source_index")}
+            node.add_sample(sample.model_copy(update=doubled))
+    assert logged(path, "Scalars:scalars")[f"{EPISODE}/temperatures"][1] == [21.5, 22.0]
