@@ -24,9 +24,7 @@ EPISODE = "/office/episode_0000"
 
 
 @contextmanager
-def _node(
-    path: Path, manifest: Manifest, geometry: Geometry | None = None, reward: Any = None
-) -> Iterator[NodeStream]:
+def _node(path: Path, manifest: Manifest, geometry: Geometry | None = None, reward: Any = None) -> Iterator[NodeStream]:
     rr.set_strict_mode(True)
     recording = rr.RecordingStream("zenostat")
     recording.set_sinks(rr.FileSink(str(path)))

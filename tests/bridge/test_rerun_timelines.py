@@ -24,7 +24,7 @@ def test_state_of_a_deviation(deviation: float, state: str) -> None:
 
 
 @given(st.floats(-9, 9) | st.just(float("nan")), st.booleans())
-def test_each_state_has_a_style(deviation: float, is_occupied: bool) -> None:  # noqa: FBT001
+def test_each_state_has_a_style(deviation: float, is_occupied: bool) -> None:
     (state,) = comfort_states(np.array([deviation]), np.array([is_occupied])).tolist()
     assert state in comfort_styles()
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 from rerun.chunk import RrdReader
-from support import builders
 
+from support import builders
 from topics import codec
 from topics.messages import Geometry, Manifest, Sample, SurfaceKind, ZoneGeometry
 
@@ -155,9 +155,7 @@ def times(path: Path, entity: str) -> dict[int, np.datetime64]:
 
 def static(path: Path, component: str) -> dict[str, Any]:
     """Latest static value of a component by entity."""
-    return {
-        entity: columns[component][-1] for entity, columns in _chunks(path, is_static=True) if component in columns
-    }
+    return {entity: columns[component][-1] for entity, columns in _chunks(path, is_static=True) if component in columns}
 
 
 def _chunks(path: Path, *, is_static: bool) -> Iterator[tuple[str, dict[str, list[Any]]]]:

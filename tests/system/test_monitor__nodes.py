@@ -1,0 +1,155 @@
+"""The monitor beside several nodes, plants without geometry, and nodes of other versions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rerun as rr
+import zenoh
+from support.monitor import logged, static
+from support.nodes import NodeProgram, free_port, until
+
+from bridge.rerun.stream import RerunStream
+from bridge.transport.session import open_session
+from cli.monitor_stream import comfort_band, open_stream, reward_terms
+from topics import codec, keys
+from topics.messages import Sample
+
+TANK = """
+class Tank:
+    step_s = 60.0
+    duration_s = 3600.0
+    sensors = {"tank_temperature": ("degC", 0.0, 100.0)}
+    actuators = {"heater": ("W", 0.0, 3000.0)}
+
+    def reset(self, seed):
+        self.temperature = 20.0
+        return {"tank_temperature": self.temperature}
+
+    def step(self, actuators):
+        self.temperature += 0.1
+        return {"tank_temperature": self.temperature}
+"""
+
+
+def _pump_until(stream: RerunStream, holds: Callable[[], object], what: str) -> None:
+    def there() -> object:
+        stream.pump()
+        return holds()
+
+    until(there, what)
+
+
+def test_zone_colors_and_overview_of_an_office_beside_a_tank(scratch, shared_node, episode_bus):
+    """The office has geometry, comfort band and reward of its scenario; the tank has none of them."""
+    rr.set_strict_mode(True)
+    path, plant = scratch / "run.rrd", scratch / "tank.py"
+    plant.write_text(TANK)
+    own = f"tcp/127.0.0.1:{free_port()}"
+    manifest = episode_bus.manifest("office")
+    with (
+        NodeProgram(
+            scratch / "tank",
+            name="tank",
+            plant=f"{plant}:Tank",
+            mode="free",
+            listen=[own],
+            connect=[shared_node.endpoint],
+        ),
+        open_session(connect=[shared_node.endpoint]) as session,
+        open_stream(session, "*", [rr.FileSink(str(path))], is_live=True) as stream,
+    ):
+        values = []
+        with episode_bus.controller("office") as link:
+            for sample in link:
+                values.append(sample.values)
+                if sample.step == 60:
+                    break
+        _pump_until(stream, lambda: stream.samples >= 2, "both nodes are shown")
+    band, reward = comfort_band(manifest), reward_terms(manifest)
+    colors = logged(path, "Mesh3D:albedo_factor")
+    zones = {entity.rpartition("/")[2] for entity in colors if "/building/zones/" in entity}
+    assert len(zones) == len(band.zones) == 5
+    assert not any(entity.startswith("/tank") for entity in colors)
+    (text,) = [rows[-1] if isinstance(rows, list) else rows for e, rows in static(path, "TextDocument:text").items()]
+    assert "**office**" in text
+    assert "**tank**" in text
+    (rewards,) = [rows for entity, rows in logged(path, "Scalars:scalars").items() if entity.endswith("/reward")]
+    assert rewards
+    moments = {int(s): t for s, t in zip(range(97), _begins(manifest), strict=True)}
+    for step, terms in rewards.items():
+        expected = reward(np.asarray(values[step]), moments[step - 1])
+        assert terms == pytest.approx([float(value) for value in expected.values()])
+
+
+def _begins(manifest):
+    begin = np.datetime64(manifest.begin)
+    step = np.timedelta64(round(manifest.step_s), "s")
+    return [(begin + n * step).astype("M8[s]").item() for n in range(97)]
+
+
+def test_a_node_of_an_older_schema_is_named_and_not_shown(scratch, shared_node):
+    notices: list[str] = []
+    with (
+        open_session(connect=[shared_node.endpoint]) as old,
+        old.liveliness().declare_token("zenostat/v1/veteran/@live/node/1a"),
+        open_session(connect=[shared_node.endpoint]) as session,
+        RerunStream(session, "*", [rr.FileSink(str(scratch / "run.rrd"))], notify=notices.append) as stream,
+    ):
+        _pump_until(stream, lambda: notices, "the older node is noticed")
+        _pump_until(stream, lambda: stream.samples, "the other node is shown")
+    (notice,) = notices
+    assert "'veteran'" in notice
+    assert "v1" in notice
+    assert f"v{codec.SCHEMA_VERSION}" in notice
+
+
+def test_a_node_whose_messages_cannot_be_read_is_named_once(scratch, shared_node):
+    notices: list[str] = []
+    with (
+        open_session(connect=[shared_node.endpoint]) as odd,
+        odd.declare_queryable(keys.MANIFEST.at("odd"), _garbage),
+        odd.declare_queryable(keys.SAMPLE.at("odd"), _sample),
+        odd.liveliness().declare_token(keys.NODE_TOKEN.at("odd", name="1a")),
+        open_session(connect=[shared_node.endpoint]) as session,
+        RerunStream(session, "odd", [rr.FileSink(str(scratch / "run.rrd"))], notify=notices.append) as stream,
+    ):
+        _pump_until(stream, lambda: notices, "the unreadable manifest is noticed")
+        stream.pump()
+        assert stream.samples == 0
+    (notice,) = notices
+    assert notice.startswith("node 'odd' sent a message that cannot be read")
+
+
+def _garbage(query: zenoh.Query) -> None:
+    query.reply(query.key_expr, b"\xc1", encoding="application/msgpack")
+
+
+def _sample(query: zenoh.Query) -> None:
+    sample = Sample(
+        episode=[0], step=[0], time=["2017-07-01T00:00:00"], elapsed_s=[0.0], flags=[1], values=b"", effective=b"",
+        source_index=b"", sources=[""],
+    )  # fmt: skip
+    query.reply(query.key_expr, codec.encode(sample), encoding=codec.encoding(Sample))
+
+
+def test_a_file_has_all_samples_though_they_are_gathered(scratch: Path, shared_node, episode_bus):
+    path = scratch / "run.rrd"
+    with (
+        open_session(connect=[shared_node.endpoint]) as session,
+        RerunStream(session, "office", [rr.FileSink(str(path))], is_live=False) as stream,
+    ):
+        with episode_bus.controller("office") as link:
+            first = link.current().step
+            for sample in link:
+                last = sample.step
+        _pump_until(stream, lambda: stream.samples >= last - first + 1, "all samples have come")
+    for entity, rows in logged(path, "Scalars:scalars").items():
+        if entity.endswith("/temperatures"):
+            assert sorted(rows) == list(range(first, last + 1))
+            break
+    else:
+        pytest.fail("no temperatures")
