@@ -22,7 +22,9 @@ QUANTUM_K = 0.25
 PERIOD_S = 900
 """Shortest interval between two colors of a zone, in simulated seconds."""
 
-_SUN_PERIOD_S = 1800
+_SUN_PERIOD_S, _LONG_SUN_PERIOD_S = 1800, 3600
+"""Interval between two positions of the sun, in simulated seconds: in episodes of up to 31 days, and in longer ones."""
+
 _WINDOW = (120, 178, 226, 110)
 _DOOR = (88, 80, 74, 255)
 _SHADING = (150, 154, 158, 120)
@@ -79,10 +81,17 @@ class BuildingView:
         model: meshes of the building.
         geometry: of the node, for the sun's position.
         zones: names of the zones of a block's deviations, in EnergyPlus, and their labels.
+        is_long: whether the episode is longer than 31 days.
     """
 
     def __init__(
-        self, log: EpisodeLog, model: BuildingModel, geometry: Geometry, zones: Sequence[tuple[str, str]]
+        self,
+        log: EpisodeLog,
+        model: BuildingModel,
+        geometry: Geometry,
+        zones: Sequence[tuple[str, str]],
+        *,
+        is_long: bool = False,
     ) -> None:
         self._log, self._model, self._geometry = log, model, geometry
         labels = {name.casefold(): label for name, label in zones}
@@ -91,6 +100,7 @@ class BuildingView:
         keys = [name.casefold() for name, _ in zones]
         self._colored = [(column, drawn[key]) for column, key in enumerate(keys) if key in drawn]
         self._changes = ColorChanges(len(zones))
+        self._sun_period_s = _LONG_SUN_PERIOD_S if is_long else _SUN_PERIOD_S
         self._sun_period = -1
         self._begin()
 
@@ -150,7 +160,7 @@ class BuildingView:
         self._add_sun(block)
 
     def _add_sun(self, block: SampleBlock) -> None:
-        periods = block.times.astype(np.int64) // (_SUN_PERIOD_S * 10**9)
+        periods = block.times.astype(np.int64) // (self._sun_period_s * 10**9)
         rows = np.flatnonzero(periods != np.concatenate([[self._sun_period], periods[:-1]]))
         self._sun_period = int(periods[-1])
         if not len(rows):

@@ -22,6 +22,9 @@ from bridge.rerun.timelines import SourceTimelines, ZoneTimelines
 from bridge.rerun.totals import TotalRows, Totals
 from topics.messages import Geometry, Manifest, Sample
 
+LONG_DAYS = 31.0
+"""Length of an episode from which the sun's position is logged less often."""
+
 _TEXT_PERIOD_S = 0.3
 _MARKDOWN = "text/markdown"
 
@@ -50,8 +53,12 @@ class NodeModel:
     @property
     def has_carpet(self) -> bool:
         """Whether zones over time are an image instead of state timelines."""
-        days = self.manifest.steps * self.manifest.step_s / 86400
-        return len(self.roles.zones) > MAX_TIMELINE_ZONES or days > MAX_TIMELINE_DAYS
+        return len(self.roles.zones) > MAX_TIMELINE_ZONES or self.days > MAX_TIMELINE_DAYS
+
+    @property
+    def days(self) -> float:
+        """Length of an episode in days."""
+        return self.manifest.steps * self.manifest.step_s / 86400
 
 
 class EpisodeView:
@@ -97,7 +104,8 @@ class EpisodeView:
         self._building = None
         if node.building is not None and node.geometry is not None:
             labels = [(zone.key, zone.label) for zone in zones]
-            self._building = BuildingView(self.log, node.building, node.geometry, labels)
+            is_long = node.days > LONG_DAYS
+            self._building = BuildingView(self.log, node.building, node.geometry, labels, is_long=is_long)
 
     def add(self, samples: Sequence[Sample]) -> None:
         """Log consecutive samples."""

@@ -30,8 +30,8 @@ MAX_LEGEND = 20
 MAX_ZONE_PLOTS = 24
 """Largest number of zones with a plot of their own."""
 
-_LEGEND_SHARE = 0.3
-"""Free time at the right of each plot, as a share of the episode, in which its legend covers no line."""
+_LEGEND_SHARE, _WIDE_LEGEND_SHARE = 0.3, 0.12
+"""Free time at the right of plots of half and of full width, as a share of the episode: their legends cover no line."""
 
 _HIDDEN_TIME = TimelineColumn(SIMULATED, visible=False)
 """The column of times is too narrow for them; each text begins with its time."""
@@ -71,6 +71,7 @@ class _NodePage:
         self._series = {series.path: series for series in view.series}
         begin, end = (datetime.fromisoformat(text) for text in (model.manifest.begin, model.manifest.end))
         self._axis = _time_axis(begin, end + _LEGEND_SHARE * (end - begin))
+        self._wide_axis = _time_axis(begin, end + _WIDE_LEGEND_SHARE * (end - begin))
         self._whole_axis = _time_axis(begin, end)
 
     def _path(self, name: str) -> str:
@@ -128,7 +129,7 @@ class _NodePage:
         zones = self._model.roles.zones
         if not zones:
             return None
-        several = self._plots([names.TEMPERATURES, names.OCCUPANTS, names.HUMIDITY])
+        several = self._plots([names.TEMPERATURES, names.OCCUPANTS, names.HUMIDITY], is_wide=True)
         parts: list[rrb.Container] = [rrb.Vertical(*several, name="All zones")]
         if len(zones) <= MAX_ZONE_PLOTS:
             plots = [self._zone_plot(place) for place in range(len(zones))]
@@ -150,7 +151,8 @@ class _NodePage:
             is_visible = [name == zone.label for name in series.names]
             colors = [list(color)] * len(series.names) if color is not None else None
             contents.append(self._path(path))
-            overrides[self._path(path)] = rr.SeriesLines(visible_series=is_visible, colors=colors)
+            widths = [2.0 if color is None else 1.2] * len(series.names)
+            overrides[self._path(path)] = rr.SeriesLines(visible_series=is_visible, colors=colors, widths=widths)
         return rrb.TimeSeriesView(
             origin=self._path(""),
             contents=contents,
@@ -162,7 +164,7 @@ class _NodePage:
 
     def energy(self) -> rrb.Container | None:
         """Return the tab of power and energy."""
-        plots = self._plots([names.END_USES, names.POWER, names.ENERGY])
+        plots = self._plots([names.END_USES, names.POWER, names.ENERGY], is_wide=True)
         return rrb.Vertical(*plots, name="Energy") if plots else None
 
     def control(self) -> rrb.Container | None:
@@ -195,10 +197,10 @@ class _NodePage:
     def _events(self) -> rrb.View:
         return _log_view(entity_path(self._model.manifest.node, EVENTS), "Events and faults")
 
-    def _plots(self, paths: Sequence[str]) -> list[rrb.View]:
-        return [self._plot(self._series[path]) for path in paths if path in self._series]
+    def _plots(self, paths: Sequence[str], *, is_wide: bool = False) -> list[rrb.View]:
+        return [self._plot(self._series[path], is_wide=is_wide) for path in paths if path in self._series]
 
-    def _plot(self, lines: Lines) -> rrb.View:
+    def _plot(self, lines: Lines, *, is_wide: bool = False) -> rrb.View:
         contents = [self._path(lines.path)]
         if lines.path in (names.TEMPERATURE_RANGE, names.TEMPERATURES) and names.BAND_PATH in self._series:
             contents.append(self._path(names.BAND_PATH))
@@ -206,7 +208,7 @@ class _NodePage:
             origin=self._path(""),
             contents=contents,
             name=lines.title,
-            axis_x=self._axis,
+            axis_x=self._wide_axis if is_wide else self._axis,
             plot_legend=rrb.PlotLegend(corner="RightTop", visible=len(lines.names) <= MAX_LEGEND),
         )
 

@@ -63,6 +63,22 @@ def test_values_colors_and_times_are_those_of_the_samples(scratch: Path) -> None
     assert core in static(path, "Mesh3D:vertex_positions")
 
 
+def test_sun_is_south_of_the_building_at_noon_and_absent_at_night(scratch: Path) -> None:
+    path, manifest = scratch / "run.rrd", office()
+    with _node(path, manifest, two_storeys()) as node:
+        _add(node, manifest, rows(97))
+        center, radius_m = node.model.building.center, node.model.building.radius_m
+    sun = logged(path, "Points3D:positions")[f"{EPISODE}/building/sun"]
+    assert sorted(sun) == list(range(0, 97, 2))
+    assert sun[0] == sun[96] == []  # midnight
+    east, north, up = np.array(sun[48][0]) - center
+    assert north < -0.2 * radius_m
+    assert abs(east) < 0.2 * radius_m  # noon in Denver is five minutes before the sun's
+    assert up > radius_m
+    assert sun[28][0][0] > center[0]  # in the morning it is in the east
+    assert sun[70][0][0] < center[0]
+
+
 def test_zones_and_value_sources_change_states(scratch: Path) -> None:
     path, manifest = scratch / "run.rrd", office()
     table = rows(4, core_air_temperature=[22, 27.5, 27.5, 22], core_occupants=[0, 0, 1, 1])
