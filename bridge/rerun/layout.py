@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from datetime import datetime
+from typing import Literal
 
 import numpy as np
 import rerun as rr
@@ -27,11 +28,16 @@ EVENTS = "events"
 MAX_LEGEND = 20
 """Largest number of lines in a plot with a visible legend."""
 
+MAX_PREVIEWS = 8
+"""Largest number of nodes of which the overview shows more than a row of numbers."""
+
 MAX_ZONE_PLOTS = 24
 """Largest number of zones with a plot of their own."""
 
 _LEGEND_SHARE, _WIDE_LEGEND_SHARE = 0.3, 0.12
 """Free time at the right of plots of half and of full width, as a share of the episode: their legends cover no line."""
+
+_LogColumn = Literal["EntityPath", "LogLevel", "Body"]
 
 _HIDDEN_TIME = TimelineColumn(SIMULATED, visible=False)
 """The column of times is too narrow for them; each text begins with its time."""
@@ -41,26 +47,24 @@ _BACKGROUND = (16, 18, 20)
 
 def blueprint(nodes: Sequence[tuple[NodeModel, EpisodeView]]) -> rrb.Blueprint:
     """Return the layout: the tabs of one node, or an overview and a tab for each of several."""
-    tabs = [_node_tabs(model, view) for model, view in nodes]
-    root = tabs[0] if len(tabs) == 1 else rrb.Tabs(_overview(), *tabs, active_tab=0)
+    pages = [_NodePage(model, view) for model, view in nodes]
+    tabs = [page.tabs() for page in pages]
+    root = tabs[0] if len(tabs) == 1 else rrb.Tabs(_overview(pages), *tabs, active_tab=0)
     panel = rrb.TimePanel(state="collapsed", timeline=SIMULATED, play_state="Following")
     return rrb.Blueprint(root, panel, collapse_panels=True)
 
 
-def _overview() -> rrb.Container:
-    return rrb.Vertical(
-        rrb.TextDocumentView(origin=entity_path(OVERVIEW), name="Nodes"),
-        _log_view("/", "Events of all nodes", contents=[f"/*/{EVENTS}"]),
-        row_shares=[2, 1],
-        name="Overview",
-    )
-
-
-def _node_tabs(model: NodeModel, view: EpisodeView) -> rrb.Container:
-    page = _NodePage(model, view)
-    parts = [page.main(), page.zones(), page.energy(), page.control(), page.others(), page.events()]
-    title = f"{model.manifest.node}: {model.manifest.building}"
-    return rrb.Tabs(*(part for part in parts if part is not None), active_tab=0, name=title)
+def _overview(pages: Sequence[_NodePage]) -> rrb.Container:
+    parts: list[tuple[rrb.View | rrb.Container, float]] = [
+        (rrb.TextDocumentView(origin=entity_path(OVERVIEW), name="Nodes"), min(0.9 + 0.25 * len(pages), 3.0))
+    ]
+    previews = [page.preview() for page in pages[:MAX_PREVIEWS]]
+    if previews:
+        parts.append((rrb.Grid(*previews, grid_columns=min(len(previews), 4)), 5.0))
+    contents = [f"+ {page.events_path}" for page in pages]
+    events = _log_view("/", "Events of all nodes", contents=contents, columns=["EntityPath", "LogLevel", "Body"])
+    parts.append((events, 1.5))
+    return rrb.Vertical(*(part for part, _ in parts), row_shares=[share for _, share in parts], name="Overview")
 
 
 class _NodePage:
@@ -74,8 +78,32 @@ class _NodePage:
         self._wide_axis = _time_axis(begin, end + _WIDE_LEGEND_SHARE * (end - begin))
         self._whole_axis = _time_axis(begin, end)
 
+    @property
+    def title(self) -> str:
+        """Name of the node and of its building."""
+        return f"{self._model.manifest.node}: {self._model.manifest.building}"
+
+    @property
+    def events_path(self) -> str:
+        """Entity of the node's events."""
+        return entity_path(self._model.manifest.node, EVENTS)
+
     def _path(self, name: str) -> str:
         return self._view.log.path(name)
+
+    def tabs(self) -> rrb.Container:
+        """Return all tabs."""
+        parts = [self.main(), self.zones(), self.energy(), self.control(), self.others(), self.events()]
+        return rrb.Tabs(*(part for part in parts if part is not None), active_tab=0, name=self.title)
+
+    def preview(self) -> rrb.Container:
+        """Return what the overview shows of the node: its building, temperatures and power."""
+        building = self._building(self.title)
+        temperatures = self._plots([names.TEMPERATURE_RANGE]) or self._plots([names.TEMPERATURES])
+        plots = [*temperatures, *self._plots([names.POWER])] or [self._plot(series) for series in self._view.series[:2]]
+        parts = [building, *plots] if building is not None else plots
+        shares = [2.0, *[1.0] * len(plots)] if building is not None else None
+        return rrb.Vertical(*parts, row_shares=shares, name=self.title)
 
     def main(self) -> rrb.Container:
         """Return the first tab: the building, its numbers, zones over time and the most important plots."""
@@ -83,7 +111,8 @@ class _NodePage:
         if not self._model.roles.zones:
             plots = [self._plot(series) for series in self._view.series]
             return rrb.Vertical(numbers, rrb.Grid(*plots), self._events(), row_shares=[1, 7, 2], name="Plant")
-        left = [part for part in (self._building(), self._zones_over_time()) if part is not None]
+        building = self._building(f"{self._model.manifest.building}: zones against the comfort band")
+        left = [part for part in (building, self._zones_over_time()) if part is not None]
         if self._model.building is None:
             left += self._plots([names.TEMPERATURES])
         power = self._plots([names.END_USES]) or self._plots([names.POWER])
@@ -100,13 +129,13 @@ class _NodePage:
         )
         return rrb.Vertical(numbers, columns, row_shares=[1, 9], name="Building")
 
-    def _building(self) -> rrb.View | None:
+    def _building(self, title: str) -> rrb.View | None:
         building = self._model.building
         if building is None:
             return None
         return rrb.Spatial3DView(
             origin=self._path(BUILDING),
-            name=f"{self._model.manifest.building}: zones against the comfort band",
+            name=title,
             background=rrb.Background(kind="SolidColor", color=_BACKGROUND),
             line_grid=rrb.LineGrid3D(visible=False),
             eye_controls=_camera(building),
@@ -195,7 +224,7 @@ class _NodePage:
         return rrb.Vertical(self._events(), name="Events")
 
     def _events(self) -> rrb.View:
-        return _log_view(entity_path(self._model.manifest.node, EVENTS), "Events and faults")
+        return _log_view(self.events_path, "Events and faults")
 
     def _plots(self, paths: Sequence[str], *, is_wide: bool = False) -> list[rrb.View]:
         return [self._plot(self._series[path], is_wide=is_wide) for path in paths if path in self._series]
@@ -213,12 +242,17 @@ class _NodePage:
         )
 
 
-def _log_view(origin: str, name: str, contents: Sequence[str] = ("$origin/**",)) -> rrb.View:
+def _log_view(
+    origin: str,
+    name: str,
+    contents: Sequence[str] = ("$origin/**",),
+    columns: Sequence[_LogColumn] = ("LogLevel", "Body"),
+) -> rrb.View:
     return rrb.TextLogView(
         origin=origin,
         contents=list(contents),
         name=name,
-        columns=rrb.TextLogColumns(timeline_columns=[_HIDDEN_TIME], text_log_columns=["LogLevel", "Body"]),
+        columns=rrb.TextLogColumns(timeline_columns=[_HIDDEN_TIME], text_log_columns=list(columns)),
     )
 
 

@@ -68,6 +68,8 @@ def test_several_nodes_have_an_overview_and_a_tab_each(recording: rr.RecordingSt
     layout = blueprint([(node.model, node.view) for node in nodes])
     tabs = layout.root_container.contents
     assert [tab.name for tab in tabs] == ["Overview", "north: office-small", "plain: office-small"]
+    assert [part.name for part in tabs[0].contents[1].contents] == ["north: office-small", "plain: office-small"]
+    assert _views(tabs[0])[-1].contents == ["+ /north/events", "+ /plain/events"]
     kinds = [{type(view) for view in _views(tab)} for tab in tabs]
     assert rrb.Spatial3DView in kinds[1]
     assert rrb.Spatial3DView not in kinds[2]  # it has no geometry
