@@ -16,7 +16,7 @@ from bridge.rerun.carpet import CarpetView
 from bridge.rerun.meshes import BuildingModel
 from bridge.rerun.recording import EpisodeLog, entity_path
 from bridge.rerun.samples import BlockReader, Comfort, Floats, RewardTerms, SampleBlock
-from bridge.rerun.series import REWARD, Lines, Series, all_series, reward_lines, significant_rows, vectors
+from bridge.rerun.series import REWARD, Lines, Series, all_series, reward_lines, vectors
 from bridge.rerun.summary import MAX_TEXTS, NUMBERS, NodeNumbers, markdown, numbers_at
 from bridge.rerun.timelines import SourceTimelines, ZoneTimelines
 from bridge.rerun.totals import TotalRows, Totals
@@ -139,8 +139,9 @@ class EpisodeView:
             self.log.columns(NUMBERS, block, columns, np.array(rows, np.intp))
 
     def _add_series(self, series: Series, block: SampleBlock, table: Floats) -> None:
-        rows = significant_rows(table) if series.is_sparse else np.arange(len(table))
-        self.log.columns(series.path, block, vectors(table[rows]), rows)
+        rows = series.rows(block.steps, table, self._node.manifest.steps)
+        if len(rows):
+            self.log.columns(series.path, block, vectors(table[rows]), rows)
 
     def _add_reward(self, reward: RewardTerms, block: SampleBlock) -> None:
         rows = np.flatnonzero(block.steps > 0)

@@ -41,6 +41,8 @@ REWARD = "reward"
 ACTUATORS = "actuators"
 OTHERS = "points"
 
+MAX_SMOOTH_ROWS = 2000
+
 Compute = Callable[[SampleBlock, TotalRows], Floats]
 
 
@@ -82,10 +84,21 @@ class Series(Lines):
     Attributes:
         compute: returns the lines' values, shape (n, lines).
         is_sparse: whether samples between two that are equal are left out; the lines are the same.
+        is_smooth: whether `MAX_SMOOTH_ROWS` of an episode's samples are enough to draw it.
     """
 
     compute: Compute
     is_sparse: bool = False
+    is_smooth: bool = False
+
+    def rows(self, steps: NDArray[np.int64], table: Floats, episode_steps: int) -> NDArray[np.intp]:
+        """Return the rows to log of values at these steps of an episode."""
+        if self.is_sparse:
+            return significant_rows(table)
+        if self.is_smooth:
+            stride = -(-episode_steps // MAX_SMOOTH_ROWS) or 1
+            return np.flatnonzero((steps % stride == 0) | (steps == episode_steps))
+        return np.arange(len(steps))
 
 
 def significant_rows(table: Floats) -> NDArray[np.intp]:
@@ -219,7 +232,15 @@ def _power_series(roles: PointRoles) -> list[Series]:
             Series(POWER, "Electric power (kW)", names, colors, compute=_in_kw(sources), widths=[2.0] * len(names))
         )
         plots.append(
-            Series(ENERGY, "Electricity so far (kWh)", names, colors, compute=_energy(roles), widths=[2.0] * len(names))
+            Series(
+                ENERGY,
+                "Electricity so far (kWh)",
+                names,
+                colors,
+                compute=_energy(roles),
+                widths=[2.0] * len(names),
+                is_smooth=True,
+            )
         )
     if roles.end_uses or roles.fuels:
         uses = [*roles.end_uses, *_other_fuels(roles)]

@@ -27,7 +27,7 @@ from topics.messages import SCHEMA_VERSION, Batch, Event, Geometry, Manifest, Me
 
 RING = 65536
 PERIOD_S = 0.1
-ROWS = 300
+ROWS = 1000
 """Samples that are gathered for a file: short vectors make it several times as large."""
 
 MAX_WAIT_S = 10.0

@@ -11,7 +11,7 @@ from support.monitor import office, rows, samples
 
 from bridge.display.roles import roles
 from bridge.rerun.samples import BlockReader, SampleBlock, fixed_band
-from bridge.rerun.series import Series, all_series, band_rows, significant_rows, temperature_range
+from bridge.rerun.series import MAX_SMOOTH_ROWS, Series, all_series, band_rows, significant_rows, temperature_range
 from bridge.rerun.totals import Totals
 from topics.messages import Manifest
 
@@ -83,3 +83,12 @@ def test_a_plant_without_zones_has_plots_by_unit() -> None:
     )
     titles = [plot.title for plot in all_series(tank, roles(tank), has_comfort=False)]
     assert titles == ["Other points (m)", "Flow (m³/s)", "Effective values"]
+
+
+def test_energy_so_far_is_logged_at_few_steps_and_at_the_end() -> None:
+    energy = _plots(office())["energy"]
+    steps = np.arange(35041)
+    rows = energy.rows(steps, np.zeros((len(steps), 1)), 35040)
+    assert len(rows) <= MAX_SMOOTH_ROWS + 1
+    assert rows[[0, -1]].tolist() == [0, 35040]
+    assert energy.rows(steps[:97], np.zeros((97, 1)), 96).tolist() == list(range(97))

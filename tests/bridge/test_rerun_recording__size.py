@@ -1,0 +1,38 @@
+"""The size of recordings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+from support import builders
+from support.monitor import office, samples, two_storeys
+
+from bridge.rerun.node_stream import NodeStream
+from bridge.rerun.samples import fixed_band
+from bridge.rerun.stream import ROWS
+
+YEAR, SHARE = 35040, 10
+LIMIT_BYTES = 25e6
+
+
+def test_a_year_of_sixty_points_stays_below_25_megabytes(scratch: Path) -> None:
+    """By a tenth of a year of noise, which cannot be compressed."""
+    path, manifest = scratch / "run.rrd", office(steps=YEAR, end="2018-07-01T00:00:00")
+    units = ("m3/s", "kg/s", "W/m2", "Pa", "percent")
+    extra = [builders.sensor(f"extra_{n}", "", unit=units[n % 5]) for n in range(60 - len(manifest.points))]
+    manifest = manifest.model_copy(update={"sensors": (*manifest.sensors, *extra)})
+    assert len(manifest.points) == 60
+    values = 22.0 + np.random.default_rng(0).normal(0, 3, (YEAR // SHARE, 60))
+    recording = rr.RecordingStream("zenostat")
+    recording.set_sinks(rr.FileSink(str(path)))
+    node = NodeStream(recording, manifest, two_storeys(), fixed_band, None)
+    for sample in samples(manifest, values):
+        node.add_sample(sample)
+        if len(node.samples) == ROWS:
+            node.flush()
+    node.flush()
+    recording.flush()
+    recording.disconnect()
+    assert path.stat().st_size * SHARE < LIMIT_BYTES
