@@ -40,9 +40,9 @@ def run_episode(
     *,
     seed: int | None,
     progress: Callable[[int], None] | None = None,
+    recorder: TraceRecorder | None = None,
     prices: Mapping[str, Rate] | None = None,
     emissions: Mapping[str, Rate] | None = None,
-    recorder: TraceRecorder | None = None,
 ) -> tuple[EpisodeMetrics, str]:
     """Run one episode, and return its metrics and the name of its weather.
 
@@ -51,9 +51,9 @@ def run_episode(
         act: function from observation to action.
         seed: seed for `reset`.
         progress: callback for each timestep, with the step.
+        recorder: records the samples and the terms of the rewards.
         prices: as for `evaluate`.
         emissions: as for `evaluate`.
-        recorder: records the samples and the terms of the rewards.
     """
     observation, info = env.reset(seed=seed)
     building: Any = env.unwrapped
@@ -205,9 +205,9 @@ def evaluate(
     if episodes < 1 or seed < 0:
         raise InvalidConfig(f"episodes={episodes}, seed={seed}: expected at least one episode and a seed of at least 0")
     settings = {**of_scenario(scenario), **overrides}
-    prices, emissions = read_prices(prices), read_emissions(emissions)
     if record and not {"connect", "link"} & settings.keys():  # a node that runs elsewhere has what it has
         settings.setdefault("monitoring", True)
+    prices, emissions = read_prices(prices), read_emissions(emissions)
     factories = _factories(controllers)
     arguments = _assign_parameters(factories, parameters or {}, seed)
     rows: dict[str, list[EpisodeRecord]] = {}

@@ -46,6 +46,7 @@ class ZoneComfort:
         low, high: comfort band, degC.
         occupied: whether the zone was occupied; True where occupants are not measured.
         source: what the band is, for a caption.
+        has_occupants: whether occupants are measured in any of the zones.
         is_rated: whether the band is that of a reward, so that the metrics measure it too.
     """
 
@@ -55,6 +56,7 @@ class ZoneComfort:
     high: Floats
     occupied: NDArray[np.bool_]
     source: str
+    has_occupants: bool
     is_rated: bool
 
     @property
@@ -148,7 +150,8 @@ class Quantities:
         low, high = _limits(band, values, self.trace.begins())
         return ZoneComfort(
             tuple(labels.get(int(zone), names[int(zone)]) for zone in band.zones),
-            values[:, band.zones], low, high, occupied, band.source, is_rated,
+            values[:, band.zones], low, high, occupied, band.source,
+            any(index is not None for index in band.people), is_rated,
         )  # fmt: skip
 
     @cached_property

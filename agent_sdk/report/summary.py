@@ -4,7 +4,16 @@ from __future__ import annotations
 
 from agent_sdk.report.figures.comfort import rank_zones
 from agent_sdk.report.runs import Comparison, Run
-from agent_sdk.report.totals import Difference, Metric, difference, names, number, total
+from agent_sdk.report.totals import (
+    Difference,
+    Metric,
+    difference,
+    has_equal_lengths,
+    kelvin_hours,
+    names,
+    number,
+    total,
+)
 
 _ELECTRICITY = (
     Metric("electricity_kwh", "electricity", "kWh"),
@@ -27,6 +36,8 @@ def summary(comparison: Comparison) -> list[str]:
 
 
 def _compared(run: Run, reference: Run) -> str:
+    if not has_equal_lengths(run, reference):
+        return f"The totals of {run.label} and {reference.label} do not compare: their episodes differ in length."
     parts, verdicts = [], []
     energy = next((metric for metric in _ELECTRICITY if total(run, metric.key) and total(reference, metric.key)), None)
     if energy is not None:
@@ -51,7 +62,7 @@ def _amount(run: Run, reference: Run, metric: Metric, change: Difference) -> str
     assert own is not None
     assert base is not None
     amounts = f"{number(own.mean)} instead of {number(base.mean)} {metric.unit}"
-    if change.verdict == "equal" or change.percent is None:
+    if change.verdict == "equal":
         return f"{run.label} used as much {metric.label} as {reference.label} ({number(own.mean)} {metric.unit})"
     if change.verdict == "unclear":
         return (
@@ -59,6 +70,8 @@ def _amount(run: Run, reference: Run, metric: Metric, change: Difference) -> str
             "of the difference contains zero)"
         )
     less = "less" if change.mean < 0 else "more"
+    if change.percent is None:
+        return f"{run.label} used {less} {metric.label} than {reference.label} ({amounts})"
     return f"{run.label} used {abs(change.percent):.1f} % {less} {metric.label} than {reference.label} ({amounts})"
 
 
@@ -68,6 +81,8 @@ def _peak(run: Run, reference: Run, change: Difference, *, is_first: bool) -> st
     assert base is not None
     subject = f"{run.label} has" if is_first else ", with"
     if change.verdict in ("equal", "unclear") or change.percent is None:
+        if change.percent is None and change.verdict not in ("equal", "unclear"):
+            return f"{subject} a peak of {number(own.mean)} instead of {number(base.mean)} kW"
         return f"{subject} about the same peak power ({number(own.mean)} kW)"
     lower = "lower" if change.mean < 0 else "higher"
     return (
@@ -85,16 +100,16 @@ def _outside(run: Run, reference: Run, change: Difference, *, is_contrast: bool)
         return (
             f"{always}, as under {reference.label}."
             if base.mean == 0.0
-            else (f"{always} (under {reference.label} outside by {number(base.mean)} K h).")
+            else f"{always} (under {reference.label} outside by {kelvin_hours(base.mean)})."
         )
-    text = f"{opening} zones were outside the comfort band by {number(own.mean)} K h"
+    text = f"{opening} zones were outside the comfort band by {kelvin_hours(own.mean)}"
     if change.verdict == "equal":
         text += f", as much as under {reference.label}"
     elif change.verdict == "unclear":
-        text += f" (under {reference.label} {number(base.mean)} K h; the difference is not clear)"
+        text += f" (under {reference.label} {kelvin_hours(base.mean)}; the difference is not clear)"
     elif change.percent is not None:
         less = "less" if change.mean < 0 else "more"
-        text += f", {abs(change.percent):.0f} % {less} than under {reference.label} ({number(base.mean)} K h)"
+        text += f", {abs(change.percent):.0f} % {less} than under {reference.label} ({kelvin_hours(base.mean)})"
     else:
         text += f"; under {reference.label} they were within it"
     return f"{text}{_worst(run)}."
@@ -111,21 +126,22 @@ def _worst(run: Run) -> str:
     if totals[place] < _WORST_KH:
         return ""
     kind = "too warm" if hours[0][place] >= hours[1][place] else "too cold"
-    amount = number(float(max(hours[0][place], hours[1][place])))
+    amount = kelvin_hours(float(max(hours[0][place], hours[1][place])))
     where = " in the first episode" if len(run.results) > 1 else ""
-    return f"; the worst zone{where} is {comfort.labels[place]} ({amount} K h {kind})"
+    return f"; the worst zone{where} is {comfort.labels[place]} ({amount} {kind})"
 
 
 def _alone(run: Run) -> str:
-    parts = []
-    for metric in (*_ELECTRICITY, _PEAK):
-        used = total(run, metric.key)
-        if used is not None:
-            parts.append(f"{number(used.mean)} {metric.unit} of {metric.label}")
-    sentences = [f"{run.label} used {names(parts)}." if parts else f"{run.label}: no energy is measured."]
+    amounts = [(metric, amount) for metric in _ELECTRICITY if (amount := total(run, metric.key)) is not None]
+    sentences = [f"{run.label}: no energy is measured."]
+    if amounts:
+        metric, amount = amounts[0]
+        peak = total(run, _PEAK.key)
+        with_peak = f", with a peak of {number(peak.mean)} {_PEAK.unit}" if peak is not None else ""
+        sentences = [f"{run.label} used {number(amount.mean)} {metric.unit} of {metric.label}{with_peak}."]
     outside = total(run, _OUTSIDE.key)
     if outside is not None:
-        sentences.append(f"Occupied zones were outside the comfort band by {number(outside.mean)} K h{_worst(run)}.")
+        sentences.append(f"Occupied zones were outside the comfort band by {kelvin_hours(outside.mean)}{_worst(run)}.")
     return " ".join(sentences)
 
 

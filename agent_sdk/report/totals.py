@@ -14,6 +14,8 @@ from agent_sdk.report.runs import Comparison, Run
 KELVIN_HOURS = "K\N{NO-BREAK SPACE}h"
 EQUAL_PERCENT = 0.05
 """Differences below this are called equal."""
+_MAX_PERCENT = 1e4
+"""Larger differences in percent say nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,10 +35,11 @@ class Difference:
 
     Attributes:
         mean: mean of the differences.
-        percent: the same in percent of the reference; None if that is zero.
+        percent: the same in percent of the reference; None if that is zero, or nearly zero beside the difference.
         half_width: half of the 95 % confidence interval of the mean, from the differences of the same episodes;
             None for one episode.
-        verdict: `better`, `worse`, `equal`, `unclear` (the interval contains zero) or "".
+        verdict: `better`, `worse`, `equal`, `unclear` (the interval contains zero), or "" where neither is better or
+            the episodes differ in length.
     """
 
     mean: float
@@ -84,6 +87,8 @@ def metrics(comparison: Comparison) -> list[Metric]:
             for name in terms
             if len(terms) > 1
         ]
+    if not all(has_equal_lengths(run, comparison.reference) for run in comparison.runs):
+        rows.append(Metric("steps", "Timesteps", "", 0))
     return rows + [
         metric for metric in _COUNTS if any(_values(run, metric.key, any_zero=False) for run in comparison.runs)
     ]
@@ -120,8 +125,16 @@ def difference(run: Run, reference: Run, metric: Metric) -> Difference | None:
     summary = summarize([value - other for value, other in zip(values, others, strict=True)])
     base = sum(others) / len(others)
     percent = 100.0 * summary.mean / abs(base) if base else None
+    if percent is not None and abs(percent) > _MAX_PERCENT:
+        percent = None
     half_width = None if summary.interval is None else (summary.interval[1] - summary.interval[0]) / 2
-    return Difference(summary.mean, percent, half_width, _verdict(summary, percent, metric.sign))
+    sign = metric.sign if has_equal_lengths(run, reference) else 0
+    return Difference(summary.mean, percent, half_width, _verdict(summary, percent, sign))
+
+
+def has_equal_lengths(run: Run, reference: Run) -> bool:
+    """Whether the episodes of two runs have as many timesteps; totals of others do not compare."""
+    return [result.steps for result in run.results] == [result.steps for result in reference.results]
 
 
 def _verdict(summary: MetricSummary, percent: float | None, sign: int) -> str:
@@ -140,15 +153,32 @@ def number(value: float, digits: int | None = None) -> str:
     if abs(value - round(value)) < 1e-9 * size:  # of rounding
         value = float(round(value))
     if digits is None:
-        digits = 0 if size >= 1000 or value == int(value) else 1 if size >= 100 else 2 if size >= 1 else 3
+        digits = (
+            0
+            if size >= 1000 or value == int(value)
+            else 1
+            if size >= 100
+            else 2
+            if size >= 1
+            else 3
+            if size >= 0.1
+            else 4
+        )
     text = f"{value:,.{digits}f}".replace("-", "\N{MINUS SIGN}")
-    return text.lstrip("\N{MINUS SIGN}") if not any(digit in text for digit in "123456789") else text
+    if any(digit in text for digit in "123456789"):
+        return text
+    return "\N{ALMOST EQUAL TO}\N{NO-BREAK SPACE}0" if value else "0"
+
+
+def kelvin_hours(value: float) -> str:
+    """Return a number of kelvin hours with its unit, which no line break separates."""
+    return f"{number(value)}\N{NO-BREAK SPACE}{KELVIN_HOURS}"
 
 
 def signed(value: float, digits: int | None = None) -> str:
     """Return a difference with its sign."""
     text = number(value, digits)
-    return text if value <= 0 or text.strip("0.,") == "" else f"+{text}"
+    return f"+{text}" if value > 0 and text[0].isdigit() and text != "0" else text
 
 
 def names(items: Sequence[str]) -> str:

@@ -17,6 +17,11 @@ ELECTRICITY = Metric("electricity_kwh", "Electricity", "kWh")
 REWARD = Metric("reward", "Reward", "", 1)
 
 
+def texts_of(comparison: Comparison) -> list[str]:
+    """The result with plain spaces."""
+    return [text.replace("\N{NO-BREAK SPACE}", " ") for text in summary(comparison)]
+
+
 def with_electricity(of: Run, *amounts: float) -> Run:
     """The run with one episode for each amount of electricity."""
     results = tuple(replace(of.results[0], energy_kwh={"electricity": amount}) for amount in amounts)
@@ -83,7 +88,7 @@ def test_quantities_that_nobody_measures_have_no_row(comparison: Comparison) -> 
 
 
 def test_the_result_names_savings_and_the_zone_that_pays_for_them(comparison: Comparison) -> None:
-    (text,) = summary(comparison)
+    (text,) = texts_of(comparison)
     # 10 kW by day, 30 kW for ten hours: 440 kWh; the second controller uses a tenth less.
     assert text.startswith(
         "rbc used 10.0 % less electricity than baseline (396 instead of 440 kWh), with a 10.0 % lower"
@@ -93,7 +98,7 @@ def test_the_result_names_savings_and_the_zone_that_pays_for_them(comparison: Co
 
 
 def test_the_result_says_when_nothing_differs(comparison: Comparison) -> None:
-    (text,) = summary(Comparison((comparison.runs[0], replace(comparison.runs[0], name="same"))))
+    (text,) = texts_of(Comparison((comparison.runs[0], replace(comparison.runs[0], name="same"))))
     assert "same used as much electricity as baseline (440 kWh)" in text
     assert "Occupied zones were within the comfort band at all times, as under baseline." in text
 
@@ -112,14 +117,14 @@ def test_long_names_are_shortened_and_stay_distinct(names: list[str], short: lis
 
 
 def test_the_result_of_one_controller_alone(comparison: Comparison) -> None:
-    (text,) = summary(Comparison(comparison.runs[1:]))
-    assert text.startswith("rbc used 396 kWh of electricity")
+    (text,) = texts_of(Comparison(comparison.runs[1:]))
+    assert text.startswith("rbc used 396 kWh of electricity, with a peak of 27 kW.")
     assert "outside the comfort band by 20 K h" in text
 
 
 def test_the_result_names_episodes_that_ended_early_and_commands_that_were_not_accepted(comparison: Comparison) -> None:
     reference, other = comparison.runs
-    texts = summary(Comparison((reference, changed(other, terminated=True, steps=40, late=2, rejected=1))))
+    texts = texts_of(Comparison((reference, changed(other, terminated=True, steps=40, late=2, rejected=1))))
     assert any("ended 1 of 1 episodes early, after 40 of 96 timesteps" in text for text in texts)
     assert any("did not accept 3 messages of rbc" in text for text in texts)
 
@@ -128,14 +133,15 @@ def test_the_result_of_several_episodes_says_so_and_what_is_not_clear(comparison
     pytest.importorskip("scipy")
     reference, other = comparison.runs
     pair = (with_electricity(reference, 100, 500, 900), with_electricity(other, 90, 520, 880))
-    texts = summary(Comparison(pair))
+    texts = texts_of(Comparison(pair))
     assert "rbc and baseline do not differ clearly in electricity" in texts[0]
     assert texts[-1] == "Numbers are means over 3 episodes."
 
 
 @pytest.mark.parametrize(
     ("value", "text"),
-    [(7695.94, "7,696"), (134.59, "134.6"), (8.351, "8.35"), (0.0667, "0.067"), (0.0, "0"), (-0.00001, "0.000"),
+    [(7695.94, "7,696"), (134.59, "134.6"), (8.351, "8.35"), (0.0667, "0.0667"),
+        (0.5432, "0.543"), (0.0, "0"), (-0.00001, "\N{ALMOST EQUAL TO}\N{NO-BREAK SPACE}0"),
      (-383.26, "\N{MINUS SIGN}383.3"), (12.0, "12")],
 )  # fmt: skip
 def test_numbers_have_about_four_digits(value: float, text: str) -> None:
@@ -145,3 +151,24 @@ def test_numbers_have_about_four_digits(value: float, text: str) -> None:
 @pytest.mark.parametrize(("value", "text"), [(5.25, "+5.25"), (-5.25, "\N{MINUS SIGN}5.25"), (0.0, "0")])
 def test_differences_have_a_sign(value: float, text: str) -> None:
     assert signed(value) == text
+
+
+def test_episodes_of_different_length_are_not_rated(comparison: Comparison) -> None:
+    reference, other = comparison.runs
+    shorter = changed(other, steps=40, terminated=True)
+    change = difference(shorter, reference, ELECTRICITY)
+    assert change is not None
+    assert change.verdict == ""
+    pair = Comparison((reference, shorter))
+    assert texts_of(pair)[0] == "The totals of rbc and baseline do not compare: their episodes differ in length."
+    assert "steps" in [metric.key for metric in metrics(pair)]
+    assert "steps" not in [metric.key for metric in metrics(comparison)]
+
+
+def test_percents_of_nearly_nothing_are_left_out(comparison: Comparison) -> None:
+    reference, other = comparison.runs
+    change = difference(with_electricity(other, 5.0), with_electricity(reference, 1e-9), ELECTRICITY)
+    assert change is not None
+    assert (change.percent, change.verdict) == (None, "worse")
+    (text,) = texts_of(Comparison((with_electricity(reference, 1e-9), with_electricity(other, 5.0))))
+    assert text.startswith("rbc used more electricity than baseline (5 instead of")

@@ -39,7 +39,7 @@ def office(
         task=Task(actions=tuple(own_action(one) for one in cool), reward={"kind": "linear"}),
     )  # fmt: skip
     end = datetime.fromisoformat(begin) + steps * base.timestep
-    return base.model_copy(update={"begin": begin, "end": end.isoformat(), "steps": steps})
+    return base.model_copy(update={"begin": begin, "end": end.isoformat(), "steps": steps, "floor_area_m2": 100.0})
 
 
 def sample(of: Manifest, step: int, values: Sequence[float], *, source: int = 0, setpoint: float = 24.0) -> SampleView:
@@ -73,7 +73,8 @@ def recorded(
     joules = np.asarray(kw) * of.step_s / 3600.0 * J_PER_KWH
     meters = np.column_stack([joules, 0.7 * joules, *(share * joules for share in SHARES)])
     table = np.column_stack([*temperatures, *occupants, meters])
-    for step, row in enumerate(np.vstack([np.full(table.shape[1], 1e9), table])):
+    before = np.append(table[0, : -meters.shape[1]], np.full(meters.shape[1], 1e9))  # energy before does not count
+    for step, row in enumerate(np.vstack([before, table])):
         view = sample(of, step, row.tolist(), source=source)
         recorder.add(view, terms if step else None)
         metrics.add(view, terms if step else None)

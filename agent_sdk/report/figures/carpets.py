@@ -67,12 +67,14 @@ def zone(curves: Sequence[Curve], label: str, number: int) -> Figure | None:
     if not grids:
         return None
     name = f"carpet-zone-{number}"
+    has_occupants = any(comfort.has_occupants for curve, *_ in grids if (comfort := curve.quantities.comfort))
+    faint = " Faint: nobody there." if has_occupants else ""
     limits = (-COMFORT_RANGE_K, COMFORT_RANGE_K)
     drawing = _carpets(name, [(curve, days) for curve, days, _ in grids], tints.__getitem__, limits, "K")
     return Figure(
         name, f"{label}: deviation from comfort",
-        "Mean deviation from the comfort band in each hour in K: blue below, orange above, blank within. "
-        "Faint: nobody there.",
+        "Mean deviation from the comfort band in each hour in K: blue below, orange above, blank within."
+        f"{faint}",
         f"Carpet of the deviation of {label} from the comfort band over the hours of each day.", drawing,
         _columns(grids, "K"),
     )  # fmt: skip

@@ -44,7 +44,7 @@ def degree_hours(curves: Sequence[Curve]) -> Figure | None:
     if not shown:
         return Figure(
             "degree-hours", "Degree-hours outside comfort, by zone",
-            "All zones were within the comfort band while occupied.", "", None, data, is_tabular=True,
+            f"All zones were within the comfort band{_while(curves)}.", "", None, data, is_tabular=True,
         )  # fmt: skip
 
     def fill(figure: Any) -> None:
@@ -74,10 +74,15 @@ def degree_hours(curves: Sequence[Curve]) -> Figure | None:
     drawing = draw("degree-hours", 0.75 + len(shown) * max(0.2, 0.125 * len(curves)), fill)
     return Figure(
         "degree-hours", "Degree-hours outside comfort, by zone",
-        f"Kelvin hours outside the comfort band while the zone was occupied, zones sorted by the worst.{hidden}",
+        f"Kelvin hours outside the comfort band{_while(curves)}, zones sorted by the worst.{hidden}",
         f"Bars of kelvin hours by zone; the worst is {shown[0]}.", drawing, data,
         is_tabular=True,
     )  # fmt: skip
+
+
+def _while(curves: Sequence[Curve]) -> str:
+    known = any(comfort.has_occupants for curve in curves if (comfort := curve.quantities.comfort) is not None)
+    return " while occupied" if known else " (occupants are not measured)"
 
 
 def _of_zones(curve: Curve, labels: Sequence[str]) -> tuple[Floats, Floats]:

@@ -14,6 +14,8 @@ from bridge.display.colors import UNKNOWN, hex_color
 
 _MAX_CURVE_POINTS = 500
 _REMAINDER_SHARE = 0.005
+_MIN_SHARE = 1e-6
+"""Share of the energy below which an end use is not used."""
 _PLOT_IN = 6.2
 """Width of the bars of all end uses together, inch, to decide which labels fit."""
 
@@ -31,6 +33,8 @@ def end_uses(curves: Sequence[Curve]) -> Figure | None:
             for table in tables
         ]
     )
+    used = np.flatnonzero(kwh.max(axis=0) > _MIN_SHARE * kwh.sum(axis=1).max())
+    keys, kwh = [keys[place] for place in used], kwh[:, used]
     order = np.argsort([key[1] != "electricity" for key in keys], kind="stable")
     keys, kwh = [keys[place] for place in order], kwh[:, order]
     fuels = {fuel for _, fuel in keys}

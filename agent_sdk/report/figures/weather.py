@@ -53,7 +53,7 @@ def weather(episodes: Sequence[tuple[str, WeatherTrace]], begin: np.datetime64) 
     for label, trace in distinct:
         data[f"{label}: outdoor temperature (degC)"] = trace.temperature.tolist()
         data[f"{label}: global horizontal radiation (W/m2)"] = trace.solar.tolist()
-    caption = "Daily mean and range of the temperature." if is_long else "As EnergyPlus reads it, noise included."
+    caption = "Daily mean and range of the temperature." if is_long else "As drawn, noise included."
     if len(distinct) > len(shown):
         caption += f" The first {len(shown)} of {len(distinct)} different weathers are drawn."
     temperatures = np.concatenate([trace.temperature for _, trace in shown])

@@ -1,0 +1,83 @@
+"""`--report` and `--figures` of the commands that run episodes."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from pathlib import Path
+
+import pytest
+from support.nodes import SMALL
+from support.run_cli import plain, run_in_process, run_program
+
+from agent_sdk.report.totals import number
+
+SCENARIO = f"""
+building: {SMALL["building"]}
+weather: {SMALL["weather"]}
+steps_per_hour: {SMALL["steps_per_hour"]}
+begin: "07-03"
+end: "07-03"
+reward: {{kind: linear}}
+"""
+
+
+def test_an_evaluation_writes_report_and_figures_with_its_own_numbers(scratch: Path) -> None:
+    pytest.importorskip("matplotlib")
+    (scratch / "my office.yaml").write_text(SCENARIO)
+    call = ["my office.yaml", "--controller", "baseline", "--controller", "rbc", "--json", "--price", "electricity=0.2"]
+    done = run_program("evaluate", *call, "--report", "out.html", "--figures", "figures", cwd=scratch)
+    assert done.returncode == 0, done.stderr
+    baseline, rbc = json.loads(done.stdout)
+    text = (scratch / "out.html").read_text()
+    rows = dict(re.findall(r'<tr data-metric="([^"]+)">(.*?)</tr>', text))
+    for name in ("electricity_kwh", "hvac_electricity_kwh", "peak_kw", "occupied_outside_kh", "reward", "kpi.ener_tot"):
+        cells = re.findall(r'<td class="n">(.*?)</td>', rows[name])
+        assert cells[:2] == [number(baseline[name]), number(rbc[name])], name
+    assert "zenostat evaluate &#x27;my office.yaml&#x27; --controller baseline" in text
+    assert "<pre>" in text
+    assert f"building: {SMALL['building']}\n" in text  # the scenario itself
+    with (scratch / "figures" / "end-uses.csv").open(newline="") as file:
+        uses = list(csv.DictReader(file))
+    for name, metrics in (("baseline", baseline), ("rbc", rbc)):  # monitoring measures every end use
+        total = sum(float(use[f"{name} (kWh)"]) for use in uses)
+        assert total == pytest.approx(metrics["electricity_kwh"] + metrics["natural_gas_kwh"], rel=1e-6)
+    with (scratch / "figures" / "degree-hours.csv").open(newline="") as file:
+        zones = list(csv.DictReader(file))
+    outside = sum(float(zone["rbc: above (K h)"]) + float(zone["rbc: below (K h)"]) for zone in zones)
+    assert outside == pytest.approx(rbc["occupied_outside_kh"], abs=1e-9)
+    assert (scratch / "figures" / "weather.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize("command", [["evaluate", "x", "--controller", "rbc"], ["run", "--node", "x"]])
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--report", "report.txt"], "--report report.txt: expected an .html file"),
+        (["--report", "nowhere/report.html"], "--report nowhere/report.html: there is no folder"),
+        (["--report", "folder.html"], "--report folder.html: expected a file, but this is a folder"),
+        (["--figures", "file"], "--figures file: expected a folder, but this is a file"),
+        (["--figures", "nowhere/figures"], "--figures nowhere/figures: there is no folder"),
+    ],
+)
+def test_a_wrong_path_is_one_sentence_before_anything_starts(
+    command: list[str], options: list[str], says: str, tmp_path: Path
+) -> None:
+    pytest.importorskip("matplotlib")
+    (tmp_path / "folder.html").mkdir()
+    (tmp_path / "file").touch()
+    done = run_in_process(*command, *options, cwd=tmp_path)
+    assert done.returncode == 2
+    assert says in plain(done.stderr)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "folder.html"]
+
+
+def test_without_matplotlib_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    import sys
+
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    done = run_in_process("evaluate", "x", "--controller", "rbc", "--report", "out.html", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "a report needs matplotlib.figure" in plain(done.stderr)
+    assert "[plots]" in plain(done.stderr)
