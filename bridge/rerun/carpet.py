@@ -113,7 +113,7 @@ class CarpetView:
         bottom = len(self._zones) * self._height
         places, texts = [], []
         for place in shown:
-            places.append((-0.1 * self._carpet.deviations.shape[1] * self._scale, (place + 0.5) * self._height))
+            places.append((-0.12 * self._carpet.deviations.shape[1] * self._scale, (place + 0.5) * self._height))
             texts.append(self._zones[place])
         for day in ticks:
             step = int((day - begin) / np.timedelta64(1, "s") / step_s)
