@@ -35,6 +35,9 @@ _MAX_ERRORS = 10
 FLOAT = np.dtype("<f8")
 INDEX = np.dtype("<u2")
 _MEDIA = "application/msgpack"
+RELINQUISHED = np.array(np.nan, FLOAT).tobytes()
+"""The command of a relinquished actuator."""
+
 _SCHEMA_MARK = ";zenostat/"
 _UNNAMED = frozenset(("", "zenoh/bytes", "application/octet-stream", _MEDIA, "application/x-msgpack"))
 """Encodings without a message class: Zenoh's default encodings and plain msgpack."""

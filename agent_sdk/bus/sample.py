@@ -93,6 +93,12 @@ class SampleView:
             self._actuators(self.message.baseline_effective, "baseline_effective") if self.manifest.baseline else None
         )
 
+    @property
+    def commanded(self) -> NDArray[np.float64]:
+        """The command in effect for each actuator, in manifest order; NaN: relinquished."""
+        raw = self.message.commanded or codec.RELINQUISHED * (self.manifest.slots * len(self.manifest.actuators))
+        return self._actuators(raw, "commanded")
+
     def _points(self, raw: bytes, field: str) -> NDArray[np.float64]:
         return codec.row(raw, self.slot, self.manifest.slots, len(self._index), field)
 

@@ -151,6 +151,7 @@ class FakeLink:
             flags=[(Flag.NONE if building.step else Flag.FIRST) | (Flag.TRUNCATED if last else Flag.NONE)],
             values=values.astype("<f8").tobytes(),
             effective=effective.astype("<f8").tobytes(),
+            commanded=self._commanded.astype("<f8").tobytes(),
             source_index=np.where(np.isnan(self._commanded), 0, 1).astype("<u2").tobytes(),
             sources=["", self.name],
         )

@@ -113,6 +113,7 @@ class FakeSlots:
             flags=[message.flags[0] for message in messages],
             values=b"".join(message.values for message in messages),
             effective=b"".join(message.effective for message in messages),
+            commanded=b"".join(message.commanded for message in messages),
             source_index=b"".join(message.source_index for message in messages),
             sources=messages[0].sources,
         )

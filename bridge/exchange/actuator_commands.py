@@ -41,13 +41,15 @@ class CommandSnapshot:
     array: PriorityArray
     expiries: tuple[Expiry, ...] = ()
     timesteps: int = 0
+    commanded: bytes = b""
     source_index: bytes = b""
 
     def of_slot(self, slot: int, slots: int) -> CommandSnapshot:
         """Return a snapshot for `slots` new slots, all with the commands of one slot."""
-        width = 2 * self.array.shape[1]
-        sources = self.source_index[slot * width : (slot + 1) * width] * slots
-        return CommandSnapshot(self.array.of_slot(slot, slots), self.expiries, self.timesteps, sources)
+        row = slice(slot * self.array.shape[1], (slot + 1) * self.array.shape[1])
+        commanded = self.commanded[8 * row.start : 8 * row.stop] * slots
+        sources = self.source_index[2 * row.start : 2 * row.stop] * slots
+        return CommandSnapshot(self.array.of_slot(slot, slots), self.expiries, self.timesteps, commanded, sources)
 
 
 class ActuatorCommands:

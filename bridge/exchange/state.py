@@ -52,6 +52,7 @@ class ExchangeState:
         modified: of each slot, whether it was commanded or has stepped since the start of its episode.
         done: of each slot, whether its episode is over.
         active_slots: the slots that step in the running timestep.
+        commanded: the command in effect for each actuator; float64, NaN: relinquished, (slots, actuators).
         source_index: of each effective value, the index of its source in `source_names`; uint16, (slots, actuators).
         fallback_active: whether the running or the latest timestep lacks a required controller's command.
     """
@@ -70,6 +71,7 @@ class ExchangeState:
     modified: list[bool] = field(init=False)
     done: list[bool] = field(init=False)
     active_slots: Sequence[int] = field(init=False)
+    commanded: bytes = field(init=False)
     source_index: bytes = field(init=False)
     fallback_active: bool = False
     _needs_fallback: bool = False
@@ -94,9 +96,14 @@ class ExchangeState:
         self.done = [False] * self.slots
         self.active_slots = self._all_slots = range(self.slots)
         self._all_modified = [True] * self.slots
-        self.source_index = bytes(2 * self.slots * len(self.actuators))
+        self.clear_commanded()
         self.commands = ActuatorCommands(self.actuators, self.slots)
         self.claims = Claims(self.actuators, self.commands.array)
+
+    def clear_commanded(self) -> None:
+        """Report all actuators as relinquished, with baseline control as their source."""
+        self.commanded = codec.RELINQUISHED * (self.slots * len(self.actuators))
+        self.source_index = bytes(2 * self.slots * len(self.actuators))
 
     @property
     def shape(self) -> tuple[int, int]:

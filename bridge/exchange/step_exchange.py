@@ -65,7 +65,7 @@ class StepExchange(Intake, FallbackRules):
         self.transition(Trigger.READY)
         if commands is not None:
             self.commands.restore(commands)
-            self.source_index = commands.source_index
+            self.commanded, self.source_index = commands.commanded, commands.source_index
             self.claims.begin_episode()
         self.step, self.modified, self.done = [*self.step], [*self.modified], [*self.done]
         for slot, step in (starts if starts is not None else dict.fromkeys(self._all_slots, 0)).items():
@@ -122,15 +122,15 @@ class StepExchange(Intake, FallbackRules):
             self.episode = [episode + 1 for episode in self.episode]
             self.commands.clear()
             self.claims.begin_episode()
-            self.source_index = bytes(len(self.source_index))
+            self.clear_commanded()
             return
         self.episode = [episode + (slot in slots) for slot, episode in enumerate(self.episode)]
         self.commands.array.relinquish_slots(slots)
-        self.source_index = self._merge_sources(bytes(len(self.source_index)), slots)
+        self._merge(codec.RELINQUISHED * (len(self.commanded) // 8), bytes(len(self.source_index)), slots)
 
     def capture(self) -> CommandSnapshot:
         """Return the commands in effect at the current sample."""
-        return replace(self.commands.capture(), source_index=self.source_index)
+        return replace(self.commands.capture(), commanded=self.commanded, source_index=self.source_index)
 
     def ready_to_step(self) -> bool:
         """Return whether the next timestep may be simulated now."""
@@ -157,18 +157,15 @@ class StepExchange(Intake, FallbackRules):
             self.modified = [was or slot in self.active_slots for slot, was in enumerate(self.modified)]
         values, source_index = self.commands.array.resolve()
         if self.active_slots is self._all_slots:
-            self.source_index = source_index
+            self.commanded, self.source_index = values, source_index
         else:
-            self.source_index = self._merge_sources(source_index, self.active_slots)
+            self._merge(values, source_index, self.active_slots)
         return values
 
-    def _merge_sources(self, source_index: bytes, slots: Sequence[int]) -> bytes:
-        """Return the present source indices, with those of some slots replaced."""
-        width = len(source_index) // self.slots
-        rows = [self.source_index[slot * width : (slot + 1) * width] for slot in self._all_slots]
-        for slot in slots:
-            rows[slot] = source_index[slot * width : (slot + 1) * width]
-        return b"".join(rows)
+    def _merge(self, commanded: bytes, source_index: bytes, slots: Sequence[int]) -> None:
+        """Replace the commands and their sources in some slots."""
+        self.commanded = _with_rows(self.commanded, commanded, slots, self.slots)
+        self.source_index = _with_rows(self.source_index, source_index, slots, self.slots)
 
     def _count_missed(self) -> bool:
         """Count the required controllers without a command for this timestep; return whether there are any."""
@@ -226,3 +223,12 @@ class StepExchange(Intake, FallbackRules):
             )
             for c in [*self.claims.by_name.values()]
         ]
+
+
+def _with_rows(table: bytes, other: bytes, rows: Sequence[int], count: int) -> bytes:
+    """Return a table of `count` rows, some of them those of another table."""
+    width = len(table) // count
+    own = [table[row * width : (row + 1) * width] for row in range(count)]
+    for row in rows:
+        own[row] = other[row * width : (row + 1) * width]
+    return b"".join(own)

@@ -230,6 +230,7 @@ class NodeServer:
             flags=flags,
             values=values,
             effective=plant.effective,
+            commanded=exchange.commanded,
             source_index=exchange.source_index,
             sources=exchange.source_names,
             late=counts.late,

@@ -201,7 +201,8 @@ class _NodePage:
         commanded = self._model.manifest.actuators
         if not commanded:
             return None
-        actuators = [self._plot(series) for path, series in self._series.items() if path.startswith(names.ACTUATORS)]
+        kinds = (names.COMMANDS, names.ACTUATORS)
+        actuators = [self._plot(series) for path, series in self._series.items() if path.startswith(kinds)]
         # A thermostat's own actuators report these setpoints as their effective values.
         is_other = any(actuator.component_type.casefold() != THERMOSTAT.casefold() for actuator in commanded)
         setpoints = self._plots([names.HEATING_SETPOINTS, names.COOLING_SETPOINTS]) if is_other else []

@@ -77,6 +77,7 @@ class SampleBlock:
         values: the points' values, shape (n, points).
         plant_values: the same without injected faults.
         effective: the actuators' effective values, shape (n, actuators).
+        commanded: the commands in effect, NaN where relinquished, shape (n, actuators).
         sources: name of each actuator's value source, shape (n, actuators); empty for baseline control.
         low, high: limits of the comfort band in degC, shape (n, zones); no zones without a comfort band.
         deviations: deviation from the band in K, without injected faults: negative below the band, 0 within, NaN if
@@ -89,6 +90,7 @@ class SampleBlock:
     values: Floats
     plant_values: Floats
     effective: Floats
+    commanded: Floats
     sources: NDArray[np.object_]
     low: Floats
     high: Floats
@@ -112,6 +114,7 @@ class BlockReader:
         self._points = len(manifest.points)
         self._actuators = len(manifest.actuators)
         self._slots = manifest.slots
+        self._relinquished = codec.RELINQUISHED * (manifest.slots * len(manifest.actuators))
         self._timestep = timedelta(seconds=manifest.step_s)
         self._comfort = comfort
         by_temperature = {zone.temperature: zone.occupants for zone in points.zones}
@@ -134,6 +137,7 @@ class BlockReader:
             values=values,
             plant_values=plant_values,
             effective=self._rows((s.effective for s in samples), self._actuators, "effective"),
+            commanded=self._rows((s.commanded or self._relinquished for s in samples), self._actuators, "commanded"),
             sources=self._sources(samples),
             low=low,
             high=high,

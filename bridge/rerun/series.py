@@ -39,6 +39,7 @@ END_USES = "end_uses"
 ENERGY = "energy"
 REWARD = "reward"
 ACTUATORS = "actuators"
+COMMANDS = "commands"
 OTHERS = "points"
 
 MAX_SMOOTH_ROWS = 2000
@@ -160,9 +161,14 @@ def _of_points(indices: Iterable[int]) -> Compute:
     return lambda block, _: block.values[:, columns]
 
 
-def _of_actuators(indices: Sequence[int]) -> Compute:
+def _effective(indices: Sequence[int]) -> Compute:
     columns = np.array(indices, np.intp)
     return lambda block, _: block.effective[:, columns]
+
+
+def _commanded(indices: Sequence[int]) -> Compute:
+    columns = np.array(indices, np.intp)
+    return lambda block, _: block.commanded[:, columns]
 
 
 def _zone_series(roles: PointRoles, *, has_comfort: bool) -> list[Series]:
@@ -312,16 +318,18 @@ def _actuator_series(manifest: Manifest, roles: PointRoles) -> list[Series]:
     plots = []
     for number, (unit, indices) in enumerate(by_unit.items()):
         own = [colors.get(index, UNKNOWN if len(indices) > 30 else zone_color(index)) for index in indices]
-        plots.append(
-            Series(
-                f"{ACTUATORS}/{number}",
-                f"Effective setpoints ({unit})" if unit == "°C" else f"Effective values ({unit})".replace(" ()", ""),
-                [roles.actuator_labels[index] for index in indices],
-                own,
-                compute=_of_actuators(indices),
-                widths=[2.0] * len(indices),
-                is_step=True,
-                is_sparse=True,
+        quantity = f"setpoints ({unit})" if unit == "°C" else f"values ({unit})".replace(" ()", "")
+        for path, adjective, compute in ((COMMANDS, "Commanded", _commanded), (ACTUATORS, "Effective", _effective)):
+            plots.append(
+                Series(
+                    f"{path}/{number}",
+                    f"{adjective} {quantity}",
+                    [roles.actuator_labels[index] for index in indices],
+                    own,
+                    compute=compute(indices),
+                    widths=[2.0] * len(indices),
+                    is_step=True,
+                    is_sparse=True,
+                )
             )
-        )
     return plots

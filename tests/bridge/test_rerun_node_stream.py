@@ -199,7 +199,7 @@ def test_a_plant_without_zones_has_a_layout(scratch: Path, manifest: Manifest) -
     with _node(path, manifest) as node:
         _add(node, manifest, np.ones((3, len(manifest.points))))
     entities = {entity for entity, _ in logged(path, "Scalars:scalars").items()}
-    assert len(entities) == bool(manifest.points) + bool(manifest.actuators)
+    assert len(entities) == bool(manifest.points) + 2 * bool(manifest.actuators)  # commanded and effective values
 
 
 def test_only_the_first_slot_is_shown(scratch: Path) -> None:

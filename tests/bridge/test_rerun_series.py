@@ -72,6 +72,19 @@ def test_band_is_bold_while_any_zone_is_occupied() -> None:
     np.testing.assert_array_equal(band_rows(block), [[nan, nan, 20, 26], [20, 26, 20, 26], [nan, nan, 20, 26]])
 
 
+def test_commands_are_drawn_apart_from_effective_values_with_gaps_where_they_were_relinquished() -> None:
+    manifest = office()
+    made = samples(manifest, rows(2), effective=(20.0, 25.0), commanded=(21.0, float("nan")))
+    made.append(samples(manifest, rows(1), first=2)[0])  # a node that does not report its commands
+    block = BlockReader(manifest, roles(manifest), fixed_band(manifest)).block(made)
+    plots, totals = _plots(manifest), Totals(manifest, roles(manifest)).add(block)
+    nan = float("nan")
+    np.testing.assert_array_equal(plots["commands/0"].compute(block, totals), [[21, nan], [21, nan], [nan, nan]])
+    np.testing.assert_array_equal(plots["actuators/0"].compute(block, totals), [[20, 25]] * 3)
+    assert plots["commands/0"].names == plots["actuators/0"].names
+    assert plots["commands/0"].colors == plots["actuators/0"].colors
+
+
 def test_a_plant_without_zones_has_plots_by_unit() -> None:
     tank = builders.manifest(
         sensors=[
@@ -82,7 +95,7 @@ def test_a_plant_without_zones_has_plots_by_unit() -> None:
         actuators=[builders.actuator("valve").model_copy(update={"unit": "fraction"})],
     )
     titles = [plot.title for plot in all_series(tank, roles(tank), has_comfort=False)]
-    assert titles == ["Other points (m)", "Flow (m³/s)", "Effective values"]
+    assert titles == ["Other points (m)", "Flow (m³/s)", "Commanded values", "Effective values"]
 
 
 def test_energy_so_far_is_logged_at_few_steps_and_at_the_end() -> None:

@@ -279,6 +279,35 @@ def test_whoever_claimed_since_keeps_its_claim_and_rules_under_its_own_name() ->
     assert ruling(at) == ([16.0, 29.0] * 3, ["newcomer", "person"] * 3)
 
 
+def commanded(at: StepExchange) -> list[list[float]]:
+    """The commands that samples report, shape (slots, actuators)."""
+    return np.frombuffer(at.commanded).reshape(at.shape).tolist()
+
+
+def test_samples_report_the_commands_of_each_slots_latest_timestep() -> None:
+    at = three()
+    assert np.isnan(commanded(at)).all()
+    answer(at, "agent", [20.0, 25.0] * 3)
+    go(at)
+    assert commanded(at) == [[20.0, 25.0]] * 3
+    answers(at, "agent", {1: (21.0, 26.0)})
+    go(at)
+    kept = at.capture()
+    assert commanded(at) == [[20.0, 25.0], [21.0, 26.0], [20.0, 25.0]]
+    at.reset([0])
+    at.ready(0.0, {0: 0})
+    assert np.isnan(commanded(at)[0]).all()
+    assert commanded(at)[1:] == [[21.0, 26.0], [20.0, 25.0]]
+    at.reset()
+    assert np.isnan(commanded(at)).all()
+    at.ready(0.0, {0: 1, 1: 2, 2: 1}, kept)
+    assert commanded(at) == [[20.0, 25.0], [21.0, 26.0], [20.0, 25.0]]
+    branch = exchange(slots=2)
+    branch.reset()
+    branch.ready(0.0, {0: 2, 1: 2}, kept.of_slot(1, 2))
+    assert commanded(branch) == [[21.0, 26.0]] * 2
+
+
 def test_what_held_in_one_slot_goes_along_to_as_many_as_are_wanted() -> None:
     at = held()
     for slot, expected in enumerate([[20.0, 29.0], [21.0, 29.0], [20.0, 29.0]]):

@@ -38,6 +38,7 @@ SAMPLE = Sample(
     flags=[Flag.NONE],
     values=struct.pack("<3d", 17.3, 23.5, 1.8e6),
     effective=struct.pack("<2d", *SETPOINTS),
+    commanded=struct.pack("<2d", *SETPOINTS),
     source_index=struct.pack("<2H", 1, 0),
     sources=["", "mine"],
 )

@@ -42,6 +42,7 @@ def samples(
     episode: int = 0,
     first: int = 0,
     effective: Sequence[float] = (20.0, 25.0),
+    commanded: Sequence[float] | None = None,
     sources: Sequence[Sequence[str]] | None = None,
     fault_free: ArrayLike | None = None,
 ) -> list[Sample]:
@@ -61,6 +62,7 @@ def samples(
                 flags=[0],
                 values=row.astype(codec.FLOAT).tobytes(),
                 effective=np.array(effective[: len(manifest.actuators)], codec.FLOAT).tobytes(),
+                commanded=b"" if commanded is None else np.asarray(commanded, codec.FLOAT).tobytes(),
                 source_index=np.array([known.index(name) for name in by], codec.INDEX).tobytes(),
                 sources=known,
                 fault_free_values=b"" if plant is None else plant[number].astype(codec.FLOAT).tobytes(),

@@ -177,7 +177,7 @@ def test_a_write_that_is_acknowledged_is_in_effect_in_the_next_timestep(client: 
     sample = client.next_sample()
     index = client.actuators.index(POINT)
     assert sample.step == [ack.step[0] + 1]
-    assert np.frombuffer(sample.effective)[index] == 26.5
+    assert np.frombuffer(sample.effective)[index] == np.frombuffer(sample.commanded)[index] == 26.5
     assert sample.sources[np.frombuffer(sample.source_index, "<u2")[index]] == "panel"
 
 

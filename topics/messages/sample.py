@@ -13,7 +13,9 @@ class Sample(Message):
     """The values of all points at one step. Lists have one entry per slot; most nodes have one slot only.
 
     `values`: the sensors, then the meters. `effective`: the effective value of each actuator during the timestep that
-    ends with this sample; NaN where EnergyPlus has no variable that reports it. `source_index`: the value source of
+    ends with this sample; NaN where EnergyPlus has no variable that reports it. `commanded`: the value of the command
+    that was in effect for each actuator in that timestep, before injected faults; NaN where it was relinquished.
+    `source_index`: the value source of
     each actuator, an index into `sources`; `sources[0]` is baseline control. `baseline`: the values, in the order of
     `values`, of the same building under baseline control since sample 0; `baseline_effective`: the effective values of
     its actuators; both are empty unless the manifest's `baseline` is true. `fault_free_values`: the plant's own values,
@@ -27,6 +29,7 @@ class Sample(Message):
     flags: list[int]
     values: bytes
     effective: bytes
+    commanded: bytes = b""
     source_index: bytes
     sources: list[str]
     late: Count = 0
