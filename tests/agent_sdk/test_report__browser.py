@@ -37,7 +37,7 @@ def browser() -> Iterator[Any]:
 def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A report in which all names of users are HTML."""
     path = tmp_path_factory.mktemp("report") / "report.html"
-    names = ("baseline", f"rbc {HOSTILE}")
+    names = ("baseline", "<img src=x onerror=alert(1)>")
     write_report(office_comparison(names, building=HOSTILE, scenario=f"about: {HOSTILE}", command=HOSTILE), path)
     return path
 
@@ -125,7 +125,7 @@ def test_labels_stay_within_their_drawings(opened: Any) -> None:
           }).map(t => t.textContent);
         })"""
     )
-    assert [text for text in outside if HOSTILE[:8] not in text] == []
+    assert outside == []
 
 
 def test_the_printed_page_is_light_and_shows_the_scenario(opened: Any) -> None:

@@ -126,6 +126,16 @@ def test_the_carpet_of_a_zone_has_its_deviation() -> None:
     assert hours["2017-07-03 08:00"] == pytest.approx(2.0)
 
 
+def test_hours_within_the_band_are_blank_and_others_the_stronger_the_farther() -> None:
+    alpha = carpets.tint(np.array([0.0, 0.1, 1.0, 2.0, 6.0, -0.1, -2.0]))[:, 3]
+    assert alpha[0] == 0.0
+    assert 0.0 < alpha[1] < alpha[2] < alpha[3] == alpha[4] == 1.0
+    assert (alpha[5], alpha[6]) == (alpha[1], alpha[3])
+    warm, cold = carpets.tint(np.array([2.0, -2.0]))[:, :3]
+    assert warm[0] > warm[2]  # red
+    assert cold[2] > cold[0]  # blue
+
+
 def test_the_timeline_has_the_setpoints_and_who_set_them() -> None:
     curves = office_comparison().curves
     figure = actuators.timeline(curves)

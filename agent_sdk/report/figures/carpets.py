@@ -60,7 +60,7 @@ def zone(curves: Sequence[Curve], label: str, number: int) -> Figure | None:
         begins, step_s = curve.quantities.begins, curve.quantities.trace.manifest.step_s
         days, deviation = by_hour(comfort.deviation[:, place], begins, step_s)
         _, occupied = by_hour(comfort.occupied[:, place].astype(float), begins, step_s)
-        rgba = _tint(deviation)
+        rgba = tint(deviation)
         rgba[..., 3] *= np.where(np.nan_to_num(occupied) > 0, 1.0, _UNOCCUPIED)
         grids.append((curve, days, deviation))
         tints.append(rgba)
@@ -80,7 +80,7 @@ def zone(curves: Sequence[Curve], label: str, number: int) -> Figure | None:
     )  # fmt: skip
 
 
-def _tint(deviation: Floats) -> Floats:
+def tint(deviation: Floats) -> Floats:
     """Return red, green, blue and opacity, 0 to 1, of deviations from the comfort band; nothing within it."""
     size = np.clip(np.nan_to_num(np.abs(deviation)) / _FULL_K, 0.0, 1.0)
     strong = np.sign(deviation) * np.maximum(np.abs(deviation), _FULL_K)
@@ -126,7 +126,7 @@ def _color_bar(figure: Any, axes: Any, limits: tuple[float, float], unit: str) -
     colors: Any = colormaps[_SCALE].resampled(64)
     if unit == "K":
         ramp = np.linspace(*limits, 65)
-        colors = ListedColormap(_tint(ramp))
+        colors = ListedColormap(tint(ramp))
     bar = figure.colorbar(
         ScalarMappable(Normalize(*limits), colors), ax=list(axes), aspect=14, pad=0.012, fraction=0.03, label=unit
     )
