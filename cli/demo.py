@@ -26,6 +26,9 @@ if TYPE_CHECKING:
     from agent_sdk.report import Comparison, Run
 
 NODE = "office"
+PICTURE_TIME = "15:30"
+"""Time of the last day at which the screenshot shows the building: in working hours, with the sun up."""
+
 ZENOSTAT = [sys.executable, "-P", "-m", "cli.main"]
 
 
@@ -59,7 +62,9 @@ def demo(
         with out.status("starting the node"):
             local_node = LocalNode(settings, Affinity.SEPARATE_CORES)
         stack.callback(local_node.close)
-        outputs = ["--save", recording, *(["--screenshot", screenshot] if has_vulkan() else [])]
+        outputs: list[object] = ["--save", recording]
+        if has_vulkan():
+            outputs += ["--screenshot", screenshot, "--at", f"{end}T{PICTURE_TIME}"]
         monitor = _start("monitor", "--connect", local_node.endpoint, *outputs, "--once", wait=True)
         stack.callback(monitor.terminate)
         bus = stack.enter_context(connect(local_node.endpoint, core=local_node.core))

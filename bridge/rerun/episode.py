@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import timedelta
 
@@ -17,7 +17,7 @@ from bridge.rerun.meshes import BuildingModel
 from bridge.rerun.recording import EpisodeLog, entity_path
 from bridge.rerun.samples import BlockReader, Comfort, Floats, RewardTerms, SampleBlock
 from bridge.rerun.series import REWARD, Lines, Series, all_series, reward_lines, vectors
-from bridge.rerun.summary import MAX_TEXTS, NUMBERS, NodeNumbers, markdown, numbers_at
+from bridge.rerun.summary import MAX_TEXTS, NUMBERS, NodeNumbers, NodeStatus, markdown, numbers_at
 from bridge.rerun.timelines import SourceTimelines, ZoneTimelines
 from bridge.rerun.totals import TotalRows, Totals
 from topics.messages import Geometry, Manifest, Sample
@@ -69,7 +69,6 @@ class EpisodeView:
         node: what all episodes of the node share.
         episode: number of the episode.
         reward: the reward terms of the episode; None without a reward.
-        status: returns the connected controllers and the active faults.
     """
 
     def __init__(
@@ -78,9 +77,8 @@ class EpisodeView:
         node: NodeModel,
         episode: int,
         reward: RewardTerms | None,
-        status: Callable[[], tuple[tuple[str, ...], tuple[str, ...]]],
     ) -> None:
-        self._node, self._status, self._reward = node, status, reward
+        self._node, self._reward = node, reward
         manifest, roles, comfort = node.manifest, node.roles, node.comfort
         self.log = EpisodeLog(recording, entity_path(manifest.node, f"episode_{episode:04}"))
         self.series = all_series(manifest, roles, has_comfort=comfort is not None)
@@ -107,8 +105,8 @@ class EpisodeView:
             is_long = node.days > LONG_DAYS
             self._building = BuildingView(self.log, node.building, node.geometry, labels, is_long=is_long)
 
-    def add(self, samples: Sequence[Sample]) -> None:
-        """Log consecutive samples."""
+    def add(self, samples: Sequence[Sample], statuses: Sequence[NodeStatus]) -> None:
+        """Log consecutive samples, each with the node's status when it was received."""
         block = self._reader.block(samples)
         totals = self._totals.add(block)
         for series in self.series:
@@ -122,17 +120,16 @@ class EpisodeView:
             self._building.add(block)
         if self._reward is not None:
             self._add_reward(self._reward, block)
-        self._add_numbers(block, totals)
+        self._add_numbers(block, totals, statuses)
 
-    def _add_numbers(self, block: SampleBlock, totals: TotalRows) -> None:
+    def _add_numbers(self, block: SampleBlock, totals: TotalRows, statuses: Sequence[NodeStatus]) -> None:
         """Log the numbers at regular steps, at the end and, a few times a second, those of the newest sample."""
         is_regular = (block.steps % self._stride == 0) | (block.steps == self._node.manifest.steps)
         rows, last, now_s = np.flatnonzero(is_regular).tolist(), len(block) - 1, time.monotonic()
         if now_s - self._text_s > _TEXT_PERIOD_S and last not in rows:
             rows.append(last)
-        status = self._status()
-        shown = [numbers_at(row, block, totals, self._node.roles, *status) for row in rows]
-        self.numbers = shown[-1] if last in rows else numbers_at(last, block, totals, self._node.roles, *status)
+        shown = [numbers_at(row, block, totals, self._node.roles, statuses[row]) for row in rows]
+        self.numbers = shown[-1] if last in rows else numbers_at(last, block, totals, self._node.roles, statuses[last])
         if rows:
             self._text_s = now_s
             columns = rr.TextDocument.columns(text=list(map(markdown, shown)), media_type=[_MARKDOWN] * len(rows))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable
 from datetime import datetime, timedelta
 
 import numpy as np
@@ -14,7 +15,7 @@ from bridge.rerun.layout import EVENTS
 from bridge.rerun.meshes import building_model
 from bridge.rerun.recording import SIMULATED, STEP, entity_path
 from bridge.rerun.samples import ComfortFactory, RewardFactory
-from bridge.rerun.summary import NodeNumbers
+from bridge.rerun.summary import NodeNumbers, NodeStatus
 from topics.errors import BadMessage, InvalidConfig
 from topics.messages import Event, EventKind, Geometry, Manifest, Sample
 
@@ -41,7 +42,6 @@ class NodeStream:
         samples: those that are not logged yet.
         logged_s: monotonic time of the last logging.
         missed: number of samples that were lost.
-        faults: the injected faults that are active, as a set in order.
         is_connected: whether the node is on the bus.
     """
 
@@ -60,9 +60,10 @@ class NodeStream:
         self.samples: list[Sample] = []
         self.logged_s = time.monotonic()
         self.missed = 0
-        self.faults: dict[str, None] = {}
+        self._faults: dict[str, None] = {}
         self.is_connected = True
         self._controllers: dict[str, None] = {}
+        self._status, self._statuses = NodeStatus(), list[NodeStatus]()  # now, and at each of `samples`
         self._episode = self._step = -1
         self._queried: tuple[int, int] | None = None  # position of a queried sample; later batches may have older ones
         self._is_layout_changed = True
@@ -92,6 +93,12 @@ class NodeStream:
             self._controllers[name] = None
         else:
             self._controllers.pop(name, None)
+        self._update_status()
+
+    def set_faults(self, names: Iterable[str]) -> None:
+        """Record the injected faults that are active."""
+        self._faults = dict.fromkeys(names)
+        self._update_status()
 
     def add_sample(self, sample: Sample, *, queried: bool = False) -> int:
         """Gather a sample; return 1, or 0 if it is not new."""
@@ -110,6 +117,7 @@ class NodeStream:
             self.missed += sample.step[0] - self._step - 1
         self._step = sample.step[0]
         self.samples.append(sample)
+        self._statuses.append(self._status)
         return 1
 
     def _begin_episode(self, episode: int) -> None:
@@ -122,25 +130,26 @@ class NodeStream:
                 reward = self._reward(self.model.manifest)
             except InvalidConfig:  # the node lacks the points
                 self._reward = None
-        self.view = EpisodeView(self._recording, self.model, episode, reward, self._status)
+        self.view = EpisodeView(self._recording, self.model, episode, reward)
         self._is_layout_changed = True
 
-    def _status(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        return tuple(self._controllers), tuple(self.faults)
+    def _update_status(self) -> None:
+        self._status = NodeStatus(tuple(self._controllers), tuple(self._faults))
 
     def numbers(self) -> NodeNumbers:
         """Return the latest numbers."""
         numbers = self.view.numbers if self.view is not None else NodeNumbers()
-        numbers.controllers, numbers.faults = self._status()
+        numbers.controllers, numbers.faults = self._status
         return numbers
 
     def flush(self) -> None:
         """Log the gathered samples."""
         self.logged_s = time.monotonic()
         samples, self.samples = self.samples, []
+        statuses, self._statuses = self._statuses, []
         if samples and self.view is not None:
             had_reward = self.view.reward is not None
-            self.view.add(samples)
+            self.view.add(samples, statuses)
             self._is_layout_changed |= (self.view.reward is not None) != had_reward
             self._is_drawn = False
 
@@ -176,8 +185,9 @@ class NodeStream:
 
     def _on_fault(self, text: str) -> None:
         if text.startswith(_FAULTS_SET):
-            self.faults.clear()
+            self._faults.clear()
         elif text.endswith(_BEGINS):
-            self.faults[text.removesuffix(_BEGINS)] = None
+            self._faults[text.removesuffix(_BEGINS)] = None
         elif text.endswith(_ENDS):
-            self.faults.pop(text.removesuffix(_ENDS), None)
+            self._faults.pop(text.removesuffix(_ENDS), None)
+        self._update_status()

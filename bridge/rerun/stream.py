@@ -304,7 +304,7 @@ class RerunStream:
         if status is not None:
             for controller in status.controllers:
                 node.set_controller(controller.controller, is_connected=controller.state.is_connected)
-            node.faults = dict.fromkeys(status.faults)
+            node.set_faults(status.faults)
         return node
 
     def _geometry(self, name: str) -> Geometry | None:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from math import isnan
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,6 +19,13 @@ _NO_VALUE = "\N{EN DASH}"
 _MAX_NAMES = 3
 MAX_TEXTS = 500
 """Largest number of texts in an episode."""
+
+
+class NodeStatus(NamedTuple):
+    """Names of a node's connected controllers, and of its active faults."""
+
+    controllers: tuple[str, ...] = ()
+    faults: tuple[str, ...] = ()
 
 
 @dataclass(slots=True)
@@ -57,8 +65,7 @@ def numbers_at(
     block: SampleBlock,
     totals: TotalRows,
     roles: PointRoles,
-    controllers: tuple[str, ...] = (),
-    faults: tuple[str, ...] = (),
+    status: NodeStatus,
 ) -> NodeNumbers:
     """Return a node's numbers at one row of a block."""
     values = block.values[row]
@@ -81,8 +88,8 @@ def numbers_at(
         hvac_kwh=_known(totals.hvac_kwh[row]),
         outside_kh=_known(totals.outside_kh[row]) if has_band else None,
         occupied_kh=_known(totals.occupied_kh[row]) if has_band else None,
-        controllers=controllers,
-        faults=faults,
+        controllers=status.controllers,
+        faults=status.faults,
     )
 
 

@@ -133,6 +133,20 @@ def test_lost_samples_are_counted_and_old_ones_ignored(scratch: Path) -> None:
         assert node.missed == 2
 
 
+def test_gathered_samples_have_the_controllers_and_faults_of_their_time(scratch: Path) -> None:
+    path, manifest = scratch / "run.rrd", office()
+    table = rows(3)
+    with _node(path, manifest) as node:
+        node.set_controller("rbc", is_connected=True)
+        _add(node, manifest, table[:1])
+        node.set_controller("rbc", is_connected=False)
+        node.add_event(Event(kind=EventKind.FAULT, text="stuck damper begins", step=1))
+        _add(node, manifest, table[1:], first=1)
+    texts = logged(path, "TextDocument:text")[f"{EPISODE}/numbers"]
+    assert ["rbc" in texts[step][0] for step in range(3)] == [True, False, False]
+    assert ["stuck damper" in texts[step][0] for step in range(3)] == [False, True, True]
+
+
 def test_numbers_of_the_newest_sample(scratch: Path) -> None:
     path, manifest = scratch / "run.rrd", office()
     table = rows(3, core_air_temperature=28.0, electricity=3.6e6, core_occupants=[0, 2, 2], outdoor_temperature=31.5)
