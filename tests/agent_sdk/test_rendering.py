@@ -335,6 +335,20 @@ def test_a_reward_of_many_terms_shows_the_first_and_the_rest() -> None:
     assert list(legend(panel))[-1] == "4 other terms"
 
 
+def test_terms_that_change_during_an_episode_are_those_of_the_latest_timestep() -> None:
+    def changing(values: Mapping[str, Any], begin: datetime) -> dict[str, float]:
+        return {"energy": -1.0, "cold" if begin.hour < 2 else "hot": -2.0}
+
+    env = fake(reward=changing, steps_per_hour=1)
+    run(env, 2)
+    assert "Cold term" in legend(panels(env)["Reward"])
+    for _ in range(2):
+        env.step(env.action_space.sample())
+    panel = panels(env)["Reward"]
+    assert list(legend(panel)) == ["Reward", "Energy term", "Hot term"]
+    np.testing.assert_array_equal(steps_of(panel._lines[2]), [np.nan, np.nan, -2.0, -2.0])
+
+
 def test_values_that_are_not_finite_leave_a_gap() -> None:
     env = fake(zones=7, steps_per_hour=1)
     run(env, 2)
