@@ -24,7 +24,8 @@ Floats = NDArray[np.float64]
 
 WIDTH = 35
 _TEXT = (5, 27)  # the source flags and the weather codes, which are nine separate digits rather than a number
-_NUMBERS = [index for index in range(WIDTH) if index not in _TEXT]
+NUMBER_COLUMNS = [index for index in range(WIDTH) if index not in _TEXT]
+"""Positions of the columns that are numbers."""
 _TIMES = ("year", "month", "day", "hour", "minute")
 _MAX_ERRORS = 5
 
@@ -155,7 +156,7 @@ class Weather:
 
     def numbers(self, index: int) -> Floats:
         """Return the values of the column at a position in the line, float64 (rows,)."""
-        values: Floats = self.table[_NUMBERS.index(index)]
+        values: Floats = self.table[NUMBER_COLUMNS.index(index)]
         return values
 
 
@@ -188,7 +189,7 @@ def _parse_rows(rows: list[str]) -> Floats | None:
     if not rows or any(row.count(",") != WIDTH - 1 for row in rows):
         return None
     try:
-        table = np.loadtxt(rows, delimiter=",", comments=None, usecols=_NUMBERS, ndmin=2)
+        table = np.loadtxt(rows, delimiter=",", comments=None, usecols=NUMBER_COLUMNS, ndmin=2)
     except ValueError:
         return None
     if table.shape[0] != len(rows) or not np.isfinite(table).all():
@@ -206,7 +207,7 @@ def _cell_errors(rows: list[str]) -> list[str]:
             continue
         errors += [
             f"line {number}: {names[index]} is {cells[index].strip()!r}, expected a number"
-            for index in _NUMBERS
+            for index in NUMBER_COLUMNS
             if not _is_number(cells[index])
         ]
     return errors

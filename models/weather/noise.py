@@ -108,25 +108,34 @@ class NoisyWeather:
 
 
 def ornstein_uhlenbeck(
-    rng: np.random.Generator, n: int, sigma: float, mu: float, tau_h: float, dt_h: float = 1.0
+    rng: np.random.Generator,
+    n: int,
+    sigma: float,
+    mu: float,
+    tau_h: float,
+    dt_h: float = 1.0,
+    *,
+    from_zero: bool = False,
 ) -> Floats:
     """Draw `n` values, `dt_h` hours apart, of a process with mean `mu` and standard deviation `sigma`; float64 (n,).
 
     The update is the exact one of D. T. Gillespie (1996), Phys. Rev. E 54, 2084: x[i+1] = mu + (x[i] - mu) a +
     sigma sqrt(1 - a^2) N(0, 1) with a = exp(-dt/tau), for any dt. (An Euler step, as general packages for stochastic
     differential equations have it, is exact only for small dt.) The first value is drawn from N(mu, sigma^2), so each
-    value has that distribution, and values k steps apart have the correlation a^k.
+    value has that distribution, and values k steps apart have the correlation a^k. With `from_zero` the process is 0
+    one step before the first value: after k steps its mean is mu (1 - a^k), its variance sigma^2 (1 - a^2k).
 
     The recursion is summed by doubling: after pass j, y[i] contains the shocks of the last 2^j steps, each times its
     power of a.
     """
     values = rng.standard_normal(n)
-    values[1:] *= math.sqrt(-math.expm1(-2.0 * dt_h / tau_h))
+    values[0 if from_zero else 1 :] *= math.sqrt(-math.expm1(-2.0 * dt_h / tau_h))
     shift = 1
     while shift < n:
         values[shift:] += math.exp(-dt_h * shift / tau_h) * values[:-shift]
         shift *= 2
-    return np.asarray(mu + sigma * values, dtype=np.float64)
+    mean = -mu * np.expm1(-dt_h * np.arange(1, n + 1) / tau_h) if from_zero else mu
+    return np.asarray(mean + sigma * values, dtype=np.float64)
 
 
 # Which columns
@@ -190,12 +199,15 @@ def _draw(rng: np.random.Generator, value: float | tuple[float, float]) -> float
     return float(rng.uniform(*value)) if isinstance(value, tuple) else float(value)
 
 
-def with_noise(weather: Weather, weather_noise: Mapping[str, ColumnNoise], rng: np.random.Generator) -> NoisyWeather:
+def with_noise(
+    weather: Weather, weather_noise: Mapping[str, ColumnNoise], rng: np.random.Generator, *, from_zero: bool = False
+) -> NoisyWeather:
     """Add noise to the columns in `weather_noise`, and adjust the columns that depend on them.
 
     One number is drawn from `rng`. Each column has its own generator, seeded with that number and the column's index,
     so the order of the settings has no effect, and noise on another column does not change that of the others. Missing
     values stay missing. A column whose `sigma` and `mu` are 0 is unchanged, and so are its dependent columns.
+    `from_zero` is as of `ornstein_uhlenbeck`.
 
     Raises:
         UnknownName, InvalidConfig: see `resolve_columns`.
@@ -208,7 +220,7 @@ def with_noise(weather: Weather, weather_noise: Mapping[str, ColumnNoise], rng: 
         sigma, mu, tau_h = (_draw(own_rng, value) for value in (noise.sigma, noise.mu, noise.tau_h))
         parameters[column.name] = {"sigma": sigma, "mu": mu, "tau_h": tau_h}
         if sigma or mu:
-            added = ornstein_uhlenbeck(own_rng, len(weather), sigma, mu, tau_h, weather.record_h)
+            added = ornstein_uhlenbeck(own_rng, len(weather), sigma, mu, tau_h, weather.record_h, from_zero=from_zero)
             table.add(column, added, _limits(column, noise))
     table.adjust_moisture()
     table.adjust_infrared()

@@ -61,6 +61,25 @@ PROCESSES = [(1.0, 0.0, 24.0, 1.0), (2.5, -1.5, 3.0, 1.0), (0.3, 10.0, 0.5, 1.0)
 
 
 @pytest.mark.parametrize(("sigma", "mu", "tau_h", "dt_h"), PROCESSES)
+def test_a_process_from_zero_grows_into_the_stationary_one(sigma: float, mu: float, tau_h: float, dt_h: float) -> None:
+    """After k steps its mean is mu (1 - a^k), its variance sigma^2 (1 - a^2k), for a = exp(-dt/tau)."""
+    rng = np.random.default_rng(7)
+    x = np.array([ornstein_uhlenbeck(rng, 300, sigma, mu, tau_h, dt_h, from_zero=True) for _ in range(PATHS)])
+    for k in (1, 2, 10, 63, 64, 300):
+        mean = mu * (1 - math.exp(-k * dt_h / tau_h))
+        deviation = sigma * math.sqrt(1 - math.exp(-2 * k * dt_h / tau_h))
+        z_mean = (x[:, k - 1].mean() - mean) / (deviation / math.sqrt(PATHS))
+        z_variance = (x[:, k - 1].var(ddof=1) / deviation**2 - 1) * math.sqrt((PATHS - 1) / 2)
+        assert abs(z_mean) < Z
+        assert abs(z_variance) < Z
+
+
+def test_a_process_from_zero_without_deviation_is_the_growing_mean() -> None:
+    values = ornstein_uhlenbeck(np.random.default_rng(1), 48, 0.0, 2.0, 24.0, from_zero=True)
+    assert values == pytest.approx([2.0 * (1 - math.exp(-k / 24.0)) for k in range(1, 49)])
+
+
+@pytest.mark.parametrize(("sigma", "mu", "tau_h", "dt_h"), PROCESSES)
 def test_mean_and_deviation_are_stationary_from_the_first_value(
     sigma: float, mu: float, tau_h: float, dt_h: float
 ) -> None:
