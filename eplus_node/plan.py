@@ -15,11 +15,12 @@ from models.building import model as building
 from models.building.geometry import BuildingGeometry, building_geometry
 from models.building.model import Building
 from models.building.summary import floor_area_m2
+from models.building.whole_weather import reads_whole_weather
 from models.points import discovery, selection
 from models.points.discovery import PointCatalog
 from models.points.monitoring import with_monitoring, with_unobserved
 from models.points.selection import Points
-from models.scenario.episode_weather import WeatherSource
+from models.scenario.episode_weather import NOISE_FREE_DAYS, WeatherSource
 from models.scenario.run_period import Period, check_steps_per_hour
 from models.scenario.schema import ActuatorSpec, Scenario, dump
 from models.scenario.task import task_of
@@ -79,6 +80,7 @@ def plan(config: NodeConfig) -> Plan:
     if period is not None:
         for source in valid_sources:
             errors.collect(lambda source=source: check_covers(source.header, period, source.name))  # type: ignore[misc]
+        errors.collect(lambda: _check_noise_start(scenario, model, period))
     if model is not None and valid_sources:
         chosen = errors.collect(lambda: _points(model, scenario, valid_sources[0].path, monitoring=config.monitoring))
     if chosen is not None:
@@ -148,6 +150,24 @@ def _dates_are_valid(scenario: Scenario, errors: ErrorCollector) -> bool:
 def _is_checked(steps_per_hour: int) -> bool:
     check_steps_per_hour(steps_per_hour)
     return True
+
+
+def _check_noise_start(scenario: Scenario, model: Building | None, period: Period) -> None:
+    """Check that noise from the third day on leaves what EnergyPlus computes before it as it is."""
+    if not scenario.weather_noise or scenario.noise_start == "episode" or model is None:
+        return
+    days = (period.end - period.begin).days + 1
+    if days <= NOISE_FREE_DAYS:
+        raise InvalidConfig(
+            f"noise_start: third_day needs a run period of at least {NOISE_FREE_DAYS + 1} days; this one has {days} "
+            f"day{'' if days == 1 else 's'}, and they would have no noise"
+        )
+    reader = reads_whole_weather(model.objects)
+    if reader:
+        raise InvalidConfig(
+            f"noise_start: third_day is not possible with {model.name}: its {reader} reads the whole weather file "
+            "before the episode starts; use noise_start: episode"
+        )
 
 
 def _check_output_dir(folder: Path) -> None:

@@ -84,7 +84,15 @@ class EnergyPlusEngines(EngineGroup):
     def _fork(self, client: EngineClient, folder: Path) -> EngineClient:
         subfolder = create_fork_folder(folder / str(next(self._numbers)))
         child = client.fork(
-            replace(client.spec, folder=subfolder, keep_output=False, cpus=self._fork_cpus, poll=False, branch=True)
+            replace(
+                client.spec,
+                folder=subfolder,
+                keep_output=False,
+                cpus=self._fork_cpus,
+                poll=False,
+                branch=True,
+                replaced_file=None,
+            )
         )
         try:
             child.receive()
@@ -124,12 +132,12 @@ class EnergyPlusPlant(EnergyPlusEngines):
     def __init__(self, plan: Plan, context: PlantContext) -> None:
         super().__init__(plan, describe(plan), context.cpus)
         self._folder, self._registry, self._has_baseline = context.folder, context.registry, context.baseline
-        template, is_single = EngineTemplate(), context.slots == 1
+        templates, is_single = [EngineTemplate() for _ in plan.sources], context.slots == 1
         self._pools = [
             EnginePool(
                 plan,
                 context.folder,
-                template,
+                templates,
                 subfolder="" if is_single else f"slot-{slot}",
                 cpus=placement.cpus,
                 spare=placement.spare,

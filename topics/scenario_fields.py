@@ -66,6 +66,13 @@ class ScenarioArguments(TypedDict, total=False):
         Mapping[str, Any] | None,
         Doc("Noise by column of the weather file: sigma and mu in the column's unit, tau_h in hours."),
     ]
+    noise_start: Annotated[
+        str | None,
+        Doc(
+            "Where the noise begins: episode, or third_day (the first two days have none, and a reset is a fork, which "
+            "takes milliseconds)."
+        ),
+    ]
     sizing: Annotated[
         str | None, Doc("Location and design days: weather (those of the weather file), or model (the model's own).")
     ]

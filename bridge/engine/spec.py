@@ -44,6 +44,8 @@ class EngineSpec:
         cpus: cores on which the engine may run; empty leaves it to the system.
         poll: whether the engine polls for orders before it sleeps.
         branch: end the process at its last sample, without the simulator's own end of run.
+        replaced_file: for a fork that continues to read another file: the file, the other one, and the offset up to
+            which they are equal.
     """
 
     program: EngineProgram
@@ -56,6 +58,7 @@ class EngineSpec:
     cpus: tuple[int, ...] = ()
     poll: bool = False
     branch: bool = False
+    replaced_file: tuple[str, str, int] | None = None
 
     def fields(self) -> dict[str, Any]:
         """Return the fields that the engine reads first."""
@@ -70,4 +73,5 @@ class EngineSpec:
             "cpus": self.cpus,
             "poll": self.poll,
             "branch": self.branch,
+            "replaced_file": self.replaced_file,
         }

@@ -105,6 +105,36 @@ def reopen_files(folder: str) -> None:
         os.close(reopened)
 
 
+def replace_file(path: str, other: str, limit: int) -> None:
+    """Continue to read another file at the same offset, in place of one that is open for reading.
+
+    Args:
+        path: the file that is open.
+        other: a file that has the same content up to `limit`.
+        limit: offset in bytes up to which the file may have been read.
+
+    Raises:
+        RuntimeError: the file is not open, or has been read beyond `limit`.
+    """
+    opened = os.stat(path)  # noqa: PTH116  # engines do not import pathlib
+    for name in os.listdir("/proc/self/fd"):
+        descriptor = int(name)
+        try:
+            if not os.path.samestat(os.fstat(descriptor), opened):
+                continue
+        except OSError:
+            continue  # the descriptor of this listing
+        offset = os.lseek(descriptor, 0, os.SEEK_CUR)
+        if offset > limit:
+            raise RuntimeError(f"{path} has been read up to byte {offset}, but may differ from byte {limit} on")
+        reopened = os.open(other, os.O_RDONLY)
+        os.lseek(reopened, offset, os.SEEK_SET)
+        os.dup2(reopened, descriptor)
+        os.close(reopened)
+        return
+    raise RuntimeError(f"{path} is not open")
+
+
 def set_up_process(spec: dict[str, Any]) -> None:
     """Set the scratch folder, which `leave` removes, and the CPU affinity."""
     global _scratch_folder

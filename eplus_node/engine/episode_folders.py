@@ -34,7 +34,12 @@ class EpisodeFolders:
         self._keep_last, self._kept_folders = kept_episodes(plan.config), deque[Path]()
         self._folder = output_dir.absolute() / subfolder if output_dir else self._scratch
         self._factory = EpisodeFactory(
-            plan.building, plan.period, plan.sources, plan.scenario.weather_noise, outputs=self.keep
+            plan.building,
+            plan.period,
+            plan.sources,
+            plan.scenario.weather_noise,
+            outputs=self.keep,
+            noise_start=plan.scenario.noise_start,
         )
 
     def prepare(self, draw: WeatherDraw, episode: int) -> EpisodeFiles:
@@ -45,16 +50,50 @@ class EpisodeFolders:
         Raises:
             EngineDied: the files cannot be written.
         """
-        folder = self._folder / f"episode-{episode:04}"
         try:
-            while not self.keep and folder.exists():
-                folder = folder.with_name(f"{folder.name}-")
-            folder.mkdir(parents=True, exist_ok=True)
+            folder = self._create(f"episode-{episode:04}")
             weather = folder / "in.epw" if self.keep else folder.with_suffix(".epw")
             self._remove_oldest(folder)
             return self._factory.prepare(draw, folder, weather)
         except OSError as error:
             raise EngineDied(disk_full_message("an engine's files", error)) from None
+
+    def prepare_waiting(self, source: int) -> tuple[EpisodeFiles, int]:
+        """Write model and weather of an engine that waits to be forked with other noise.
+
+        Returns:
+            Its files, and the offset in bytes from which the weather of an episode may differ.
+
+        Raises:
+            EngineDied: the files cannot be written.
+        """
+        try:
+            folder = self._create(f"waiting-{source}")
+            return self._factory.prepare_waiting(source, folder, folder.with_suffix(".epw"))
+        except OSError as error:
+            raise EngineDied(disk_full_message("an engine's files", error)) from None
+
+    def prepare_noise(self, draw: WeatherDraw, waiting: EpisodeFiles, episode: int) -> EpisodeFiles:
+        """Write the weather of an episode that continues from an engine that waits.
+
+        Raises:
+            EngineDied: the file cannot be written.
+        """
+        weather = self._folder / f"episode-{episode:04}.epw"
+        while weather.exists():  # an engine may be reading it
+            weather = weather.with_stem(f"{weather.stem}-")
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+            return EpisodeFiles(waiting.model, weather, self._factory.write_noise(draw, weather))
+        except OSError as error:
+            raise EngineDied(disk_full_message("an episode's weather", error)) from None
+
+    def _create(self, name: str) -> Path:
+        folder = self._folder / name
+        while not self.keep and folder.exists():
+            folder = folder.with_name(f"{folder.name}-")
+        folder.mkdir(parents=True, exist_ok=True)
+        return folder
 
     def _remove_oldest(self, folder: Path) -> None:
         """Remove kept output beyond the last episodes, except that of an engine that may still be writing."""

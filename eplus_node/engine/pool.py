@@ -6,7 +6,7 @@ import os
 import shutil
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from bridge.engine.client import EngineClient
@@ -42,13 +42,14 @@ class EnginePool:
     """The engines of one slot of a node.
 
     If all episodes begin alike, the first engine stays at sample 0 as a template and each episode gets a fork of it. If
-    the weather changes, the engine of the next episode starts while the present one is running. If EnergyPlus's output
-    is kept, each episode gets a new engine with a folder of its own.
+    the noise starts on the third day, there is a template for each weather file, and a fork continues with the weather
+    of its episode. If the weather differs from the start, the engine of the next episode starts while the present one
+    is running. If EnergyPlus's output is kept, each episode gets a new engine with a folder of its own.
 
     Args:
         plan: of the node.
         folder: for the files of engines; the caller removes it.
-        template: shared by the slots.
+        templates: one for each weather file, shared by the slots.
         subfolder: the slot's part of `folder`, and of the folder where output is kept.
         cpus: cores of the engine; empty leaves it to the system.
         spare: cores on which the engine of the next episode starts, likewise.
@@ -65,7 +66,7 @@ class EnginePool:
         self,
         plan: Plan,
         folder: Path,
-        template: EngineTemplate,
+        templates: Sequence[EngineTemplate],
         *,
         subfolder: str = "",
         cpus: Sequence[int] = (),
@@ -82,7 +83,7 @@ class EnginePool:
         self._has_begun = False
         self._episode = 0
         self._consecutive_seeds = 0
-        self._template = template
+        self._templates = templates
         # EnergyPlus's end of run writes into the folder of the engine that was forked.
         self._end_as_branch = self._folders.keep or bool(subfolder)
         self._starting: EngineClient | None = None
@@ -90,14 +91,29 @@ class EnginePool:
         self._prefetched: PrefetchedEngine | None = None
         self._output_kept = self._folders.keep
         self.draw = self._draws.next()
-        shared = template.files if self._uses_template else None
-        self.files = shared if shared is not None else self._folders.prepare(self.draw, 0)
-        if self._uses_template:
-            template.files = self.files
+        shared = self._template.files if self._draws.constant and not self._folders.keep else None
+        self.files = shared if shared is not None else self._prepare_files(0)
+        if self._draws.constant and not self._folders.keep:
+            self._template.files = self.files
+
+    @property
+    def _has_late_noise(self) -> bool:
+        """Whether an episode continues from a template with noise of its own."""
+        scenario = self._plan.scenario
+        return bool(scenario.weather_noise) and scenario.noise_start == "third_day" and not self._folders.keep
 
     @property
     def _uses_template(self) -> bool:
-        return self._draws.constant and not self._folders.keep
+        return (self._draws.constant or self._has_late_noise) and not self._folders.keep
+
+    @property
+    def _template(self) -> EngineTemplate:
+        """The template of the present episode's weather file."""
+        return self._templates[self.draw.source]
+
+    @property
+    def _template_draw(self) -> WeatherDraw:
+        return WeatherDraw(self.draw.source)
 
     @property
     def output_dir(self) -> str:
@@ -120,6 +136,10 @@ class EnginePool:
             if seed is not None:
                 self._drop_prefetched()  # it was drawn after the previous seed
             return EngineStart.REUSED
+        if self._has_late_noise:
+            is_waiting = self._can_fork()
+            self._replace_files(self._prepare_files(episode))
+            return EngineStart.FORKED if is_waiting else EngineStart.STARTED
         if self._can_fork():
             return EngineStart.FORKED
         prefetched = self._prefetched
@@ -128,8 +148,17 @@ class EnginePool:
             self.files = prefetched.files
             return EngineStart.PREFETCHED
         self._drop_prefetched()
-        self._replace_files(self._folders.prepare(self.draw, episode))
+        self._replace_files(self._prepare_files(episode))
         return EngineStart.STARTED
+
+    def _prepare_files(self, episode: int) -> EpisodeFiles:
+        """Write the files of the present episode, and those of its template if there are none."""
+        if not self._has_late_noise:
+            return self._folders.prepare(self.draw, episode)
+        template = self._template
+        if template.files is None:
+            template.files, template.noise_offset = self._folders.prepare_waiting(self.draw.source)
+        return self._folders.prepare_noise(self.draw, template.files, episode)
 
     def _draw(self, seed: int | None) -> WeatherDraw:
         is_first, self._has_begun = not self._has_begun, True
@@ -147,11 +176,19 @@ class EnginePool:
         """Start the engine of the present episode unless there is one; it advances to sample 0 on its own."""
         if self._starting is not None or self._can_fork() or self._is_prefetched():
             return
-        if is_used(self.files):  # by an engine that has died since, and whose end removes its folder
-            self._replace_files(self._folders.prepare(self.draw, self._episode))
-        engine = self._start_engine(self.files, self._cpus)
+        # The folder of an engine that has died since is removed at its end.
+        if self._has_late_noise:
+            template = self._template
+            if template.files is None or is_used(template.files):
+                template.files, template.noise_offset = self._folders.prepare_waiting(self.draw.source)
+            files = template.files
+        else:
+            if is_used(self.files):
+                self._replace_files(self._folders.prepare(self.draw, self._episode))
+            files = self.files
+        engine = self._start_engine(files, self._cpus)
         if self._uses_template:
-            self._template.replace(self.draw, self.files, engine)
+            self._template.replace(self._template_draw, files, engine)
         else:
             self._starting = engine
 
@@ -185,7 +222,7 @@ class EnginePool:
 
         With a seed at each reset the next weather is unknown, and nothing is started.
         """
-        if self._folders.keep or self._draws.constant or self._prefetched is not None or self._consecutive_seeds > 1:
+        if self._folders.keep or self._uses_template or self._prefetched is not None or self._consecutive_seeds > 1:
             return
         draw = self._next_draw = self._draws.next()
         with suppress(EngineDied):  # no room for its files now; it starts when the episode begins
@@ -207,9 +244,11 @@ class EnginePool:
         """
         folder = self._folders.create_fork(episode)
         try:
-            engine = parent.fork(
-                self._spec(self.files, folder, self._cpus, keep_output=False, branch=self._end_as_branch)
-            )
+            spec = self._spec(self.files, folder, self._cpus, keep_output=False, branch=self._end_as_branch)
+            if self._has_late_noise and isinstance(parent, EngineTemplate) and parent.files is not None:
+                weather = str(parent.files.weather), str(self.files.weather)
+                spec = replace(spec, replaced_file=(*weather, parent.noise_offset))
+            engine = parent.fork(spec)
         except BaseException:
             shutil.rmtree(folder, ignore_errors=True)
             raise
@@ -227,7 +266,8 @@ class EnginePool:
 
     def close(self) -> None:
         """End the engines that are waiting; idempotent."""
-        self._template.close()
+        for template in self._templates:
+            template.close()
         self._drop_prefetched()
         self._drop_starting()
 
@@ -250,7 +290,7 @@ class EnginePool:
         return self._prefetched is not None and self._prefetched.draw == self.draw
 
     def _can_fork(self) -> bool:
-        return self._uses_template and self._template.has(self.draw)
+        return self._uses_template and self._template.has(self._template_draw)
 
     def _fork_template(self, episode: int) -> EngineClient:
         assert self._template.engine is not None

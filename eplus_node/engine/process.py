@@ -16,7 +16,7 @@ from math import isfinite
 from typing import Any, NoReturn
 
 from bridge.engine.protocol import PROCESS_ID, FrameKind, OrderKind
-from bridge.engine.system_calls import clone, die_with_parent, leave, reopen_files, set_up_process
+from bridge.engine.system_calls import clone, die_with_parent, leave, reopen_files, replace_file, set_up_process
 from bridge.runtime.polling import Polling
 from eplus_node.engine.huge_pages import collapse_huge_pages
 from eplus_node.engine.memory import SaturationCache
@@ -288,6 +288,8 @@ class Engine:
         self.frames.sendall(PROCESS_ID.pack(os.getpid()))
         set_up_process(spec)
         reopen_files(spec["folder"])
+        if spec["replaced_file"]:
+            replace_file(*spec["replaced_file"])
         if self.saturation:
             self.saturation.reset()
 

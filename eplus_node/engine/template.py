@@ -8,11 +8,12 @@ from models.scenario.episode_weather import EpisodeFiles, WeatherDraw
 
 
 class EngineTemplate:
-    """The engine waiting at sample 0 to be forked; all slots of a node share it.
+    """The engine with one weather file that waits at sample 0 to be forked; all slots of a node share it.
 
     Attributes:
         draw: the weather of the engine.
         files: what the engine reads.
+        noise_offset: offset in bytes from which the weather file of a fork may differ.
         engine: None if there is none.
         ready: whether the engine has reached sample 0.
     """
@@ -20,6 +21,7 @@ class EngineTemplate:
     def __init__(self) -> None:
         self.draw = WeatherDraw()
         self.files: EpisodeFiles | None = None
+        self.noise_offset = 0
         self.engine: EngineClient | None = None
         self.ready = False
 

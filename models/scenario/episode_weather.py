@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import timedelta
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,10 @@ from numpy.typing import NDArray
 
 from models.building.model import Building, for_episode, write
 from models.scenario.run_period import Period
-from models.scenario.schema import Order
+from models.scenario.schema import NoiseStart, Order
 from models.weather import design_days, epw
 from models.weather.design_days import Site
+from models.weather.fixed_width import FixedWidthWeather
 from models.weather.header import Header
 from models.weather.noise import Variability, with_noise
 
@@ -80,6 +82,14 @@ class EpisodeFiles:
     noise_parameters: dict[str, float] = field(default_factory=dict)
 
 
+FORECAST_HORIZON = timedelta(days=7)
+"""Time after an episode's end for which its weather is available to forecasts."""
+
+
+NOISE_FREE_DAYS = 2
+"""Days of an episode without noise, if it starts on the third day."""
+
+
 class EpisodeFactory:
     """Prepares the files of episodes of one building and run period."""
 
@@ -91,33 +101,92 @@ class EpisodeFactory:
         weather_noise: Variability,
         *,
         outputs: bool,
+        noise_start: NoiseStart = "episode",
     ) -> None:
         self._building, self._period, self._sources = building, period, sources
-        self._weather_noise, self._output_variables = weather_noise, outputs
+        self._weather_noise, self._output_variables, self._noise_start = weather_noise, outputs, noise_start
         self._weathers: dict[int, epw.Weather] = {}
+        self._late_noise: dict[int, _LateNoise] = {}
 
     def prepare(self, draw: WeatherDraw, folder: Path, noisy_weather: Path) -> EpisodeFiles:
         """Write an episode's model into `folder` and, if there is noise, its weather to `noisy_weather`."""
         source = self._sources[draw.source]
+        model = self._write_model(source, folder)
+        if not self._weather_noise:
+            return EpisodeFiles(model, source.path)
+        return EpisodeFiles(model, noisy_weather, self.write_noise(draw, noisy_weather))
+
+    def prepare_waiting(self, source: int, folder: Path, weather: Path) -> tuple[EpisodeFiles, int]:
+        """Write the files of an engine that waits to be forked, if the noise starts on the third day.
+
+        Returns:
+            The files, with weather without noise, and the offset of the first row with noise in bytes.
+        """
+        late = self._late(source)
+        late.file.write(weather, {})
+        return EpisodeFiles(self._write_model(self._sources[source], folder), weather), late.offset
+
+    def _write_model(self, source: WeatherSource, folder: Path) -> Path:
         objects = for_episode(self._building, self._period, outputs=self._output_variables)
         if source.site is not None:
             objects = design_days.apply(objects, source.site)
-        model = write(objects, folder)
-        if not self._weather_noise:
-            return EpisodeFiles(model, source.path)
-        if draw.source not in self._weathers:
-            self._weathers[draw.source] = epw.read(source.path)
-        weather = self._weathers[draw.source]
-        noisy = with_noise(weather, self._weather_noise, np.random.Generator(np.random.PCG64(draw.noise)))
-        epw.write(weather, noisy_weather, noisy.columns)
-        parameters = {
+        return write(objects, folder)
+
+    def write_noise(self, draw: WeatherDraw, path: Path) -> dict[str, float]:
+        """Write the weather of an episode; return the parameters of its noise."""
+        rng = np.random.Generator(np.random.PCG64(draw.noise))
+        if self._noise_start == "episode":
+            weather = self._weather(draw.source)
+            noisy = with_noise(weather, self._weather_noise, rng)
+            epw.write(weather, path, noisy.columns)
+        else:
+            late = self._late(draw.source)
+            noisy = with_noise(late.weather, self._weather_noise, rng, from_zero=True)
+            late.file.write(path, noisy.columns, late.first)
+        return {
             f"{column}.{name}": value for column, values in noisy.parameters.items() for name, value in values.items()
         }
-        return EpisodeFiles(model, noisy_weather, parameters)
+
+    def _weather(self, source: int) -> epw.Weather:
+        if source not in self._weathers:
+            self._weathers[source] = epw.read(self._sources[source].path)
+        return self._weathers[source]
+
+    def _late(self, source: int) -> _LateNoise:
+        if source not in self._late_noise:
+            path = self._sources[source].path
+            self._late_noise[source] = _late_noise(path, path.stat().st_mtime_ns, self._period)
+        return self._late_noise[source]
 
 
-FORECAST_HORIZON = timedelta(days=7)
-"""Time after an episode's end for which its weather is available to forecasts."""
+class _LateNoise:
+    """A weather file whose noise starts on the third day of a run period, and ends a week after it.
+
+    Attributes:
+        file: the file with padded fields.
+        first: the first row with noise.
+        weather: the rows with noise.
+        offset: offset of the first row with noise in bytes.
+    """
+
+    def __init__(self, weather: epw.Weather, period: Period) -> None:
+        self.file = FixedWidthWeather(weather)
+        days = [(month, day) for _, month, day, _, _ in weather.times.tolist()]
+        first_day, last_day = period.begin + timedelta(days=NOISE_FREE_DAYS), period.end + FORECAST_HORIZON
+        self.first = days.index((first_day.month, first_day.day))
+        after = len(days)
+        if last_day.year == first_day.year and (last_day.month, last_day.day) in days:
+            after -= days[::-1].index((last_day.month, last_day.day))
+        after = after if after > self.first else len(days)
+        self.weather = replace(
+            weather, rows=weather.rows[self.first : after], table=weather.table[:, self.first : after]
+        )
+        self.offset = int(self.file.row_offsets[self.first])
+
+
+@lru_cache(maxsize=16)
+def _late_noise(path: Path, mtime_ns: int, period: Period) -> _LateNoise:  # noqa: ARG001  # slots share what it returns
+    return _LateNoise(epw.read(path), period)
 
 
 def series(path: Path, period: Period, columns: Sequence[str]) -> tuple[NDArray[np.float64], float]:

@@ -34,6 +34,7 @@ from topics.points import check_order
 Order = Literal["random", "sequence"]
 Control = Literal["point", "zone", "building"]
 Sizing = Literal["weather", "model"]
+NoiseStart = Literal["episode", "third_day"]
 
 
 Number = Annotated[float, Field(strict=True)]
@@ -157,6 +158,7 @@ class Scenario(_Part):
     weather: Weathers
     weather_order: Order = "random"
     weather_noise: dict[str, ColumnNoise] = Field(default_factory=dict)
+    noise_start: NoiseStart = "episode"
     sizing: Sizing = "weather"
     begin: str | None = None
     end: str | None = None

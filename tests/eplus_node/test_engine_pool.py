@@ -175,7 +175,7 @@ def ended(client: EngineClient) -> None:
 def test_template__that_dies_within_a_reset_leaves_the_files_of_its_successor(folder: Path, small_plan: Plan) -> None:
     """It was alive when the reset chose to fork it, and dead when it was forked."""
     template = EngineTemplate()
-    pool = EnginePool(small_plan, folder, template)
+    pool = EnginePool(small_plan, folder, [template])
     first = pool.engine(0)
     assert template.engine is not None
     assert pool.next_episode(None, 1, untouched=False) is EngineStart.FORKED
@@ -191,7 +191,7 @@ def test_template__that_dies_within_a_reset_leaves_the_files_of_its_successor(fo
 def test_reused_engine__that_dies_within_a_reset_leaves_the_files_of_its_successor(
     folder: Path, noisy_plan: Plan
 ) -> None:
-    pool = EnginePool(noisy_plan, folder, EngineTemplate())
+    pool = EnginePool(noisy_plan, folder, [EngineTemplate()])
     first = pool.engine(0)
     assert pool.next_episode(None, 1, untouched=True) is EngineStart.REUSED
     ended(first)
@@ -204,7 +204,7 @@ def test_reused_engine__that_dies_within_a_reset_leaves_the_files_of_its_success
 
 
 def test_prefetched_engine__that_dies_within_a_reset_is_replaced(folder: Path, noisy_plan: Plan) -> None:
-    pool = EnginePool(noisy_plan, folder, EngineTemplate())
+    pool = EnginePool(noisy_plan, folder, [EngineTemplate()])
     first = pool.engine(0)
     assert pool.next_episode(None, 0, untouched=True) is EngineStart.REUSED
     pool.prefetch(0)
