@@ -143,6 +143,18 @@ def test_a_picture_of_the_last_day(scratch: Path) -> None:
     env.close()
 
 
+def test_pictures_measure_more_than_the_agent_observes(scratch: Path) -> None:
+    plain, shown = make(), make(render_mode="rgb_array")
+    assert shown.observation_names == plain.observation_names
+    assert shown.observation_space == plain.observation_space
+    assert len(shown.manifest.points) > len(plain.manifest.points)
+    plain.close()
+    shown.close()
+    without = make(render_mode="rgb_array", monitoring=False)
+    assert without.manifest.points == plain.manifest.points
+    without.close()
+
+
 def test_a_render_mode_that_is_none_is_refused_before_anything_starts(scratch: Path) -> None:
     with pytest.raises(InvalidConfig, match="rgb_array, rerun"):
         BuildingEnv("ref-small-office", "USA_CO_Denver", render_mode="human")
