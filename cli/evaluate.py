@@ -50,6 +50,9 @@ def evaluate(
     ] = None,
     prices: Price = None,
     emissions: Emissions = None,
+    record: Annotated[
+        Path | None, typer.Option(help="Record to this folder: a file for each controller, named after it.")
+    ] = None,
     file: Annotated[
         Path | None, typer.Option("--out", help="Write the table of episodes to FILE.parquet or FILE.csv.")
     ] = None,
@@ -69,13 +72,14 @@ def evaluate(
     outputs = ReportOutputs(report, figures)
     from agent_sdk.evaluation.evaluate import evaluate as run_all
 
-    period = {name: day for name, day in (("begin", begin), ("end", end)) if day is not None}
+    options = (("begin", begin), ("end", end))
+    overrides: dict[str, Any] = {name: value for name, value in options if value is not None}
     with ExitStack() as stack:
         watch = None if as_json else _watcher(stack, episodes)
         evaluation = run_all(
             scenario, controllers, episodes=episodes, seed=seed, parameters=read_parameters(parameters or []),
             prices=read_rates("--price", prices), emissions=read_rates("--emissions", emissions),
-            progress=watch, record=outputs.wanted, **period,
+            progress=watch, record=outputs.wanted, record_dir=record, **overrides,
         )  # fmt: skip
     if file is not None:
         write(evaluation.table(), file)

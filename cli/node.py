@@ -15,11 +15,12 @@ from bridge.transport.session import default_endpoint, exposure
 from cli import node_options as options
 from cli.console import out, progress
 from cli.options import CertificateName, Keys
+from cli.record import describe_recording
 from cli.scenarios import check_scenario
 from cli.statistics import statistics_table
 from topics.calendar import format_duration
 from topics.errors import AddressInUse, InvalidConfig, NodeNotFound
-from topics.messages import Mode, Policy, State
+from topics.messages import Mode, OnFull, Policy, State
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -55,6 +56,9 @@ def node(
     branches: options.Branches = 64,
     unresponsive_s: options.Unresponsive = 10.0,
     no_shrink_caches: options.NoShrinkCaches = False,
+    record: options.Record = None,
+    record_on_full: options.RecordOnFull = OnFull.WAIT,
+    overwrite: options.Overwrite = False,
     output_dir: options.OutputDir = None,
     keep_last: options.KeepLast = None,
     affinity: options.Affinity = Affinity.SEPARATE_CORES,
@@ -72,6 +76,9 @@ def node(
         raise InvalidConfig(f"--listen {listen} conflicts with --no-listen; use one of them")
     if speed is not None and mode is not Mode.PACED:
         raise InvalidConfig(f"--speed {speed:g} needs --mode paced; {mode} mode has no speed")
+    if overwrite and record is None:
+        raise InvalidConfig("--overwrite needs --record FILE.mcap")
+    settings["record_overwrite"] = settings.pop("overwrite")
     del settings["no_listen"], settings["no_shrink_caches"], settings["plant_argument"]
     if speed is None:
         del settings["speed"]
@@ -102,9 +109,13 @@ def _run(settings: dict[str, Any], *, is_endpoint_explicit: bool) -> None:
         bars.console.print(_greeting(running, ", ".join(running.settings.listen or running.settings.connect)))
         for warning in filter(None, (*running.manifest.warnings, exposure(running.settings.listen, config.keys))):
             bars.console.print(f"warning: {warning}", style="yellow", markup=False, soft_wrap=True)
+        if running.recording is not None:
+            print_line(f"{config.name}: {describe_recording(running.recording)}")
         running.serve()
         statistics = statistics_table(running.server.statistics(), running.exchange.controllers())
     out.print(statistics)
+    if running.recording is not None:
+        out.print(f"{config.name}: {describe_recording(running.recording)}", markup=False, soft_wrap=True)
     out.print(f"{config.name}: ended")
 
 

@@ -7,6 +7,7 @@ from contextlib import suppress
 from bridge.transport.session import default_endpoint
 from cli.console import out
 from cli.options import CertificateName, Connect, Keys
+from cli.record import describe_recording
 from cli.statistics import milliseconds
 from cli.tables import show
 from topics.errors import NodeNotFound
@@ -56,6 +57,8 @@ def _print_node(node: Status) -> None:
         "commands": messages,
         "memory": f"{memory}, of which {_mb(node.engine_private_bytes)} private",
     }
+    if node.recording is not None:
+        rows["recording"] = describe_recording(node.recording)
     show("", ("node", node.node), list(rows.items()), wrap=(node.node,))
 
 

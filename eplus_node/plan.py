@@ -7,7 +7,7 @@ from pathlib import Path
 
 from bridge.faults import read_plan
 from bridge.node.fault_injection import FaultInjection
-from bridge.node.plant import PlantDescription, RunPeriod
+from bridge.node.plant import PlantDescription, Provenance, RunPeriod
 from eplus_node.config import NodeConfig, scenario_of
 from models import catalog, energyplus
 from models.building import conflicts
@@ -123,7 +123,26 @@ def describe(plan: Plan) -> PlantDescription:
         floor_area_m2=floor_area_m2(plan.building),
         geometry=plan.geometry.geometry,
         without_geometry=plan.geometry.note,
+        provenance=_provenance(plan),
     )
+
+
+def _provenance(plan: Plan) -> Provenance:
+    """Name what determines the results besides the scenario's text: model, weather files, design days, engine."""
+    files = {"model": Path(plan.building.file)} if plan.building.file else {}
+    for number, source in enumerate(plan.sources, 1):
+        files[f"weather {number}"] = source.path
+        ddy = design_days.ddy_of(source.path)
+        if plan.scenario.sizing == "weather" and ddy is not None:
+            files[f"design days {number}"] = ddy
+    config = plan.config
+    settings: dict[str, object] = {"shrink_caches": config.shrink_caches, "monitoring": config.monitoring}
+    # A path in the scenario may be relative to the node's working directory.
+    if Path(plan.scenario.building).suffix.lower() in catalog.MODEL_SUFFIXES:
+        settings["building"] = str(files["model"].absolute())
+    if any(Path(name).suffix.lower() in catalog.WEATHER_SUFFIXES for name in plan.scenario.weather):
+        settings["weather"] = [str(source.path.absolute()) for source in plan.sources]
+    return Provenance("energyplus", settings, files | {"engine": energyplus.library()})
 
 
 def _read_model(scenario: Scenario, errors: ErrorCollector) -> Building | None:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from bridge.engine.client import EngineClient, start_all
 from bridge.engine.group import EngineGroup
@@ -15,9 +16,9 @@ from eplus_node.engine.episode_folders import create_fork_folder, link_weather
 from eplus_node.engine.pool import EnginePool, EpisodeWeather
 from eplus_node.engine.template import EngineTemplate
 from eplus_node.plan import Plan, describe
-from models.scenario.episode_weather import WeatherSource, series
+from models.scenario.episode_weather import WeatherDraw, WeatherSource, series
 from models.weather.epw import find_column
-from topics.errors import SimulatorError
+from topics.errors import InvalidRecording, SimulatorError
 from topics.messages import EngineStart, EpisodeStart
 
 _FAST_STARTS = (EngineStart.FORKED, EngineStart.PREFETCHED, EngineStart.REUSED)
@@ -165,6 +166,21 @@ class EnergyPlusPlant(EnergyPlusEngines):
         for slot, seed, is_untouched in zip(slots, seeds, untouched, strict=True):
             self._starts[slot] = self._pools[slot].next_episode(seed, episode[slot], untouched=is_untouched)
         return self._episode_starts(slots)
+
+    def episode_inputs(self, slot: int) -> dict[str, Any]:
+        """Return the weather file and the seed of its noise; see `RepeatablePlant.episode_inputs`."""
+        draw = self.weather_of(slot).draw
+        return {"source": draw.source, "noise": draw.noise}
+
+    def repeat_episode(self, slots: Sequence[int], inputs: Sequence[Mapping[str, Any]], episode: Sequence[int]) -> None:
+        """Choose the weather of a recorded episode; see `RepeatablePlant.repeat_episode`."""
+        self._episode = [*episode]
+        for slot, fields in zip(slots, inputs, strict=True):
+            try:
+                draw = WeatherDraw(int(fields["source"]), int(fields["noise"]))
+            except (KeyError, TypeError, ValueError):
+                raise InvalidRecording(f"an episode of EnergyPlus has a source and a noise, not {fields}") from None
+            self._starts[slot] = self._pools[slot].repeat_episode(draw, episode[slot])
 
     def _episode_starts(self, slots: Sequence[int]) -> list[EpisodeStart]:
         return [

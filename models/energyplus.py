@@ -53,13 +53,22 @@ def call(verb: str, *arguments: str | Path, file: str | Path | None = None) -> N
 @cache
 def version() -> str:
     """Return the version of the installed engine, from the name of its library: `25.2.0`."""
-    from models.catalog import wheel
-
-    for library in sorted(wheel().parent.glob("libenergyplusapi.*")):
+    for library in _libraries():
         tail = library.name.removeprefix("libenergyplusapi.").removeprefix("so.").removesuffix(".dylib")
         if tail[:1].isdigit():
             return tail
     return "unknown"
+
+
+def library() -> Path:
+    """Return the path of the engine's library."""
+    return next(path.resolve() for path in _libraries())
+
+
+def _libraries() -> list[Path]:
+    from models.catalog import wheel
+
+    return sorted(wheel().parent.glob("libenergyplusapi.*"))
 
 
 def _convert(source: str, target: str) -> None:

@@ -5,7 +5,8 @@
     │   ├── UnknownName         a building, weather, point or controller that does not exist
     │   ├── InvalidConfig       an invalid setting, or settings that exclude each other
     │   │   └── UnknownArgument a keyword argument that does not exist; also a TypeError
-    │   └── InvalidAction       an action of the wrong shape, out of bounds or not finite
+    │   ├── InvalidAction       an action of the wrong shape, out of bounds or not finite
+    │   └── InvalidRecording    a file that is no recording, is damaged, or does not fit what is installed
     ├── PeerError               the mistake of a peer on the bus
     │   ├── BadMessage          malformed, oversized, or of another schema version
     │   ├── RequestRejected     a request or command that the node rejected
@@ -59,6 +60,10 @@ class UnknownArgument(InvalidConfig, TypeError):
 
 class InvalidAction(UsageError):
     """An action of the wrong shape, out of its bounds, or not finite."""
+
+
+class InvalidRecording(UsageError):
+    """A file that is not a recording, is damaged, or was recorded with something that is not installed."""
 
 
 class PeerError(ZenostatError):

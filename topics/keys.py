@@ -27,15 +27,18 @@ from topics.messages import (
     Pause,
     PointValue,
     Query,
+    RecordingStatus,
     Reset,
     Resume,
     Sample,
     ScenarioText,
     SetPace,
     SnapshotTaken,
+    StartRecording,
     Status,
     StepRequest,
     Stop,
+    StopRecording,
     TakeSnapshot,
     WeatherQuery,
     WeatherSeries,
@@ -101,6 +104,8 @@ STEP = Topic("rpc/step", Role.CONTROLLER, StepRequest, Delivery.QUERY, reply=Ack
 COMMAND_REQUEST = Topic("rpc/command/{name}", Role.CONTROLLER, Command, Delivery.QUERY, reply=Ack)
 WRITE_REQUEST = Topic("rpc/write/{name}", Role.CONTROLLER, Write, Delivery.QUERY, reply=Ack)
 FAULTS = Topic("rpc/faults", Role.CONTROLLER, FaultPlan, Delivery.QUERY, reply=Ack)
+RECORD = Topic("rpc/record", Role.CONTROLLER, StartRecording, Delivery.QUERY, reply=RecordingStatus)
+STOP_RECORDING = Topic("rpc/stop_recording", Role.CONTROLLER, StopRecording, Delivery.QUERY, reply=RecordingStatus)
 STATUS = Topic("rpc/status", Role.ANYONE, Query, Delivery.QUERY, reply=Status)
 SCENARIO = Topic("rpc/scenario", Role.ANYONE, Query, Delivery.QUERY, reply=ScenarioText)
 WEATHER = Topic("rpc/weather", Role.ANYONE, WeatherQuery, Delivery.QUERY, reply=WeatherSeries)
@@ -130,6 +135,8 @@ TOPICS = (
     COMMAND_REQUEST,
     WRITE_REQUEST,
     FAULTS,
+    RECORD,
+    STOP_RECORDING,
     STATUS,
     SCENARIO,
     WEATHER,

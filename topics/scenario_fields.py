@@ -141,6 +141,16 @@ class ScenarioArguments(TypedDict, total=False):
             "time and a branch 16 MB less memory, with equal results."
         ),
     ]
+    record: Annotated[
+        str | Path | None,
+        Doc(
+            "Record everything to this file (`.mcap`), or to a file of its own in this folder; see docs/recordings.md."
+        ),
+    ]
+    record_on_full: Annotated[
+        str | None,
+        Doc("If the disk is slower than the node: `wait` for it, or `stop` the recording; by default wait."),
+    ]
     faults: Annotated[str | Path | None, Doc("Plan of faults to inject (YAML); see docs/faults.md.")]
 
 

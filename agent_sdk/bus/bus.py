@@ -12,7 +12,7 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, cast
 
 import zenoh
 from pydantic import ValidationError
@@ -21,6 +21,7 @@ from zenoh import QueryTarget
 from agent_sdk.bus import fork_guard
 from agent_sdk.bus.controller_link import ControllerLink
 from agent_sdk.bus.listener import listen
+from agent_sdk.bus.recording_requests import M, RecordingRequests
 from agent_sdk.bus.sample import SampleView
 from bridge.runtime import affinity
 from bridge.runtime.affinity import Affinity
@@ -69,8 +70,6 @@ from topics.messages import (
 )
 from topics.points import actuator_index, value_index
 
-M = TypeVar("M", bound=Message)
-
 _REQUEST_TIMEOUT_S = 600.0  # starting the largest bundled building takes 14 s; the death of a node is noticed at once
 _CLOSED = "this bus is closed; connect to it again"
 _numbers = itertools.count()
@@ -114,7 +113,7 @@ def _build(message_type: type[M], **fields: Any) -> M:
         raise InvalidConfig(codec.describe_validation_errors(error, message_type.model_fields)) from None
 
 
-class Bus:
+class Bus(RecordingRequests):
     """A connection to all nodes that are reachable through one endpoint.
 
     Attributes:

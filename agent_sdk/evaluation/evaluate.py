@@ -22,7 +22,9 @@ from agent_sdk.evaluation.statistics import MetricSummary, summarize
 from agent_sdk.evaluation.tariffs import Rate, read_emissions, read_prices
 from agent_sdk.evaluation.trace import Recording, TraceRecorder, WeatherTrace, episode_weather
 from topics.errors import InvalidAction, InvalidConfig, UsageError, did_you_mean
+from topics.keys import safe_name
 from topics.messages import Manifest
+from topics.recording import SUFFIX
 
 if TYPE_CHECKING:
     from agent_sdk.report import Comparison
@@ -174,6 +176,7 @@ def evaluate(
     emissions: Mapping[str, Rate] | None = None,
     progress: Progress | None = None,
     record: bool = False,
+    record_dir: str | Path | None = None,
     **overrides: Any,
 ) -> Evaluation:
     """Run controllers one after another through the same episodes.
@@ -197,6 +200,7 @@ def evaluate(
         progress: callback for each timestep.
         record: record the first episode of each controller, with the points that reports show besides those of the
             scenario (`monitoring`), which no controller observes; see `Evaluation.report`.
+        record_dir: folder for a recording (`.mcap`) of each controller's node, which has the controller's name.
         overrides: arguments of `BuildingEnv` that override those of the scenario.
 
     Raises:
@@ -205,6 +209,8 @@ def evaluate(
     if episodes < 1 or seed < 0:
         raise InvalidConfig(f"episodes={episodes}, seed={seed}: expected at least one episode and a seed of at least 0")
     settings = {**of_scenario(scenario), **overrides}
+    if record_dir is not None:
+        settings["record"] = record_dir
     if record and not {"connect", "link"} & settings.keys():  # a node that runs elsewhere has what it has
         settings.setdefault("monitoring", True)
     prices, emissions = read_prices(prices), read_emissions(emissions)
@@ -218,7 +224,8 @@ def evaluate(
     text = ""
     for name in sorted(factories, key=lambda key: _is_baseline(factories[key])):
         is_baseline = _is_baseline(factories[name])
-        with closing(BuildingEnv(**(_without_actuators(settings) if is_baseline else settings))) as env:
+        arguments_of = _named_node(_without_actuators(settings) if is_baseline else settings, name)
+        with closing(BuildingEnv(**arguments_of)) as env:
             if name not in created and name not in unfit:
                 alike = {key: factory for key, factory in factories.items() if _is_baseline(factory) == is_baseline}
                 created |= _create_controllers(alike, env.manifest, arguments, unfit)
@@ -300,6 +307,15 @@ def _run_episodes(
 
 def _is_baseline(factory: ControllerFactory) -> bool:
     return isinstance(factory, type) and issubclass(factory, BaselineController)
+
+
+def _named_node(settings: Mapping[str, Any], controller: str) -> dict[str, Any]:
+    """Name the node of a recorded evaluation after its controller: its file and its replay have that name."""
+    if settings.get("record") is None or settings.get("node") is not None:
+        return dict(settings)
+    if Path(settings["record"]).suffix == SUFFIX:
+        raise InvalidConfig(f"{settings['record']}: an evaluation has a recording for each controller; name a folder")
+    return {**settings, "node": safe_name(controller)}
 
 
 def _without_actuators(settings: Mapping[str, Any]) -> dict[str, Any]:

@@ -34,7 +34,9 @@ from topics.messages import (
     Mode,
     Policy,
     Reset,
+    StartRecording,
     State,
+    StopRecording,
     TakeSnapshot,
 )
 
@@ -43,6 +45,8 @@ _NODE_REQUESTS = (
     (keys.SNAPSHOT, TakeSnapshot),
     (keys.DROP, DropSnapshot),
     (keys.BRANCH, CreateBranch),
+    (keys.RECORD, StartRecording),
+    (keys.STOP_RECORDING, StopRecording),
 )
 _NO_EPISODE = "there is nothing to fork: the episode is {}; reset it first"
 
@@ -263,7 +267,8 @@ class BranchManager:
 
     def _reject(self, _: object) -> Message:
         raise RequestRejected(
-            f"a branch has a single episode and no snapshots or branches; ask its node {self._server.manifest.node!r}"
+            "a branch has a single episode and no snapshots, branches or recordings; ask its node "
+            f"{self._server.manifest.node!r}"
         )
 
     def _allocate(self, prefix: str, *, from_snapshot: bool = False) -> tuple[str, Path]:

@@ -10,6 +10,7 @@ from bridge.node.branches import BranchManager
 from bridge.node.fault_injection import NO_FAULTS, FaultState
 from bridge.node.manifest import site_fields
 from bridge.node.plant import Plant
+from bridge.node.recording import RecordingManager
 from bridge.node.server import NodeServer, Stopped
 from topics import keys
 from topics.errors import RequestRejected, SimulatorError
@@ -37,10 +38,11 @@ class EpisodeManager:
         server: the node on the bus.
         plant: that it simulates.
         branches: the node's snapshots and branches.
+        recordings: the node's recordings.
     """
 
-    def __init__(self, server: NodeServer, plant: Plant, branches: BranchManager) -> None:
-        self._server, self._plant, self._branches = server, plant, branches
+    def __init__(self, server: NodeServer, plant: Plant, branches: BranchManager, recordings: RecordingManager) -> None:
+        self._server, self._plant, self._branches, self._recordings = server, plant, branches, recordings
         self._slots = server.manifest.slots
 
     @property
@@ -59,6 +61,7 @@ class EpisodeManager:
         """Begin the first episodes; the plant is at sample 0. The caller publishes it."""
         self._exchange.ready(monotonic())
         self._server.begin_episodes([*range(self._slots)], [None] * self._slots)
+        self._recordings.begin_episodes(dict.fromkeys(range(self._slots), 0), [None] * self._slots, "")
         self._publish_start("")
 
     # Resets
@@ -102,6 +105,7 @@ class EpisodeManager:
         seeds: list[int | None],
         faults: FaultState | None = None,
         commands: CommandSnapshot | None = None,
+        snapshot: str = "",
     ) -> None:
         """Begin episodes whose first samples the plant has reached, and publish these.
 
@@ -111,6 +115,7 @@ class EpisodeManager:
             seeds: by slot, for injected faults.
             faults: those of a snapshot.
             commands: those of a snapshot.
+            snapshot: its name.
         """
         server = self._server
         server.exchange.ready(monotonic(), steps, commands)
@@ -126,6 +131,7 @@ class EpisodeManager:
             server.manifest = server.manifest.model_copy(update=site_fields(site))
         if server.manifest != previous:
             server.publications.manifest(server.manifest)
+        self._recordings.begin_episodes(steps, seeds, source, snapshot)
         self._publish_start(source)
         server.publish()
 
@@ -140,6 +146,7 @@ class EpisodeManager:
 
     def _snapshot(self, request: TakeSnapshot) -> Message:
         snapshot = self._branches.snapshot(request)
+        self._recordings.snapshot(snapshot.name, snapshot.episode, snapshot.step)
         text = f"snapshot {snapshot.name} at step {snapshot.step[0]}"
         self._server.event(self._exchange.event(EventKind.SNAPSHOT, text, request.controller))
         return SnapshotTaken(snapshot=snapshot.name, episode=snapshot.episode, step=snapshot.step)
@@ -162,7 +169,8 @@ class EpisodeManager:
         starts = self._plant.restore(snapshot.plant, [number + 1 for number in exchange.episode])
         exchange.reset()
         steps = dict(enumerate(snapshot.step))
-        self._begin(steps, reset.controller, [None] * len(slots), snapshot.faults or NO_FAULTS, snapshot.commands)
+        faults = snapshot.faults or NO_FAULTS
+        self._begin(steps, reset.controller, [None] * len(slots), faults, snapshot.commands, snapshot.name)
         self._plant.clean_up()
         return Ack(episode=exchange.episode, episode_starts=starts)
 

@@ -7,6 +7,7 @@ import os
 import signal
 from collections.abc import Callable
 from contextlib import ExitStack
+from pathlib import Path
 from types import FrameType
 
 from bridge.engine.registry import EngineRegistry
@@ -15,7 +16,9 @@ from bridge.faults import read_plan
 from bridge.node.branches import BranchManager
 from bridge.node.episodes import EpisodeManager
 from bridge.node.manifest import node_manifest
+from bridge.node.names import check_name_is_free, instances
 from bridge.node.plant import PlantContext, PlantFactory, SlotPlacement
+from bridge.node.recording import RecordingManager
 from bridge.node.server import NodeServer, Observer
 from bridge.node.settings import NodeSettings
 from bridge.node.shutdown import SHUTDOWN_TIMEOUT_S, ShutdownGuard
@@ -24,8 +27,7 @@ from bridge.runtime.scratch import Scratch, sweep
 from bridge.runtime.signals import TERMINATION_SIGNALS, override_signals
 from bridge.transport.session import open_session
 from topics import codec, keys
-from topics.errors import NameInUse
-from topics.messages import EventKind, Manifest, Query
+from topics.messages import EventKind, Manifest, Query, RecordingStatus
 
 
 class Node:
@@ -67,12 +69,14 @@ class Node:
 
     def check(self) -> None:
         """Check the settings and what the plant simulates; start nothing."""
+        self._recording_path()
         self._prepare()
 
     def __enter__(self) -> Node:
         with ExitStack() as undo:
             undo.callback(self.close)
             self._close.enter_context(self._guard)
+            self._record = self._recording_path()
             create = self._prepare()
             self._set_affinity()
             self._open_bus()
@@ -103,7 +107,24 @@ class Node:
         """The state of its episodes and controllers."""
         return self.server.exchange
 
+    @property
+    def recording(self) -> RecordingStatus | None:
+        """The state of its present or latest recording; None if there was none."""
+        return self._recordings.status()
+
     # Start
+
+    def _recording_path(self) -> Path | None:
+        """Return the file to record to; `InvalidConfig` if it exists, or if the libraries are missing."""
+        settings = self.settings
+        if settings.record is None:
+            return None
+        from bridge.recording.file import check_library, check_path, recording_path  # few nodes record
+
+        check_library()
+        path = recording_path(settings.record, settings.name)
+        check_path(path, overwrite=settings.record_overwrite)
+        return path
 
     def _set_affinity(self) -> None:
         """Choose the cores of node and engines; several slots use all cores, and the node shares one of them."""
@@ -127,16 +148,7 @@ class Node:
             )
         )
         self.instance = str(self.session.zid())
-        self._check_name_is_free(settings.name)
-
-    def _tokens(self) -> list[str]:
-        replies = self.session.liveliness().get(keys.NODE_TOKEN.at(self.settings.name, name="*"))
-        return [keys.last_chunk(str(reply.ok.key_expr)) for reply in replies if reply.ok]
-
-    def _check_name_is_free(self, name: str) -> None:
-        others = [token for token in self._tokens() if token != self.instance]
-        if others:
-            raise NameInUse(f"a node named {name!r} is on this bus already (instance {others[0]}); choose another name")
+        check_name_is_free(self.session, settings.name)
 
     def _create_scratch(self) -> None:
         sweep()
@@ -176,6 +188,8 @@ class Node:
         manifest = node_manifest(settings, plant, instance=self.instance, cpu=self.cpu)
         self.server = NodeServer(self.session, plant, manifest, exchange, self._observer)
         self.server.on_stop = self._on_stop_request
+        self._recordings = RecordingManager(self.server, plant, cpus=self._cpus)
+        self._close.callback(self._recordings.close)
         self._close.callback(self.server.close)
         if not self._finish_s:
             self._close.callback(self._registry.interrupt)  # all at once is faster than one by one
@@ -184,7 +198,7 @@ class Node:
         self.branches = BranchManager(self.server, self._folder, cpus=self._cpus, limit=settings.branches)
         self._close.callback(self.branches.close)
         self._has_server = True
-        self._episodes = EpisodeManager(self.server, plant, self.branches)
+        self._episodes = EpisodeManager(self.server, plant, self.branches, self._recordings)
 
     def _announce(self) -> None:
         """Put the node on the bus: first what answers requests, its presence last."""
@@ -192,15 +206,20 @@ class Node:
         server.declare(self.status)
         server.subscriptions.watch_presence(keys.CONTROLLER_TOKEN, self._on_disconnect)
         self._episodes.declare()
+        self._recordings.declare()
         self._close.callback(signal.signal, signal.SIGCHLD, signal.getsignal(signal.SIGCHLD))
         signal.signal(signal.SIGCHLD, self._on_child)
+        if self._record is not None:
+            settings = self.settings
+            self._recordings.start(self._record, overwrite=settings.record_overwrite, on_full=settings.record_on_full)
         self._episodes.begin_first()
         for warning in self.plant.description.warnings:
             server.event(server.exchange.event(EventKind.WARNING, warning))
         server.publish()
         server.announce()
-        if any(token < self.instance for token in self._tokens()):
-            self._check_name_is_free(self.settings.name)  # of two nodes that started at once, the lower id remains
+        if any(instance < self.instance for instance in instances(self.session, self.settings.name)):
+            # Of two nodes that started at once, the lower id remains.
+            check_name_is_free(self.session, self.settings.name)
 
     # Run and stop
 
@@ -214,7 +233,9 @@ class Node:
         """Return the encoded status of the node; thread-safe."""
         snapshots, branches = self.branches.status(memory=query.memory)
         status = self.server.requests.status(memory=query.memory)
-        return codec.encode(status.model_copy(update={"snapshots": snapshots, "branches": branches}))
+        recording = self._recordings.status()
+        update = {"snapshots": snapshots, "branches": branches, "recording": recording}
+        return codec.encode(status.model_copy(update=update))
 
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
         # No exception here: the signal can arrive anywhere, even while a thread is being started.

@@ -27,11 +27,11 @@ Other threads read `description`, `site`, `simulators` and `memory_bytes` at any
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,6 +77,21 @@ class Site:
 
 
 @dataclass(frozen=True, slots=True)
+class Provenance:
+    """What creates the same plant again.
+
+    Attributes:
+        kind: which program can: `energyplus`, `python`; empty: none.
+        settings: for that program, JSON built-ins.
+        files: paths of the files that determine the results, by their roles (`model`, `weather 1`, `engine`).
+    """
+
+    kind: str = ""
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    files: Mapping[str, Path] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
 class PlantDescription:
     """Properties of a plant that do not change while it exists.
 
@@ -87,6 +102,7 @@ class PlantDescription:
         zones, floor_area_m2: as in the manifest.
         geometry: zones and surfaces, for pictures; None for a plant without.
         without_geometry: why there is none; the text of the error that `rpc/geometry` replies with.
+        provenance: what creates the same plant again, for recordings.
     """
 
     name: str
@@ -102,6 +118,7 @@ class PlantDescription:
     floor_area_m2: float | None = None
     geometry: Geometry | None = None
     without_geometry: str = "this plant has no geometry"
+    provenance: Provenance = field(default_factory=Provenance)
 
 
 class WeatherTable(NamedTuple):
@@ -276,6 +293,27 @@ class Plant(RunningPlant, Protocol):
 
     def drain_warnings(self) -> list[str]:
         """Return warnings since the last call, for events."""
+
+
+@runtime_checkable
+class RepeatablePlant(Plant, Protocol):
+    """A plant that can repeat a recorded episode."""
+
+    def episode_inputs(self, slot: int) -> dict[str, Any]:
+        """Return what determines the present episode of a slot besides its commands, as JSON built-ins."""
+
+    def repeat_episode(self, slots: Sequence[int], inputs: Sequence[Mapping[str, Any]], episode: Sequence[int]) -> None:
+        """Choose the inputs of the next episode of some slots, as `next_episode` does; `start` begins it.
+
+        Args:
+            slots: slots to reset.
+            inputs: of each of them, as `episode_inputs` returned them.
+            episode: numbers of the episodes, of all slots of the plant.
+
+        Raises:
+            InvalidRecording: these are not inputs of this plant.
+            SimulatorError: the inputs cannot be prepared.
+        """
 
 
 PlantFactory = Callable[[PlantContext], Plant]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from contextlib import ExitStack
 from datetime import datetime
 from math import isfinite
+from typing import TYPE_CHECKING
 
 import numpy as np
 import zenoh
@@ -12,9 +13,13 @@ from zenoh import CongestionControl
 from zenoh.handlers import Callback
 
 from bridge.node.batching import SampleBatcher
+from bridge.recording.channels import EVENTS, MANIFESTS
 from bridge.runtime.timer import Timer
 from topics import codec, keys
 from topics.messages import REJECTIONS, Event, EventKind, Manifest, PointValue
+
+if TYPE_CHECKING:
+    from bridge.recording.recorder import Recorder
 
 EVENTS_A_STEP = 20
 """Refusals per step that are published as events; further ones are only counted."""
@@ -29,11 +34,15 @@ class Publications:
     """The publishers of a server; `with Publications(session, manifest, timer) as publications`.
 
     It publishes the manifest when it is created.
+
+    Attributes:
+        recorder: records the manifests and the events that are published.
     """
 
     def __init__(self, session: zenoh.Session, manifest: Manifest, timer: Timer) -> None:
         self._session = session
         self._node = manifest.node
+        self.recorder: Recorder | None = None
         self._close = ExitStack()
         self._subscribed: dict[int, zenoh.Publisher] = {}
         self._events_left, self._written_left = EVENTS_A_STEP, WRITTEN_A_STEP
@@ -81,6 +90,8 @@ class Publications:
         """Publish the manifest."""
         payload = codec.encode(manifest)
         self._put_manifest(payload)
+        if self.recorder is not None:
+            self.recorder.add(MANIFESTS, payload)
         if self._batches.has_listeners:
             self._batches.add(_MANIFEST, payload)
 
@@ -112,5 +123,7 @@ class Publications:
                 return
         payload = codec.encode(event)
         self._put_event(payload)
+        if self.recorder is not None:
+            self.recorder.add(EVENTS, payload)
         if self._batches.has_listeners:
             self._batches.add(_EVENT, payload)

@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from datetime import datetime, timedelta
 from time import monotonic
+from typing import TYPE_CHECKING
 
 import zenoh
 
@@ -23,11 +24,15 @@ from bridge.node.plant import RunningPlant
 from bridge.node.publications import Publications
 from bridge.node.request_handlers import RequestHandlers
 from bridge.node.subscriptions import COMMAND_QUEUE, MAX_PENDING, Subscriptions
+from bridge.recording.channels import SAMPLES
 from bridge.runtime.timer import Timer
 from topics import codec, errors, keys
 from topics.errors import EpisodeAborted, RequestRejected, SimulatorError, ZenostatError
 from topics.fault_plan import FaultPlan
 from topics.messages import Event, EventKind, Flag, Manifest, Mode, Query, State, Statistics
+
+if TYPE_CHECKING:
+    from bridge.recording.recorder import Recorder
 
 _NO_FLAG, _FIRST, _TRUNCATED = int(Flag.NONE), int(Flag.FIRST), int(Flag.TRUNCATED)
 _FALLBACK = int(Flag.FALLBACK)
@@ -71,6 +76,7 @@ class NodeServer:
         self._close = ExitStack()
         self.timer = Timer()
         self.injection: FaultInjection | None = None
+        self._recorder: Recorder | None = None
         self.pacing = Pacing(self)
         self.requests = RequestHandlers(self)
         self._last_commands = b""
@@ -99,6 +105,10 @@ class NodeServer:
         """Declare the server's presence, once everything else is declared."""
         token = keys.NODE_TOKEN.at(self.manifest.node, name=self.manifest.instance)
         self._close.enter_context(self.session.liveliness().declare_token(token))
+
+    def record(self, recorder: Recorder | None) -> None:
+        """Record all messages from now on; None ends that."""
+        self._recorder = self.publications.recorder = self.subscriptions.recorder = recorder
 
     def close(self) -> None:
         """End the plant's simulators, leave the bus and close the plant; idempotent."""
@@ -142,6 +152,8 @@ class NodeServer:
             return False
         controller, message = received
         payload, encoding = message.payload.to_bytes(), str(message.encoding)
+        if self._recorder is not None:
+            self._recorder.received(keys.COMMAND, controller, payload, encoding)
         if self.injection is not None and self.injection.link.disturbs_commands:
             self.deliver(controller, lambda: self._receive_command(controller, payload, encoding))
         elif not self.exchange.accept_fast(controller, payload, monotonic(), encoding):
@@ -193,6 +205,8 @@ class NodeServer:
         if self.injection is not None:
             commands = self.injection.apply_to_commands(commands, exchange.step)
         self._last_commands = commands
+        if self._recorder is not None:
+            self._recorder.order(commands, exchange.active_slots)
         try:
             last = self.plant.step(commands, exchange.active_slots)
         except SimulatorError as error:
@@ -243,6 +257,8 @@ class NodeServer:
             self.publications.sample(self.latest_sample)
         else:
             self._publish_with_faults(injection)
+        if self._recorder is not None:
+            self._recorder.add(SAMPLES, self.latest_sample)
         now_s = monotonic()
         if self._sampled_s:
             self._cycle.add(now_s - self._sampled_s)

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from bridge.engine.registry import UNRESPONSIVE_S
 from bridge.runtime.affinity import Affinity
 from bridge.transport.session import DEFAULT_ENDPOINT
-from topics.messages import Mode, Policy
+from topics.messages import Mode, OnFull, Policy
 
 
 class NodeSettings(BaseModel):
@@ -22,6 +22,7 @@ class NodeSettings(BaseModel):
         listen: endpoints; empty for a node that only connects to a router or another node.
         keys: a folder created by `zenostat keys init`; `certificate` names another certificate than `node`.
         monitoring: also measure what pictures and reports need; a Python plant measures all its points anyway.
+        record: a file (`.mcap`) or a folder for recordings; `record_on_full` and `record_overwrite` are options of it.
         unresponsive_s: time after which an engine that neither answers nor uses processor time is killed.
         folder: for temporary files; None uses the system's.
         cpu: the core of the node, and `engine_cpu` that of its engine; None lets `affinity` choose.
@@ -46,6 +47,9 @@ class NodeSettings(BaseModel):
     baseline: bool = False
     monitoring: bool = False
     branches: Annotated[int, Field(ge=0, le=4096)] = 64
+    record: Path | None = None
+    record_on_full: OnFull = OnFull.WAIT
+    record_overwrite: bool = False
     unresponsive_s: Annotated[float, Field(gt=0, le=1e9)] = UNRESPONSIVE_S
     folder: Path | None = None
     affinity: Affinity = Affinity.SEPARATE_CORES

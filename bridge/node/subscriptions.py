@@ -14,7 +14,7 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import zenoh
 from zenoh.handlers import Callback, FifoChannel
@@ -23,6 +23,9 @@ from bridge.transport.wakeup import Wake
 from topics import codec, errors, keys
 from topics.errors import BadMessage, RequestRejected, ZenostatError
 from topics.messages import ErrorReply, Message, Query
+
+if TYPE_CHECKING:
+    from bridge.recording.recorder import Recorder
 
 COMMAND_QUEUE = 256
 """Commands that may wait for the server's thread; beyond it, their senders are blocked."""
@@ -53,32 +56,38 @@ class Request:
     Args:
         query: the query.
         topic: of the query.
-        node: name of the node.
+        subscriptions: of the server.
 
     Attributes:
         name: the last chunk of its key: a controller or an actuator, if the topic has a name.
         payload, encoding: its message.
     """
 
-    __slots__ = ("_key", "_query", "encoding", "name", "payload")
+    __slots__ = ("_key", "_query", "_subscriptions", "_topic", "encoding", "name", "payload")
 
-    def __init__(self, query: zenoh.Query, topic: keys.Topic, node: str) -> None:
+    def __init__(self, query: zenoh.Query, topic: keys.Topic, subscriptions: Subscriptions) -> None:
         self._query: zenoh.Query | None = query
         self.name = keys.last_chunk(str(query.key_expr))
-        self._key = topic.at(node, name=self.name)
+        self._topic, self._subscriptions = topic, subscriptions
+        self._key = topic.at(subscriptions.node, name=self.name)
         self.payload, self.encoding = _content(query)
 
-    def answer(self, handler: Callable[[], Message]) -> None:
-        """Call `handler` and reply with what it returns or raises; only the first call replies."""
+    def answer(self, handler: Callable[[], Message], *, is_recorded: bool = True) -> None:
+        """Call `handler` and reply with what it returns or raises; only the first call replies and is recorded."""
         reply: Message
         try:
             reply = handler()
         except ZenostatError as error:
             reply = ErrorReply(**errors.to_wire(error))
         query, self._query = self._query, None
-        if query is not None:
-            with query:
-                query.reply(self._key, codec.encode(reply), encoding=zenoh.Encoding(codec.encoding(type(reply))))
+        if query is None:
+            return
+        payload, encoding = codec.encode(reply), codec.encoding(type(reply))
+        recorder = self._subscriptions.recorder
+        if recorder is not None and is_recorded and self._topic is not keys.WEATHER:  # which only reads
+            recorder.request(self._topic, self.name, self.payload, self.encoding, payload, encoding)
+        with query:
+            query.reply(self._key, payload, encoding=zenoh.Encoding(encoding))
 
 
 def _is_valid(request: Request, kind: type[Any]) -> bool:
@@ -101,12 +110,15 @@ class Subscriptions:
     """The subscribers and queryables of a server; `with Subscriptions(session, node) as subscriptions`.
 
     Attributes:
+        node: name of the node.
+        recorder: records requests with their replies, and the messages of `listen`.
         rate_limited: number of messages dropped and requests rejected because too many were waiting.
     """
 
     def __init__(self, session: zenoh.Session, node: str) -> None:
         self._session = session
-        self._node = node
+        self.node = node
+        self.recorder: Recorder | None = None
         self._tasks: deque[Callable[[], None]] = deque()
         self._queues = [self._tasks]
         self.rate_limited = 0
@@ -218,17 +230,22 @@ class Subscriptions:
         """Subscribe to a topic; the server's thread handles its messages."""
         waiting = self._queue()
 
+        def receive(name: str, payload: bytes, encoding: str) -> None:
+            if self.recorder is not None:
+                self.recorder.received(topic, name, payload, encoding)
+            handler(name, payload, encoding)
+
         def on_message(message: zenoh.Sample) -> None:
             if len(waiting) >= MAX_PENDING:
                 self.rate_limited += 1
                 return
             name = keys.last_chunk(str(message.key_expr))
             payload, encoding = message.payload.to_bytes(), str(message.encoding)
-            waiting.append(lambda: handler(name, payload, encoding))
+            waiting.append(lambda: receive(name, payload, encoding))
             self.post(lambda: waiting.popleft()())  # noqa: PLW0108  # the first is determined when the task runs
 
         subscriber = self._session.declare_subscriber(
-            topic.at(self._node, name="*"), Callback(on_message, indirect=False)
+            topic.at(self.node, name="*"), Callback(on_message, indirect=False)
         )
         self._close.callback(subscriber.undeclare)
 
@@ -240,7 +257,7 @@ class Subscriptions:
                 name = keys.last_chunk(str(token.key_expr))
                 self.post(lambda: on_disconnect(name))
 
-        tokens = topic.at(self._node, name="*")
+        tokens = topic.at(self.node, name="*")
         subscriber = self._session.liveliness().declare_subscriber(tokens, Callback(on_token, indirect=False))
         self._close.callback(subscriber.undeclare)
 
@@ -259,7 +276,7 @@ class Subscriptions:
         self._answer(topic, lambda payload, encoding: answer(codec.decode(Query, payload or _NO_FIELDS, encoding)))
 
     def _answer(self, topic: keys.Topic, answer: Callable[[bytes, str], bytes]) -> None:
-        key, reply = topic.at(self._node), topic.reply or ErrorReply
+        key, reply = topic.at(self.node), topic.reply or ErrorReply
 
         def on_query(query: zenoh.Query) -> None:
             with query:
@@ -316,15 +333,15 @@ class Subscriptions:
         waiting = self._queue()
 
         def on_query(query: zenoh.Query) -> None:
-            request = Request(query, topic, self._node)
+            request = Request(query, topic, self)
             if len(waiting) >= MAX_PENDING:
                 self.rate_limited += 1
-                request.answer(_reject)
+                request.answer(_reject, is_recorded=False)  # in another thread
                 return
             on_receipt(request)
             waiting.append(lambda: handler(request))
             self.post(lambda: waiting.popleft()())  # noqa: PLW0108  # the first is determined when the task runs
 
-        key = topic.at(self._node, name="*")
+        key = topic.at(self.node, name="*")
         queryable = self._session.declare_queryable(key, Callback(on_query, indirect=False), complete=True)
         self._close.callback(queryable.undeclare)

@@ -23,6 +23,7 @@ from bridge.engine.spec import EngineProgram, EngineSpec
 from bridge.node.plant import (
     PlantContext,
     PlantDescription,
+    Provenance,
     RunningPlant,
     RunPeriod,
     Site,
@@ -32,7 +33,7 @@ from bridge.node.plant import (
 )
 from bridge.runtime.idle_watch import LOOK_S, IdleWatch
 from topics import VERSION, errors
-from topics.errors import EngineDied, EngineUnresponsive, ForkFailed, PlantFailed
+from topics.errors import EngineDied, EngineUnresponsive, ForkFailed, InvalidRecording, PlantFailed
 from topics.messages import (
     Action,
     Actuator,
@@ -111,7 +112,16 @@ def plan_class(plant: str, arguments: Mapping[str, Any], unresponsive_s: float) 
         raise EngineDied(f"plant {plant!r} could not be created: its process {_end(process.returncode)}") from None
     if "error" in fields:
         raise errors.from_wire(fields)
-    return ClassPlan(plant, dict(arguments), _describe(fields), fields["forkable"], fields["has_state"])
+    description = replace(_describe(fields), provenance=_provenance(plant, arguments))
+    return ClassPlan(plant, dict(arguments), description, fields["forkable"], fields["has_state"])
+
+
+def _provenance(plant: str, arguments: Mapping[str, Any]) -> Provenance:
+    """Name the class and its file; modules that it imports are not among the files."""
+    place, _, name = plant.rpartition(":")
+    files = {"class": Path(place).absolute()} if place.endswith(".py") else {}
+    path = f"{files['class']}:{name}" if files else plant
+    return Provenance("python", {"plant": path, "plant_arguments": dict(arguments)}, files)
 
 
 def _end(code: int) -> str:
@@ -256,6 +266,23 @@ class PythonPlant(PythonEngines):
             EpisodeStart(engine_start=EngineStart.RESET if self._runs(slot) else EngineStart.STARTED, weather="")
             for slot in slots
         ]
+
+    def episode_inputs(self, slot: int) -> dict[str, Any]:
+        """Return the seed; see `RepeatablePlant.episode_inputs`."""
+        return {"seed": self._seeds[slot]}
+
+    def repeat_episode(
+        self,
+        slots: Sequence[int],
+        inputs: Sequence[Mapping[str, Any]],
+        episode: Sequence[int],  # noqa: ARG002
+    ) -> None:
+        """Choose the seed of a recorded episode; see `RepeatablePlant.repeat_episode`."""
+        for slot, fields in zip(slots, inputs, strict=True):
+            seed = fields.get("seed")
+            if not isinstance(seed, int) or not 0 <= seed <= MAX_SEED:
+                raise InvalidRecording(f"an episode of a Python class has a seed, not {dict(fields)}")
+            self._seeds[slot] = seed
 
     def _runs(self, slot: int) -> bool:
         return bool(self.clients) and self.clients[slot].alive

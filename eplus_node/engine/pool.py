@@ -17,8 +17,11 @@ from eplus_node.engine.spec import engine_spec
 from eplus_node.engine.template import EngineTemplate
 from eplus_node.plan import Plan
 from models.scenario.episode_weather import EpisodeFiles, WeatherDraw, WeatherSampler
-from topics.errors import EngineDied, ForkFailed, SimulatorError
+from topics.errors import EngineDied, ForkFailed, InvalidRecording, SimulatorError
 from topics.messages import EngineStart
+
+_UNPREDICTABLE = 2
+"""Consecutive resets with a seed after which the next weather is not predicted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,12 +131,26 @@ class EnginePool:
             episode: its number.
             untouched: whether the present engine is still waiting at sample 0.
         """
+        return self._begin(self._draw(seed), episode, untouched=untouched, is_seeded=seed is not None)
+
+    def repeat_episode(self, draw: WeatherDraw, episode: int) -> EngineStart:
+        """Begin an episode with this weather, and return where its engine will come from; no other one is prefetched.
+
+        Raises:
+            InvalidRecording: the plan has no such weather.
+        """
+        if not (0 <= draw.source < len(self._plan.sources) and 0 <= draw.noise < 1 << 63):
+            raise InvalidRecording(f"there is no weather {draw}; the scenario has {len(self._plan.sources)} files")
+        self._has_begun, self._consecutive_seeds = True, _UNPREDICTABLE
+        return self._begin(draw, episode, untouched=False, is_seeded=True)
+
+    def _begin(self, draw: WeatherDraw, episode: int, *, untouched: bool, is_seeded: bool) -> EngineStart:
         self._drop_starting()
         self._episode = episode
-        previous, self.draw = self.draw, self._draw(seed)
+        previous, self.draw = self.draw, draw
         output_kept, self._output_kept = self._output_kept, self._folders.keep
         if untouched and self.draw == previous and output_kept == self._folders.keep:
-            if seed is not None:
+            if is_seeded:
                 self._drop_prefetched()  # it was drawn after the previous seed
             return EngineStart.REUSED
         if self._has_late_noise:
@@ -222,7 +239,12 @@ class EnginePool:
 
         With a seed at each reset the next weather is unknown, and nothing is started.
         """
-        if self._folders.keep or self._uses_template or self._prefetched is not None or self._consecutive_seeds > 1:
+        if (
+            self._folders.keep
+            or self._uses_template
+            or self._prefetched is not None
+            or self._consecutive_seeds >= _UNPREDICTABLE
+        ):
             return
         draw = self._next_draw = self._draws.next()
         with suppress(EngineDied):  # no room for its files now; it starts when the episode begins

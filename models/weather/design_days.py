@@ -47,7 +47,7 @@ def site(epw: Path, header: Header) -> Site:
     Raises:
         InvalidConfig: EnergyPlus cannot read the DDY next to `epw`.
     """
-    ddy = _ddy(epw)
+    ddy = ddy_of(epw)
     note = ""
     if ddy is not None:
         objects = _read_ddy(ddy)
@@ -75,7 +75,8 @@ def apply(objects: Mapping[str, Objects], site: Site) -> dict[str, Objects]:
     return new
 
 
-def _ddy(epw: Path) -> Path | None:
+def ddy_of(epw: Path) -> Path | None:
+    """Return the DDY file next to a weather file; None if there is none."""
     ddy = epw.with_suffix(".ddy")
     if ddy.is_file():
         return ddy

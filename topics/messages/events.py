@@ -32,6 +32,7 @@ class EventKind(StrEnum):
     FAULT = "fault"
     SNAPSHOT = "snapshot"
     BRANCH_CREATED = "branch_created"
+    RECORDING = "recording"
 
 
 REJECTIONS = (EventKind.REJECTED, EventKind.LATE, EventKind.DUPLICATE)

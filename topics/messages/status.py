@@ -6,6 +6,7 @@ from pydantic import Field
 
 from topics.messages.base import Count, Message, Priority, SafeName
 from topics.messages.enums import ControllerState, Mode, Policy, State
+from topics.messages.recording import RecordingStatus
 
 
 class LatencySummary(Message):
@@ -74,7 +75,7 @@ class Status(Message):
     """Status of a node.
 
     `faults`: the injected faults that are active now. `engine_private_bytes`, and `private_bytes` of snapshots and
-    branches: memory shared with no other process; 0 unless requested.
+    branches: memory shared with no other process; 0 unless requested. `recording`: the present or the latest recording.
     """
 
     node: SafeName
@@ -103,3 +104,4 @@ class Status(Message):
     faults: list[str] = Field(default_factory=list)
     snapshots: list[ForkStatus] = Field(default_factory=list)
     branches: list[ForkStatus] = Field(default_factory=list)
+    recording: RecordingStatus | None = None

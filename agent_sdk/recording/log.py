@@ -1,0 +1,183 @@
+"""The audit log of a recording: who requested what, when, and with which result."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Any
+
+import msgpack
+
+from topics import codec, keys
+from topics.errors import BadMessage
+from topics.messages import ANONYMOUS, REJECTIONS, ErrorReply, Event, EventKind
+from topics.recording import RecordedMessage, RecordedRequest
+
+if TYPE_CHECKING:
+    from bridge.recording.reader import RecordedItem
+
+_COMMAND, _ACTUATOR = (topic.key.removesuffix("{name}") for topic in (keys.COMMAND, keys.ACTUATOR))
+_ACCEPTED = "accepted"
+_OUTCOMES = (*REJECTIONS, EventKind.WRITTEN, EventKind.ACCEPTED_LATE)
+_HIDDEN = ("controller", "source", "values", "operations", "episode")
+_ERROR = codec.encoding(ErrorReply)
+
+
+@dataclass(slots=True)
+class LogEntry:
+    """A command, a write or a request, and its result.
+
+    Attributes:
+        time: UTC at which the node received it.
+        simulated: Simulated time of the node's latest sample; empty before the first one.
+        source: Name of the sender; empty if the message has none.
+        kind: `command`, `write`, or the request: `claim`, `reset`, `pause`.
+        subject: The point that was written, or what was requested.
+        result: `accepted`, or the reason why not.
+        count: Number of consecutive accepted commands that the entry stands for.
+    """
+
+    time: datetime
+    simulated: str
+    source: str
+    kind: str
+    subject: str
+    result: str = _ACCEPTED
+    count: int = 1
+
+    @property
+    def is_accepted(self) -> bool:
+        """Whether the node accepted it."""
+        return self.result.startswith(_ACCEPTED)
+
+
+class LogBuilder:
+    """Builds the log from messages in the order of the recording.
+
+    Consecutive accepted commands of a controller are one entry. The result of a message without a reply is that of the
+    event which follows it at once.
+    """
+
+    def __init__(self) -> None:
+        self._entries: list[LogEntry] = []
+        self._awaiting: LogEntry | None = None
+        self._commands: dict[str, LogEntry] = {}
+        self._latest: dict[str, LogEntry] = {}
+
+    def add_event(self, event: Event) -> None:
+        """Take the result of the latest message from an event."""
+        entry, self._awaiting = self._awaiting, None
+        if entry is None or event.kind not in _OUTCOMES or (event.source and event.source != entry.source):
+            return
+        if entry.kind == "command":
+            entry = self._separate(entry)
+        if event.kind is EventKind.WRITTEN:
+            entry.subject = event.text
+        elif event.kind is EventKind.ACCEPTED_LATE:
+            entry.result = f"accepted: {event.text}"
+        else:
+            entry.result = f"{event.kind}: {event.text}"
+
+    def add(self, item: RecordedItem, simulated: str) -> None:
+        """Add a received message; `simulated` is the time of the latest sample."""
+        self._awaiting = None
+        topic, payload, encoding = item.topic, item.payload, ""
+        if item.schema == RecordedMessage.__name__:
+            message = codec.decode(RecordedMessage, payload)
+            topic, payload, encoding = message.topic, message.payload, message.encoding
+        is_request = RecordedRequest.__name__ in (item.schema, encoding.rpartition(".")[2])
+        if is_request:
+            self._add_request(topic, codec.decode(RecordedRequest, payload), item.time_ns, simulated)
+        elif topic.startswith((_COMMAND, _ACTUATOR)):
+            self._add_message(topic, payload, item.time_ns, simulated)
+
+    def _add_message(self, topic: str, payload: bytes, time_ns: int, simulated: str) -> None:
+        name = topic.partition("/")[2]
+        if topic.startswith(_COMMAND):
+            self._add_command(name, payload, time_ns, simulated)
+            self._awaiting = self._commands[name]
+            return
+        fields = _fields(payload)
+        entry = LogEntry(_utc(time_ns), simulated, _source(fields) or ANONYMOUS, "write", _write_text(name, fields))
+        self._entries.append(entry)
+        self._awaiting = entry
+
+    def _add_command(self, name: str, payload: bytes, time_ns: int, simulated: str) -> None:
+        fields = _fields(payload)
+        latest = self._latest[name] = LogEntry(_utc(time_ns), simulated, name, "command", _answer_text(fields))
+        entry = self._commands.get(name)
+        if entry is None:
+            self._commands[name] = replace(latest)
+            self._entries.append(self._commands[name])
+        else:
+            entry.count += 1
+
+    def _separate(self, entry: LogEntry) -> LogEntry:
+        """Return an entry of its own for the latest command of a controller, which was not plainly accepted."""
+        del self._commands[entry.source]
+        if entry.count == 1:
+            return entry
+        entry.count -= 1
+        self._entries.append(self._latest[entry.source])
+        return self._entries[-1]
+
+    def _add_request(self, topic: str, request: RecordedRequest, time_ns: int, simulated: str) -> None:
+        _, kind, *names = topic.split("/")
+        name = "".join(names)
+        fields = _fields(request.payload)
+        source = name if kind == "command" else _source(fields)
+        if kind == "write":
+            subject, source = _write_text(name, fields), source or ANONYMOUS
+        elif kind == "command":
+            subject = _answer_text(fields)
+        else:
+            subject = ", ".join(f"{key} {value}" for key, value in fields.items() if _is_shown(key, value))
+        entry = LogEntry(_utc(time_ns), simulated, source, kind, subject, _reply_text(request))
+        self._entries.append(entry)
+
+    def finish(self) -> tuple[LogEntry, ...]:
+        """Return all entries in the order of their times."""
+        return tuple(sorted(self._entries, key=lambda entry: entry.time))
+
+
+def _utc(time_ns: int) -> datetime:
+    return datetime.fromtimestamp(time_ns / 1e9, UTC)
+
+
+def _fields(payload: bytes) -> Mapping[str, Any]:
+    """Return the fields of a message that need not be valid; empty if it cannot be read."""
+    try:
+        fields = msgpack.unpackb(payload)
+    except Exception:  # msgpack raises a dozen unrelated classes on malformed input
+        return {}
+    return fields if isinstance(fields, dict) else {}
+
+
+def _source(fields: Mapping[str, Any]) -> str:
+    return str(fields.get("controller") or fields.get("source") or "")
+
+
+def _is_shown(key: str, value: Any) -> bool:
+    return key not in _HIDDEN and value not in (None, "", [], {}, False)
+
+
+def _answer_text(fields: Mapping[str, Any]) -> str:
+    return f"answers step {fields.get('step', '?')} of episode {fields.get('episode', '?')}"
+
+
+def _write_text(name: str, fields: Mapping[str, Any]) -> str:
+    value, priority = fields.get("value"), fields.get("priority", 8)
+    text = f"{name} relinquished" if value is None else f"{name} = {value}"
+    duration = f" for {fields['duration_s']:g} s" if isinstance(fields.get("duration_s"), int | float) else ""
+    return f"{text} at priority {priority}{duration}"
+
+
+def _reply_text(request: RecordedRequest) -> str:
+    if request.reply_encoding != _ERROR:
+        return _ACCEPTED
+    try:
+        reply = codec.decode(ErrorReply, request.reply, request.reply_encoding)
+    except BadMessage:
+        return "rejected"
+    return f"{reply.error}: {reply.message}"

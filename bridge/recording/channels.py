@@ -1,0 +1,21 @@
+"""The fixed channels of a recording; further ones have the keys of controllers, actuators and requests."""
+
+from __future__ import annotations
+
+from topics import keys, recording
+from topics.messages import Event, Manifest, Message, Sample
+from topics.recording import RecordedEpisode, RecordedMessage, RecordedOrder, RecordedSnapshot
+
+SAMPLES, EVENTS, MANIFESTS, ORDERS, EPISODES, SNAPSHOTS, OTHERS = range(7)
+"""Numbers of the channels."""
+
+CHANNELS: tuple[tuple[str, type[Message]], ...] = (
+    (keys.SAMPLE.key, Sample),
+    (keys.EVENT.key, Event),
+    (keys.MANIFEST.key, Manifest),
+    (recording.ORDERS, RecordedOrder),
+    (recording.EPISODES, RecordedEpisode),
+    (recording.SNAPSHOTS, RecordedSnapshot),
+    (recording.OTHERS, RecordedMessage),
+)
+"""Topic below the node's root and class of each fixed channel, by its number."""

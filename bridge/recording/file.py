@@ -1,0 +1,105 @@
+"""The file of a recording: its path, and exclusive access to it."""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import hashlib
+import importlib
+import os
+from datetime import UTC, datetime
+from pathlib import Path
+
+from topics.errors import InvalidConfig
+from topics.extras import requires_extra
+from topics.recording import SUFFIX
+
+MAGIC = b"\x89MCAP0\r\n"
+
+
+def file_digest(path: Path) -> str:
+    """Return the SHA-256 of a file's content, in hexadecimal."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def check_library() -> None:
+    """Raise `InvalidConfig` if the libraries that write recordings are not installed."""
+    with requires_extra("recording", "a recording", "mcap and zstandard"):
+        importlib.import_module("bridge.recording.chunk_writer")
+
+
+def recording_path(record: Path, node: str) -> Path:
+    """Return the file for a node's recording.
+
+    Args:
+        record: a file, or a folder (any path without a suffix), in which each run has a file of its own, named after
+            node, time and process.
+        node: the node's name.
+
+    Raises:
+        InvalidConfig: a file with another suffix.
+    """
+    if record.suffix == SUFFIX and not record.is_dir():
+        return record.absolute()
+    if record.suffix and not record.is_dir():
+        raise InvalidConfig(f"record={record}: expected a file with the suffix {SUFFIX}, or a folder")
+    stem = f"{node}-{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{os.getpid()}"
+    names = [f"{stem}{SUFFIX}", *(f"{stem}-{number}{SUFFIX}" for number in range(2, 1000))]
+    return next(path for name in names if not (path := record.absolute() / name).exists())
+
+
+def check_path(path: Path, *, overwrite: bool = False) -> None:
+    """Raise `InvalidConfig` if there is a file at `path` that must not be replaced; nothing is created."""
+    if not overwrite and (path.exists() or path.is_symlink()):
+        raise InvalidConfig(_exists(path))
+
+
+def open_recording(path: Path, *, overwrite: bool = False) -> int:
+    """Create the file of a recording and lock it; return its descriptor, whose end releases the lock.
+
+    Raises:
+        InvalidConfig: the file exists (with `overwrite`: and is not a recording), another program is recording to it,
+            or it cannot be created.
+    """
+    try:
+        _create_folder(path.parent)
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | (0 if overwrite else os.O_EXCL), 0o644)
+    except FileExistsError:
+        raise InvalidConfig(_exists(path)) from None
+    except OSError as error:
+        raise InvalidConfig(f"cannot record to {path}: {error.strerror}") from None
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if (head := os.pread(descriptor, len(MAGIC), 0)) not in (b"", MAGIC):
+            raise InvalidConfig(f"{path} exists and is not a recording (it begins with {head!r}); choose another name")
+        os.ftruncate(descriptor, 0)
+    except OSError as error:
+        os.close(descriptor)
+        if isinstance(error, BlockingIOError):
+            raise InvalidConfig(f"another node is recording to {path}; choose another name") from None
+        raise InvalidConfig(f"cannot record to {path}: {error.strerror}") from None
+    except InvalidConfig:
+        os.close(descriptor)
+        raise
+    return descriptor
+
+
+def _create_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        raise NotADirectoryError(errno.ENOTDIR, f"{folder} is not a folder") from None
+
+
+def _exists(path: Path) -> str:
+    if path.is_dir():
+        return f"{path} is a folder; name a file in it"
+    try:
+        with path.open("rb") as file:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return f"another node is recording to {path}; choose another name"
+    except OSError:
+        pass
+    return f"{path} exists; choose another name, or replace it (--overwrite, overwrite=True)"

@@ -1,0 +1,286 @@
+"""Read a recording: what is complete is read, and a file that ends early or is damaged says so.
+
+The records of the file are read with the library `mcap`; only messages, of which a year has a hundred thousand, are cut
+out of their chunks here.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import io
+import json
+import struct
+import zlib
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple
+
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Chunk, Header, Metadata, Schema
+
+from bridge.recording.file import MAGIC
+from topics import recording
+from topics.errors import InvalidRecording
+from topics.messages import SCHEMA_VERSION, Manifest
+
+_HEAD = struct.Struct("<BQ")
+_MESSAGE = struct.Struct("<HIQQ")
+_MAX_CHUNK = 1 << 30
+_WRAP = 0xFFFFFFFF
+_IS_MESSAGE, _IS_CHANNEL, _IS_SCHEMA = int(Opcode.MESSAGE), int(Opcode.CHANNEL), int(Opcode.SCHEMA)
+
+
+class RecordedItem(NamedTuple):
+    """A message of a recording.
+
+    Attributes:
+        topic: below the node's root: `sample`, `event`, `command/env-1`, `orders`.
+        schema: the name of its class.
+        time_ns: wall time at which the node recorded it, nanoseconds since 1970.
+        payload: as it was recorded.
+    """
+
+    topic: str
+    schema: str
+    time_ns: int
+    payload: bytes
+
+
+@dataclass(slots=True)
+class RecordingEnd:
+    """How a recording ends, known once it has been read to its end.
+
+    Attributes:
+        is_complete: whether the recorder completed the file.
+        text: why it is not complete, or why the recording ended early; empty if neither.
+        is_damaged: whether the content before its end is damaged, and not only cut off.
+    """
+
+    is_complete: bool = False
+    text: str = ""
+    is_damaged: bool = False
+    metadata: dict[str, str] = field(default_factory=dict)
+
+
+class RecordingReader:
+    """A recording that is read from its beginning; `with RecordingReader(path) as reader`.
+
+    Args:
+        path: of the file.
+
+    Attributes:
+        path: of the file.
+        about: versions with which it was recorded, by name.
+        root: the root of the node's keys.
+        manifest: at the begin of the recording.
+        scenario: the text of the scenario; empty if the plant has none.
+        provenance: how to create the plant, and the digests of its files.
+        end: how the recording ends; set by `messages`.
+
+    Raises:
+        InvalidRecording: there is no such file; it is not a recording, was written by a newer release, or ends before
+            its first message.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        try:
+            self._file: BinaryIO = self.path.open("rb")
+        except OSError as error:
+            raise InvalidRecording(f"cannot read {self.path}: {error.strerror}") from None
+        try:
+            self._size = self.path.stat().st_size
+            self._read_head()
+        except BaseException:
+            self._file.close()
+            raise
+
+    def __enter__(self) -> RecordingReader:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the file; idempotent."""
+        self._file.close()
+
+    # The beginning of the file
+
+    def _read_head(self) -> None:
+        magic = self._file.read(len(MAGIC))
+        if magic != MAGIC:
+            what = "is empty" if not magic else "is not an MCAP file"
+            raise InvalidRecording(f"{self.path} {what}; expected a recording of `zenostat node --record`")
+        self.about: dict[str, str] = {}
+        attached: dict[str, bytes] = {}
+        position = self._file.tell()
+        while (record := self._next_record()) is not None:
+            opcode, body = record
+            if opcode in (Opcode.CHUNK, Opcode.DATA_END):
+                break
+            self._read_head_record(opcode, body, attached)
+            position = self._file.tell()
+        self._begin = position
+        if not self.about or recording.PROVENANCE not in attached:
+            raise InvalidRecording(f"{self.path} ends before its first message; nothing can be read from it")
+        try:
+            self.root = self.about["root"]
+            self.manifest = Manifest.model_validate_json(attached[recording.MANIFEST])
+            self.scenario = attached[recording.SCENARIO].decode()
+            self.provenance: dict[str, Any] = json.loads(attached[recording.PROVENANCE])
+        except (KeyError, ValueError) as error:
+            raise InvalidRecording(f"{self.path} is damaged: its attachments cannot be read ({error})") from None
+
+    def _read_head_record(self, opcode: int, body: bytes, attached: dict[str, bytes]) -> None:
+        stream = ReadDataStream(io.BytesIO(body))
+        try:
+            if opcode == Opcode.HEADER:
+                header = Header.read(stream)
+                if header.profile != recording.PROFILE:
+                    raise InvalidRecording(
+                        f"{self.path} is an MCAP file of {header.library or 'another program'}, not a recording of "
+                        "Zenostat"
+                    )
+            elif opcode == Opcode.METADATA:
+                metadata = Metadata.read(stream)
+                if metadata.name == recording.ABOUT:
+                    self.about = metadata.metadata
+                    self._check_version()
+            elif opcode == Opcode.ATTACHMENT:
+                attachment = Attachment.read(stream)
+                crc = struct.unpack("<I", body[-4:])[0]
+                if crc != zlib.crc32(body[:-4]):
+                    raise InvalidRecording(f"{self.path} is damaged: its attachment {attachment.name!r} has changed")
+                attached[attachment.name] = attachment.data
+        except InvalidRecording:
+            raise
+        except Exception as error:  # the library raises what its parsing meets
+            raise InvalidRecording(f"{self.path} is damaged at its beginning ({error})") from None
+
+    def _check_version(self) -> None:
+        for name, known in (("format", recording.FORMAT), ("schema_version", SCHEMA_VERSION)):
+            text = self.about.get(name, "")
+            if not text.isdigit() or int(text) != known:
+                words, release = name.replace("_", " "), self.about.get("zenostat", "?")
+                raise InvalidRecording(
+                    f"{self.path} was recorded by Zenostat {release} with {words} {text or '?'}; this release "
+                    f"({words} {known}) cannot read it"
+                )
+
+    def _next_record(self) -> tuple[int, bytes] | None:
+        """Return opcode and content of the next record; None if the file ends before it is complete."""
+        head = self._file.read(_HEAD.size)
+        if len(head) < _HEAD.size:
+            return None
+        opcode, length = _HEAD.unpack(head)
+        if length > self._size - self._file.tell():
+            return None
+        return opcode, self._file.read(length)
+
+    # Messages
+
+    def messages(self, schemas: Collection[str] | None = None) -> Iterator[RecordedItem]:
+        """Iterate over the messages in the order in which the node recorded them; `end` is set at the end.
+
+        Args:
+            schemas: names of classes to select; None selects all.
+        """
+        self.end = end = RecordingEnd()
+        self._file.seek(self._begin)
+        channels: dict[int, tuple[str, str] | None] = {}
+        names: dict[int, str] = {}
+        expected = 0
+        while True:
+            at = self._file.tell()
+            record = self._next_record()
+            if record is None:
+                end.text = self._cut_off(at)
+                return
+            opcode, body = record
+            if opcode == Opcode.CHUNK:
+                try:
+                    data = _chunk_data(body)
+                except ValueError as error:
+                    end.text, end.is_damaged = (
+                        f"it is damaged at byte {at:,} ({error}); what is before it is read",
+                        True,
+                    )
+                    return
+                selected, expected = self._cut(data, channels, names, schemas, expected)
+                yield from selected
+                if expected < 0:
+                    end.text, end.is_damaged = (
+                        f"messages are missing before byte {at:,}; what is before it is read",
+                        True,
+                    )
+                    return
+            elif opcode == Opcode.METADATA:
+                metadata = Metadata.read(ReadDataStream(io.BytesIO(body)))
+                if metadata.name == recording.SUMMARY:
+                    end.metadata, end.text = metadata.metadata, metadata.metadata.get("reason", "")
+            elif opcode == Opcode.DATA_END:
+                self._file.seek(-len(MAGIC), io.SEEK_END)
+                end.is_complete = self._file.read() == MAGIC
+                if not end.is_complete:
+                    end.text = self._cut_off(at)
+                return
+
+    def _cut(
+        self,
+        data: bytes,
+        channels: dict[int, tuple[str, str] | None],
+        names: dict[int, str],
+        schemas: Collection[str] | None,
+        expected: int,
+    ) -> tuple[list[RecordedItem], int]:
+        """Return the selected messages of a chunk, and the number expected of the next message; -1 after a gap."""
+        items: list[RecordedItem] = []
+        position, size = 0, len(data)
+        head, message, prefix = _HEAD.unpack_from, _MESSAGE.unpack_from, len(self.root) + 1
+        while position < size:
+            opcode, length = head(data, position)
+            position += 9
+            if opcode == _IS_MESSAGE:
+                number, sequence, time_ns, _ = message(data, position)
+                if sequence != expected:
+                    return items, -1
+                expected = expected + 1 & _WRAP
+                channel = channels.get(number)
+                if channel is not None:
+                    items.append(RecordedItem(*channel, time_ns, data[position + 22 : position + length]))
+            elif opcode == _IS_SCHEMA:
+                schema = Schema.read(ReadDataStream(io.BytesIO(data[position : position + length])))
+                names[schema.id] = schema.name
+            elif opcode == _IS_CHANNEL:
+                found_channel = Channel.read(ReadDataStream(io.BytesIO(data[position : position + length])))
+                name = names[found_channel.schema_id]
+                is_selected = schemas is None or name in schemas
+                channels[found_channel.id] = (found_channel.topic[prefix:], name) if is_selected else None
+            position += length
+        return items, expected
+
+    def _cut_off(self, at: int) -> str:
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            fcntl.flock(self._file, fcntl.LOCK_UN)
+        except BlockingIOError:
+            return "it is still being recorded"
+        return f"it was cut off after byte {at:,}, because the node was killed or its disk was full"
+
+
+def _chunk_data(body: bytes) -> bytes:
+    """Return the content of a chunk; `ValueError` if it is damaged."""
+    try:
+        chunk = Chunk.read(ReadDataStream(io.BytesIO(body)))
+        if chunk.compression != "zstd" or chunk.uncompressed_size > _MAX_CHUNK:
+            raise ValueError(f"a chunk with compression {chunk.compression!r} and {chunk.uncompressed_size} bytes")
+        data = zstandard.decompress(chunk.data, max_output_size=chunk.uncompressed_size)
+    except Exception as error:  # the libraries raise what their parsing meets
+        raise ValueError(str(error)) from None
+    if len(data) != chunk.uncompressed_size or zlib.crc32(data) != chunk.uncompressed_crc:
+        raise ValueError("a chunk's checksum does not match its content")
+    return data

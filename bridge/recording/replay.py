@@ -1,0 +1,216 @@
+"""Publish a recording under its node's keys, so that monitors, gateways and subscribers see the building again."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass
+from datetime import datetime
+from time import monotonic
+from typing import Any
+
+import msgpack
+import zenoh
+from zenoh.handlers import Callback
+
+from bridge.node.names import check_name_is_free
+from bridge.node.publications import Publications
+from bridge.recording.reader import RecordedItem, RecordingReader
+from bridge.runtime.timer import Timer
+from topics import codec, errors, keys
+from topics.errors import InvalidConfig, RequestRejected
+from topics.messages import (
+    ErrorReply,
+    Event,
+    Manifest,
+    Message,
+    Mode,
+    Policy,
+    ScenarioText,
+    State,
+    Status,
+)
+
+_SCHEMAS = frozenset(("Sample", "Event", "Manifest"))
+
+
+@dataclass(frozen=True, slots=True)
+class ReplayRange:
+    """The part of a recording to replay, in simulated time of slot 0; None: from its begin, to its end."""
+
+    begin: datetime | None = None
+    end: datetime | None = None
+
+    def contains(self, time: datetime) -> bool:
+        """Return whether a sample at that time is replayed."""
+        return (self.begin is None or time >= self.begin) and (self.end is None or time <= self.end)
+
+
+class Replay:
+    """A recording on the bus as a node that takes no requests; `with Replay(reader, session) as replay`.
+
+    Args:
+        reader: of the recording; the caller closes it.
+        session: the Zenoh session; the caller closes it.
+        name: of the node on the bus; None is that of the recorded node.
+        speed: simulated seconds per second; None: as in the recording.
+        selected: the part to replay.
+
+    Raises (on entering):
+        NameInUse: a node of that name is on the bus.
+    """
+
+    def __init__(
+        self,
+        reader: RecordingReader,
+        session: zenoh.Session,
+        *,
+        name: str | None = None,
+        speed: float | None = None,
+        selected: ReplayRange | None = None,
+    ) -> None:
+        self._reader, self._session, self._speed = reader, session, speed
+        self._selected = selected or ReplayRange()
+        self._name = keys.check_name(name or reader.manifest.node, "the node's name")
+        self._instance = str(session.zid())
+        self.manifest = self._renamed(reader.manifest)
+        self._payload, self._sample = b"", dict[str, Any]()
+        self._close = ExitStack()
+
+    def _renamed(self, manifest: Manifest) -> Manifest:
+        paced = {"mode": Mode.PACED, "speed": self._speed or manifest.speed}
+        return manifest.model_copy(update={"node": self._name, "instance": self._instance, **paced})
+
+    def __enter__(self) -> Replay:
+        check_name_is_free(self._session, self._name)
+        with ExitStack() as undo:
+            undo.callback(self._close.close)
+            timer = Timer()
+            self._close.callback(timer.close)
+            self._publications = self._close.enter_context(Publications(self._session, self.manifest, timer))
+            self._answer(keys.MANIFEST.at(self._name), self._answer_manifest)
+            self._answer(keys.SAMPLE.at(self._name), self._answer_sample)
+            self._answer(f"{keys.root(self._name)}/rpc/**", self._answer_request)
+            token = keys.NODE_TOKEN.at(self._name, name=self._instance)
+            self._close.enter_context(self._session.liveliness().declare_token(token))
+            undo.pop_all()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._close.close()
+
+    # Requests
+
+    def _answer(self, key: str, answer: Callable[[str], tuple[type[Message], bytes]]) -> None:
+        def on_query(query: zenoh.Query) -> None:
+            with query:
+                # The query may be for all nodes, or all requests.
+                asked = key if "*" not in key else self._own_key(str(query.key_expr))
+                try:
+                    kind, payload = answer(asked)
+                except RequestRejected as error:
+                    kind, payload = ErrorReply, codec.encode(ErrorReply(**errors.to_wire(error)))
+                query.reply(asked, payload, encoding=zenoh.Encoding(codec.encoding(kind)))
+
+        queryable = self._session.declare_queryable(key, Callback(on_query, indirect=False), complete=True)
+        self._close.callback(queryable.undeclare)
+
+    def _own_key(self, key: str) -> str:
+        return f"{keys.root(self._name)}/{key.split('/', keys.NODE_CHUNK + 1)[-1]}"
+
+    def _answer_manifest(self, _: str) -> tuple[type[Message], bytes]:
+        return Manifest, codec.encode(self.manifest)
+
+    def _answer_sample(self, _: str) -> tuple[type[Message], bytes]:
+        if not self._payload:
+            raise RequestRejected(f"{self._name} has not replayed a sample yet")
+        return keys.SAMPLE.message or Message, self._payload
+
+    def _answer_request(self, key: str) -> tuple[type[Message], bytes]:
+        if key == keys.STATUS.at(self._name):
+            return Status, codec.encode(self._status())
+        if key == keys.SCENARIO.at(self._name):
+            return ScenarioText, codec.encode(ScenarioText(text=self._reader.scenario))
+        raise RequestRejected(f"{self._name} is the replay of a recording and takes no requests")
+
+    def _status(self) -> Status:
+        manifest, sample = self.manifest, self._sample
+        slots = manifest.slots
+        return Status(
+            node=self._name,
+            state=State.RUNNING,
+            building=manifest.building,
+            weather=manifest.weather,
+            mode=Mode.PACED,
+            speed=manifest.speed,
+            policy=Policy.WAIT,
+            episode=sample.get("episode", [0] * slots),
+            step=sample.get("step", [0] * slots),
+            steps=manifest.steps,
+            time=sample.get("time", [manifest.begin] * slots),
+            controllers=[],
+            accepted=0,
+            rejected=0,
+            late=0,
+            duplicate=0,
+        )
+
+    # Messages
+
+    def run(self, stop: threading.Event, progress: Callable[[str, int], None] = lambda _time, _step: None) -> int:
+        """Publish the selected part; return the number of samples.
+
+        Args:
+            stop: ends the replay early when it is set.
+            progress: called with the simulated time and the step after each sample.
+
+        Raises:
+            InvalidConfig: the selected part has no sample.
+        """
+        count, due_s = 0, monotonic()
+        for wait_s, item in self._schedule():
+            due_s += wait_s
+            if stop.wait(max(due_s - monotonic(), 0.0)):
+                return count
+            self._publish(item)
+            if item.schema == "Sample":
+                count += 1
+                progress(self._sample["time"][0], self._sample["step"][0])
+        if not count:
+            raise InvalidConfig(f"{self._reader.path} has no samples in the selected time")
+        return count
+
+    def _schedule(self) -> Iterator[tuple[float, RecordedItem]]:
+        """Yield each message of the selected part, and the time in seconds to wait before it."""
+        previous_ns, previous = 0, (-1, 0.0)
+        is_selected = self._selected.begin is None
+        for item in self._reader.messages(_SCHEMAS):
+            wait_s = 0.0
+            if item.schema == "Sample":
+                sample = msgpack.unpackb(item.payload)
+                is_selected = self._selected.contains(datetime.fromisoformat(sample["time"][0]))
+                present = sample["episode"][0], sample["elapsed_s"][0]
+                if self._speed is not None and present[0] == previous[0] and is_selected:
+                    wait_s = max(present[1] - previous[1], 0.0) / self._speed
+                previous = present
+            if not is_selected:
+                continue
+            if self._speed is None and previous_ns:
+                wait_s = max(item.time_ns - previous_ns, 0) / 1e9
+            previous_ns = item.time_ns
+            yield wait_s, item
+
+    def _publish(self, item: RecordedItem) -> None:
+        if item.schema == "Sample":
+            sample = msgpack.unpackb(item.payload)
+            self._payload, self._sample = item.payload, sample
+            self._publications.sample(item.payload)
+            time = datetime.fromisoformat(sample["time"][0])
+            self._publications.points(sample["values"], sample["episode"][0], sample["step"][0], time)
+        elif item.schema == "Event":
+            with suppress(errors.BadMessage):
+                self._publications.event(codec.decode(Event, item.payload))
+        else:
+            self.manifest = self._renamed(codec.decode(Manifest, item.payload))
+            self._publications.manifest(self.manifest)

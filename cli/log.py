@@ -1,0 +1,68 @@
+"""`zenostat log`: who requested what of a recorded node, when, and with which result."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Annotated
+
+import typer
+
+from cli.console import err
+from cli.tables import show, show_json
+from cli.verify import File
+from topics.errors import UnknownName, did_you_mean
+
+
+def log(
+    file: File,
+    source: Annotated[
+        str | None,
+        typer.Option(help="Only what this controller, device or person sent; `*` stands for any characters."),
+    ] = None,
+    rejected: Annotated[bool, typer.Option("--rejected", help="Only what the node did not accept.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the log as JSON.")] = False,
+) -> None:
+    """List the writes, commands and requests of a recording, with their senders, times and results.
+
+    Consecutive accepted commands of a controller are one row.
+
+    Example: `zenostat log run.mcap --source plc7`
+    """
+    from fnmatch import fnmatchcase
+
+    from agent_sdk import recording
+
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        loaded = recording.load(file)
+    for warning in caught:
+        err.print(str(warning.message), markup=False, soft_wrap=True)
+    entries = loaded.log
+    if source is not None:
+        entries = tuple(entry for entry in entries if fnmatchcase(entry.source, source))
+        if not entries:
+            known = dict.fromkeys(entry.source for entry in loaded.log if entry.source)
+            raise UnknownName(f"no messages of {source!r} in {file}; {did_you_mean(source, known)}")
+    if rejected:
+        entries = tuple(entry for entry in entries if not entry.is_accepted)
+    if as_json:
+        names = ("simulated", "source", "kind", "subject", "result", "count")
+        rows = [{name: getattr(entry, name) for name in names} for entry in entries]
+        show_json([{"time": e.time.isoformat(timespec="milliseconds")} | r for e, r in zip(entries, rows, strict=True)])
+        return
+    show(
+        str(file),
+        ("UTC", "simulated", "source", "kind", "subject", "result"),
+        [
+            (
+                f"{entry.time:%Y-%m-%d %H:%M:%S.%f}"[:-3],
+                entry.simulated,
+                entry.source,
+                entry.kind,
+                entry.subject + (f" and {entry.count - 1:,} more" if entry.count > 1 else ""),
+                entry.result,
+            )
+            for entry in entries
+        ],
+        wrap=("subject", "result"),
+    )

@@ -1,0 +1,62 @@
+"""`zenostat record`: start or end the recording of a running node."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from bridge.runtime.affinity import host
+from bridge.transport.session import default_endpoint
+from cli.console import out
+from cli.node_options import RecordOnFull
+from cli.options import CertificateName, Connect, Keys
+from cli.write import Node, person
+from topics.errors import InvalidConfig
+from topics.messages import OnFull, RecordingState, RecordingStatus
+
+
+def record(
+    node: Node,
+    file: Annotated[
+        Path | None,
+        typer.Option("--out", help="File (`.mcap`) or folder on the node's machine, which writes it."),
+    ] = None,
+    now: Annotated[
+        bool, typer.Option("--now", help="Begin at once; what is before the next reset cannot be verified.")
+    ] = False,
+    stop: Annotated[bool, typer.Option("--stop", help="End the recording, and complete its file.")] = False,
+    on_full: RecordOnFull = OnFull.WAIT,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file if it is a recording.")] = False,
+    connect: Connect = None,
+    keys: Keys = None,
+    certificate: CertificateName = None,
+) -> None:
+    """Record a running node, from its next reset until the node ends or `--stop`; the node writes the file.
+
+    Example: `zenostat record office --out run.mcap`
+    """
+    from agent_sdk import connect as connect_bus
+
+    if (file is not None) is stop:
+        raise InvalidConfig("expected either --out FILE.mcap, or --stop")
+    with connect_bus(connect or default_endpoint(keys), keys=keys, certificate=certificate) as bus:
+        if file is None:
+            status = bus.stop_recording(node, source=person())
+        else:
+            if not file.is_absolute() and bus.manifest(node).host != host():
+                raise InvalidConfig(f"--out {file}: the node runs on another machine; name an absolute path there")
+            status = bus.record(node, file.absolute(), now=now, overwrite=overwrite, on_full=on_full, source=person())
+    out.print(f"{node}: {describe_recording(status)}", markup=False, soft_wrap=True)
+
+
+def describe_recording(status: RecordingStatus) -> str:
+    """Describe the state of a recording in a line."""
+    if status.state is RecordingState.ARMED:
+        return f"the next reset of all slots begins the recording to {status.path}"
+    if status.state is RecordingState.RECORDING:
+        return f"recording to {status.path}"
+    text = f"recorded {status.messages:,} messages, {status.bytes / 1e6:.1f} MB, to {status.path}"
+    text += f"; waited for the disk {status.waits} times, {status.waited_s:.1f} s in total" if status.waits else ""
+    return text + (f"; stopped early: {status.reason}" if status.reason else "")

@@ -1,0 +1,98 @@
+"""`zenostat verify`: simulate a recording again, and compare."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from time import monotonic
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cli.console import err, out, progress
+from cli.tables import show, show_json
+from topics.errors import InvalidConfig
+
+if TYPE_CHECKING:
+    from bridge.recording.verification import Verification
+
+File = Annotated[Path, typer.Argument(help="Recording (`.mcap`) of `zenostat node --record` or `zenostat record`.")]
+
+
+def verify(
+    file: File,
+    tolerance: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0,
+            help="Greatest accepted difference, in each point's unit; also compares with a changed model, weather or "
+            "EnergyPlus. Default: equal to the bit.",
+        ),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+) -> None:
+    """Simulate a recording again with the actuator values of its plant, and compare all values and times.
+
+    The exit code is 1 if anything differs.
+
+    Example: `zenostat verify run.mcap`
+
+    Example: `zenostat verify run.mcap --tolerance 0.01`
+    """
+    from topics.extras import requires_extra
+
+    with requires_extra("recording", "a recording", "mcap and zstandard"):
+        from eplus_node.verification import verify as verify_recording
+    if tolerance is not None and not tolerance < float("inf"):
+        raise InvalidConfig(f"--tolerance {tolerance}: expected a finite number of at least 0")
+    with ExitStack() as stack:
+        result = verify_recording(file, tolerance=tolerance, progress=_bar(stack, file))
+    if as_json:
+        show_json(_json(result))
+    else:
+        _show(result)
+    if not result.passed:
+        raise typer.Exit(1)
+
+
+def _bar(stack: ExitStack, file: Path) -> Callable[[int, int], None]:
+    bars = stack.enter_context(progress())
+    task = bars.add_task(f"verifying {file.name}", total=None, rate="")
+    shown_s = 0.0
+
+    def update(steps: int, total: int) -> None:
+        nonlocal shown_s
+        if monotonic() - shown_s < 0.1 and steps < total:
+            return
+        shown_s = monotonic()
+        speed = bars.tasks[task].speed
+        bars.update(task, completed=steps, total=total, rate=f"{speed:,.0f} steps/s" if speed else "")
+
+    return update
+
+
+def _show(result: Verification) -> None:
+    for note in (*result.notes, *(f"not verified: {text}" for text in result.skipped)):
+        err.print(note, markup=False, soft_wrap=True)
+    if result.tolerance is not None:
+        rows = [(name, f"{value:.6g}") for name, value in result.greatest.items() if value > 0.0]
+        if rows:
+            show("greatest differences", ("point", "difference"), rows, right=("difference",))
+    out.print(str(result), markup=False, soft_wrap=True)
+
+
+def _json(result: Verification) -> dict[str, object]:
+    difference = result.difference
+    return {
+        "passed": result.passed,
+        "steps": result.steps,
+        "points": result.points,
+        "actuators": result.actuators,
+        "difference": None
+        if difference is None
+        else {name: getattr(difference, name) for name in difference.__slots__},
+        "greatest": result.greatest,
+        "skipped": result.skipped,
+        "notes": result.notes,
+    }

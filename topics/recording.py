@@ -1,0 +1,82 @@
+"""The format of recordings: MCAP files with the messages of one node, and the records that only files contain.
+
+Each channel is named after the key of its messages, and its schema after their class; payloads are as they were on the
+bus. All messages of a file are numbered (`sequence`), so a reader detects a gap.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pydantic import Field
+
+from topics.messages.base import Count, Message, Raw, Seed, SourceName
+
+PROFILE = "zenostat"
+"""Profile in the header of the file."""
+
+FORMAT = 1
+"""Version of the file's format; raised if a reader of the previous one would misread the file."""
+
+SUFFIX = ".mcap"
+
+ABOUT, SUMMARY = "zenostat", "zenostat.summary"
+"""Names of the metadata records: at the beginning of the file, and at its end if the recording was completed."""
+
+MANIFEST, SCENARIO, PROVENANCE = "manifest.json", "scenario.yaml", "provenance.json"
+"""Names of the attachments."""
+
+ORDERS, EPISODES, SNAPSHOTS, OTHERS = "orders", "episodes", "snapshots", "others"
+"""Channels, below the node's root, of the records that are not on the bus."""
+
+
+class RecordedEpisode(Message):
+    """The start of episodes in some slots; lists have one entry for each of `slots`.
+
+    `inputs`: what a new plant needs to begin the same episode; empty where the plant cannot repeat one. `snapshot`: the
+    snapshot that the node returned to; `step` is then the snapshot's. `source`: who asked for the reset.
+    """
+
+    slots: list[Count]
+    episode: list[Count]
+    step: list[Count]
+    seeds: list[Seed | None]
+    weather: list[str]
+    inputs: list[dict[str, Any]] = Field(default_factory=list)
+    snapshot: str = ""
+    source: SourceName = ""
+
+
+class RecordedOrder(Message):
+    """The actuator values that a plant received for a timestep, after priorities, expiries and injected faults.
+
+    `slots`: the slots that stepped. `values`: raw float64 of shape (all slots, actuators); NaN: relinquished.
+    """
+
+    slots: list[Count]
+    values: Raw
+
+
+class RecordedSnapshot(Message):
+    """A snapshot that was taken, with the episode and the step of each slot."""
+
+    snapshot: str
+    episode: list[Count]
+    step: list[Count]
+
+
+class RecordedRequest(Message):
+    """A request and its reply, both as they were sent; `reply_encoding` names the class of the reply."""
+
+    payload: Raw
+    encoding: str
+    reply: Raw
+    reply_encoding: str
+
+
+class RecordedMessage(Message):
+    """A received message without a channel of its own: its topic below the node's root, encoding and payload."""
+
+    topic: str
+    encoding: str
+    payload: Raw
