@@ -1,0 +1,119 @@
+"""Files that end early, are damaged, foreign or newer: what is complete is read, and the reason is one sentence."""
+
+from __future__ import annotations
+
+import io
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from mcap.writer import Writer
+from support.recordings import chunk_ends, record_samples, rewrite
+
+from bridge.recording.reader import RecordingReader
+from topics.errors import InvalidRecording
+
+SAMPLES = 700
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording in several chunks of 50 messages."""
+    folder = tmp_path_factory.mktemp("recordings")
+    return rewrite(record_samples(folder / "source.mcap", SAMPLES), folder / "whole.mcap")
+
+
+def read(path: Path) -> tuple[list[int], RecordingReader]:
+    with RecordingReader(path) as reader:
+        return [int.from_bytes(item.payload[:4], "little") for item in reader.messages()], reader
+
+
+def test_the_whole_file_is_read(whole: Path) -> None:
+    found, reader = read(whole)
+    assert found == [*range(SAMPLES)]
+    assert (reader.end.is_complete, reader.end.text) == (True, "")
+
+
+def test_a_file_cut_at_any_chunk_is_read_up_to_there(whole: Path, tmp_path: Path) -> None:
+    data, ends = whole.read_bytes(), chunk_ends(whole)
+    assert len(ends) == SAMPLES // 50
+    for chunks, end in enumerate(ends, 1):
+        for offset, expected in ((end - 1, 50 * (chunks - 1)), (end, 50 * chunks), (end + 5, 50 * chunks)):
+            (tmp_path / "cut.mcap").write_bytes(data[:offset])
+            found, reader = read(tmp_path / "cut.mcap")
+            assert found == [*range(expected)]
+            assert not reader.end.is_complete
+            assert "it was cut off after byte" in reader.end.text
+
+
+@given(place=st.floats(0, 1, exclude_max=True), bit=st.integers(0, 7))
+def test_a_changed_byte_is_never_read_as_a_message(whole: Path, place: float, bit: int) -> None:
+    data = bytearray(whole.read_bytes())
+    data[int(place * len(data))] ^= 1 << bit
+    path = whole.with_name("changed.mcap")
+    path.write_bytes(data)
+    with suppress(InvalidRecording):
+        found, reader = read(path)
+        assert found == [*range(len(found))]  # a prefix, each as it was
+        assert len(found) == SAMPLES or reader.end.text
+
+
+def test_a_damaged_chunk_is_named_and_what_is_before_it_is_read(whole: Path, tmp_path: Path) -> None:
+    data, ends = bytearray(whole.read_bytes()), chunk_ends(whole)
+    data[ends[2] - 30] ^= 1
+    (tmp_path / "damaged.mcap").write_bytes(data)
+    found, reader = read(tmp_path / "damaged.mcap")
+    assert found == [*range(100)]
+    assert reader.end.is_damaged
+    assert "it is damaged at byte" in reader.end.text
+
+
+def test_a_missing_chunk_is_a_gap(whole: Path, tmp_path: Path) -> None:
+    data, ends = whole.read_bytes(), chunk_ends(whole)
+    (tmp_path / "gap.mcap").write_bytes(data[: ends[2]] + data[ends[3] :])
+    found, reader = read(tmp_path / "gap.mcap")
+    assert found == [*range(150)]
+    assert reader.end.is_damaged
+    assert "messages are missing" in reader.end.text
+
+
+def foreign() -> bytes:
+    file = io.BytesIO()
+    writer = Writer(file)
+    writer.start(profile="ros2", library="somebody")
+    writer.finish()
+    return file.getvalue()
+
+
+BAD = {
+    "no file": (None, "No such file"),
+    "an empty file": (b"", "is empty"),
+    "another format": (b"PK\x03\x04 something", "is not an MCAP file"),
+    "of another program": (foreign(), "is an MCAP file of somebody, not a recording of Zenostat"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_what_is_no_recording_is_one_sentence(case: str, tmp_path: Path) -> None:
+    content, expected = BAD[case]
+    path = tmp_path / "file.mcap"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(InvalidRecording, match=expected) as caught:
+        RecordingReader(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_that_ends_before_its_first_message_has_nothing(whole: Path, tmp_path: Path) -> None:
+    (tmp_path / "begun.mcap").write_bytes(whole.read_bytes()[:200])
+    with pytest.raises(InvalidRecording, match="ends before its first message"):
+        RecordingReader(tmp_path / "begun.mcap")
+
+
+@pytest.mark.parametrize("field", ["format", "schema_version"])
+def test_a_newer_file_names_the_release_that_wrote_it(whole: Path, tmp_path: Path, field: str) -> None:
+    path = rewrite(whole, tmp_path / "newer.mcap", about={field: "99", "zenostat": "7.1"})
+    with pytest.raises(InvalidRecording, match=rf"was recorded by Zenostat 7\.1 with {field.replace('_', ' ')} 99"):
+        RecordingReader(path)

@@ -1,0 +1,212 @@
+"""The recorder: all messages in order, a full buffer, a full disk, and two recorders of one file."""
+
+from __future__ import annotations
+
+import os
+import resource
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+from support.nodes import until
+from support.recordings import chunk_ends, new_recorder, record_samples
+
+from bridge.recording.channels import SAMPLES
+from bridge.recording.file import MAGIC, check_path, open_recording, recording_path
+from bridge.recording.reader import RecordingReader
+from topics import codec, keys
+from topics.errors import InvalidConfig
+from topics.messages import Command, OnFull, RecordingState
+
+
+def numbers(path: Path) -> list[int]:
+    with RecordingReader(path) as reader:
+        return [int.from_bytes(item.payload[:4], "little") for item in reader.messages({"Sample"})]
+
+
+def test_all_messages_are_there_in_order(tmp_path: Path) -> None:
+    path = record_samples(tmp_path / "a.mcap", 6000)
+    assert numbers(path) == [*range(6000)]
+    assert len(chunk_ends(path)) >= 2
+
+
+def test_the_file_is_what_other_readers_expect(tmp_path: Path) -> None:
+    path = record_samples(tmp_path / "a.mcap", 6000)
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        summary = reader.get_summary()
+        assert summary.statistics.message_count == 6000
+        assert summary.statistics.chunk_count == len(summary.chunk_indexes) == len(chunk_ends(path))
+        topic = keys.SAMPLE.at("office")
+        found = [int.from_bytes(message.data[:4], "little") for _, _, message in reader.iter_messages(topic)]
+        middle = summary.statistics.message_start_time + 1
+        later = sum(1 for _ in reader.iter_messages(topic, starting_at=middle))
+        assert {a.name for a in reader.iter_attachments()} == {"manifest.json", "scenario.yaml", "provenance.json"}
+    assert found == [*range(6000)]
+    assert 0 < later < 6000
+
+
+def test_commands_with_an_encoding_of_their_own_have_a_channel_each_others_share_one(tmp_path: Path) -> None:
+    recorder = new_recorder(tmp_path / "a.mcap")
+    recorder.received(keys.COMMAND, "rbc", b"\x80", codec.encoding(Command))
+    recorder.received(keys.COMMAND, "rbc", b"\x81", "text/plain")
+    recorder.order(b"12345678", range(1))
+    recorder.close()
+    with RecordingReader(tmp_path / "a.mcap") as reader:
+        items = list(reader.messages())
+    assert [(i.topic, i.schema) for i in items] == [
+        ("command/rbc", "Command"),
+        ("others", "RecordedMessage"),
+        ("orders", "RecordedOrder"),
+    ]
+    assert items[0].payload == b"\x80"
+
+
+class Pipe:
+    """A disk that writes nothing until it is read: a pipe."""
+
+    def __init__(self) -> None:
+        self.read_end, self.write_end = os.pipe()
+        self.content = b""
+
+    def drain(self) -> None:
+        """Read until the writer closes its end."""
+        while part := os.read(self.read_end, 1 << 16):
+            self.content += part
+        os.close(self.read_end)
+
+
+def test_a_full_buffer_makes_the_node_wait_and_drops_nothing(tmp_path: Path) -> None:
+    pipe = Pipe()
+    recorder = new_recorder(tmp_path / "a.mcap", descriptor=pipe.write_end, buffer_bytes=100_000)
+    payload = os.urandom(1000)
+
+    def record() -> None:
+        for number in range(1500):
+            recorder.add(SAMPLES, number.to_bytes(4, "little") + payload)
+
+    node = threading.Thread(target=record)
+    node.start()
+    until(lambda: recorder.status().waits, "the node waits")
+    assert node.is_alive()
+    reader = threading.Thread(target=pipe.drain)
+    reader.start()
+    node.join()
+    recorder.close()
+    reader.join()
+    (tmp_path / "b.mcap").write_bytes(pipe.content)
+    assert numbers(tmp_path / "b.mcap") == [*range(1500)]
+    with RecordingReader(tmp_path / "b.mcap") as opened:
+        list(opened.messages())
+        assert int(opened.end.metadata["waits"]) > 0
+        assert opened.end.is_complete
+
+
+def test_a_node_that_ends_does_not_wait_for_the_disk(tmp_path: Path) -> None:
+    pipe = Pipe()
+    recorder = new_recorder(tmp_path / "a.mcap", descriptor=pipe.write_end, buffer_bytes=100_000)
+    recorder.is_ending = lambda: True
+    for _ in range(1500):  # returns although nothing is written
+        recorder.add(SAMPLES, bytes(1000))
+    reader = threading.Thread(target=pipe.drain)
+    reader.start()
+    recorder.close()
+    reader.join()
+
+
+def test_a_full_buffer_stops_the_recording_by_name_where_that_was_asked_for(tmp_path: Path) -> None:
+    pipe, reasons = Pipe(), list[str]()
+    recorder = new_recorder(
+        tmp_path / "a.mcap",
+        descriptor=pipe.write_end,
+        buffer_bytes=100_000,
+        on_full=OnFull.STOP,
+        on_stopped=reasons.append,
+    )
+    payload = os.urandom(1000)
+    for number in range(1500):
+        recorder.add(SAMPLES, number.to_bytes(4, "little") + payload)
+    reader = threading.Thread(target=pipe.drain)
+    reader.start()
+    recorder.close()
+    reader.join()
+    assert len(reasons) == 1
+    assert "the disk is slower than the node" in reasons[0]
+    assert recorder.status().state is RecordingState.STOPPED
+    (tmp_path / "b.mcap").write_bytes(pipe.content)
+    kept = numbers(tmp_path / "b.mcap")
+    assert 0 < len(kept) < 1500
+    assert kept == [*range(len(kept))]  # without a gap
+    with RecordingReader(tmp_path / "b.mcap") as opened:
+        list(opened.messages())
+        assert opened.end.text == reasons[0]
+
+
+@contextmanager
+def files_up_to(size: int) -> Iterator[None]:
+    """Let no file of this process grow beyond a size: what a full disk does."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def test_a_full_disk_stops_the_recording_by_name_and_leaves_whole_chunks(tmp_path: Path) -> None:
+    reasons = list[str]()
+    path = tmp_path / "a.mcap"
+    with files_up_to(2_500_000):
+        record_samples(path, 12_000, on_stopped=reasons.append)
+    assert reasons == [f"cannot write {path}: File too large"]
+    kept = numbers(path)
+    assert 0 < len(kept) < 12_000
+    assert kept == [*range(len(kept))]
+    assert chunk_ends(path)
+    assert path.stat().st_size < 2_500_000  # what could not be written completely is cut off
+
+
+def test_one_file_has_one_recorder(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    recorder = new_recorder(path)
+    for overwrite in (False, True):
+        with pytest.raises(InvalidConfig, match="another node is recording to"):
+            open_recording(path, overwrite=overwrite)
+    recorder.close()
+    with pytest.raises(InvalidConfig, match="exists; choose another name"):
+        open_recording(path)
+    with pytest.raises(InvalidConfig, match="exists; choose another name"):
+        check_path(path)
+    os.close(open_recording(path, overwrite=True))
+    assert path.read_bytes() == b""
+
+
+def test_only_a_recording_is_overwritten(tmp_path: Path) -> None:
+    path = tmp_path / "thesis.mcap"
+    path.write_text("not a recording")
+    with pytest.raises(InvalidConfig, match="is not a recording"):
+        open_recording(path, overwrite=True)
+    assert path.read_text() == "not a recording"
+    path.write_bytes(MAGIC + b"anything")
+    os.close(open_recording(path, overwrite=True))
+
+
+def test_a_folder_gets_a_file_for_each_run(tmp_path: Path) -> None:
+    first = recording_path(tmp_path / "runs", "office")
+    assert first.parent == tmp_path / "runs"
+    assert first.name.startswith("office-")
+    first.parent.mkdir()
+    first.touch()
+    assert recording_path(tmp_path / "runs", "office") != first
+    assert recording_path(tmp_path / "run.mcap", "office") == tmp_path / "run.mcap"
+    with pytest.raises(InvalidConfig, match=r"suffix \.mcap"):
+        recording_path(tmp_path / "run.rrd", "office")
+
+
+def test_a_folder_that_cannot_be_written_is_an_error_at_once(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(InvalidConfig, match="cannot record to"):
+        open_recording(tmp_path / "file" / "a.mcap")

@@ -1,0 +1,105 @@
+"""Recordings for tests: a copy of one with a payload changed, and the places where its chunks end."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Mapping
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mcap.opcode import Opcode
+
+from agent_sdk.testing import FakeEnv
+from bridge.node.plant import PlantDescription, RunPeriod
+from bridge.recording.channels import SAMPLES
+from bridge.recording.chunk_writer import ChunkWriter
+from bridge.recording.file import open_recording
+from bridge.recording.reader import RecordedItem, RecordingReader
+from bridge.recording.recorder import Recorder, attachments
+from topics import recording
+
+
+def unchanged(_: int, item: RecordedItem) -> bytes:
+    """Leave a message as it is."""
+    return item.payload
+
+
+def rewrite(
+    source: Path,
+    target: Path,
+    change: Callable[[int, RecordedItem], bytes | None] = unchanged,
+    *,
+    profile: str = recording.PROFILE,
+    about: Mapping[str, str] | None = None,
+    provenance: Mapping[str, Any] | None = None,
+) -> Path:
+    """Copy a recording, with messages or descriptions changed.
+
+    Args:
+        source, target: paths.
+        change: called with each message's number; returns its payload, or None to omit it.
+        profile: of the file's header.
+        about: replaces fields of the versions.
+        provenance: replaces the provenance.
+    """
+    with RecordingReader(source) as reader, target.open("wb") as file:
+        writer = ChunkWriter(file.fileno(), profile=profile, library="test")
+        writer.add_metadata(recording.ABOUT, {**reader.about, **(about or {})})
+        writer.add_attachment(recording.MANIFEST, "", reader.manifest.model_dump_json().encode(), 0)
+        writer.add_attachment(recording.SCENARIO, "", reader.scenario.encode(), 0)
+        writer.add_attachment(
+            recording.PROVENANCE, "", json.dumps(reader.provenance if provenance is None else provenance).encode(), 0
+        )
+        channels: dict[str, int] = {}
+        for number, item in enumerate(reader.messages()):
+            if item.topic not in channels:
+                channels[item.topic] = len(channels)
+                writer.add_channel(channels[item.topic], f"{reader.root}/{item.topic}", item.schema, b"{}")
+            payload = change(number, item)
+            if payload is not None:
+                writer.add(channels[item.topic], item.time_ns, payload)
+            if number % 50 == 49:
+                writer.flush()
+        writer.add_metadata(recording.SUMMARY, {"messages": str(writer.messages), "reason": ""})
+        writer.finish()
+        os.fsync(file.fileno())
+    return target
+
+
+def new_recorder(path: Path, *, descriptor: int | None = None, **settings: Any) -> Recorder:
+    """Return a recorder for a node `office` without a plant of its own."""
+    manifest = FakeEnv().manifest
+    plant = PlantDescription(
+        name="fake",
+        run_period=RunPeriod(datetime(2017, 1, 1), 900.0, 96),
+        sensors=manifest.sensors,
+        meters=manifest.meters,
+        actuators=manifest.actuators,
+        versions=manifest.versions,
+    )
+    opened = open_recording(path) if descriptor is None else descriptor
+    return Recorder(opened, path, "office", lambda: attachments(manifest, plant), **settings)
+
+
+def record_samples(path: Path, samples: int, *, size: int = 400, **settings: Any) -> Path:
+    """Record samples that are random bytes, numbered in their first four bytes, in several chunks."""
+    rng = np.random.default_rng(0)
+    recorder = new_recorder(path, **settings)
+    for number in range(samples):
+        recorder.add(SAMPLES, number.to_bytes(4, "little") + rng.bytes(size))
+    recorder.close()
+    return path
+
+
+def chunk_ends(path: Path) -> list[int]:
+    """Return the offsets at which the chunks of a file end."""
+    data, position, ends = path.read_bytes(), 8, []
+    while position < len(data) - 8:
+        length = int.from_bytes(data[position + 1 : position + 9], "little")
+        if data[position] == Opcode.CHUNK:
+            ends.append(position + 9 + length)
+        position += 9 + length
+    return ends

@@ -1,0 +1,272 @@
+"""What a recording contains is what a client on the bus saw: arrays, tables, the log, and the replay."""
+
+from __future__ import annotations
+
+import csv
+import json
+import sys
+import threading
+import warnings
+from collections.abc import Iterator
+from datetime import datetime
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+import zenoh
+from support.nodes import SMALL, NodeProgram, until
+from support.recordings import chunk_ends, rewrite
+from support.run_cli import run_in_process as run
+
+import agent_sdk
+from agent_sdk import recording
+from bridge.recording.reader import RecordingReader
+from bridge.recording.replay import Replay, ReplayRange
+from bridge.transport.session import open_session
+from topics import codec, keys
+from topics.errors import InvalidConfig, NameInUse, RequestRejected, UnknownName
+from topics.messages import Claim, Command, Sample, Write
+
+SETPOINT, CORE = "core_zn_cooling_setpoint", "core_zn_air_temperature"
+
+
+def put(bus: agent_sdk.Bus, key: str, message: Any) -> None:
+    bus.session.put(key, codec.encode(message), encoding=zenoh.Encoding(codec.encoding(type(message))))
+
+
+@pytest.fixture(scope="module")
+def seen(module_scratch: Path) -> Any:
+    """A recording, and what a controller saw and did in the meantime."""
+    path = module_scratch / "seen.mcap"
+    samples: list[Sample] = []
+    sources: list[str] = []
+    with (
+        NodeProgram(module_scratch / "seen", **SMALL, record=str(path)) as program,
+        agent_sdk.connect(program.endpoint, affinity="off") as bus,
+        bus.controller("office", name="rbc") as link,
+    ):
+        name = link.name
+        for seed, steps in ((1, 30), (2, 5)):
+            sample = link.reset(seed=seed)
+            for step in range(steps):
+                samples.append(sample.message)
+                sources.append(sample.value_source[SETPOINT])
+                if (seed, step) == (1, 4):
+                    bus.write("office", SETPOINT, 27.0, priority=3, duration_s=3600.0, source="plc7")
+                    with pytest.raises(RequestRejected, match="is claimed by"):
+                        bus.write("office", SETPOINT, 26.0, priority=10, source="plc8")
+                if (seed, step) == (1, 20):
+                    put(bus, keys.ACTUATOR.at("office", name=SETPOINT), Write(value=25.0, priority=5, source="plc7"))
+                    put(bus, keys.ACTUATOR.at("office", name="nothing"), Write(value=25.0, source="plc7"))
+                    until(lambda: bus.status("office").rejected == 2, "both writes are handled")
+                sample.send({SETPOINT: 24.0 + step % 3})
+                if (seed, step) == (1, 10):
+                    answer = Command(episode=[1], step=[3], values=bytes(8 * len(link.manifest.actuators)))
+                    put(bus, keys.COMMAND.at("office", name=name), answer)
+                sample = link.receive()
+            samples.append(sample.message)
+            sources.append(sample.value_source[SETPOINT])
+    return SimpleNamespace(path=path, samples=samples, sources=sources, name=name)
+
+
+def test_the_arrays_are_what_the_client_saw(seen: Any) -> None:
+    loaded = recording.load(seen.path)
+    assert loaded.is_complete
+    assert loaded.note == ""
+    assert [(e.number, e.slot, e.seed, len(e)) for e in loaded.episodes] == [
+        (0, 0, None, 1),
+        (1, 0, 1, 31),
+        (2, 0, 2, 6),
+    ]
+    day = loaded.episodes[1]
+    messages = seen.samples[:31]
+    assert day.values.tobytes() == b"".join(m.values for m in messages)
+    assert day.effective.tobytes() == b"".join(m.effective for m in messages)
+    assert day.step.tolist() == [m.step[0] for m in messages]
+    assert day.time.astype("datetime64[s]").tolist() == [datetime.fromisoformat(m.time[0]) for m in messages]
+    assert day.flags.tolist() == [m.flags[0] for m in messages]
+    assert day.value_source(SETPOINT).tolist() == seen.sources[:31]
+    assert day.weather == SMALL["weather"]
+    assert day.fault_free_values is day.values
+    assert np.array_equal(day[CORE], day.values[:, loaded.manifest.names.index(CORE)])
+    setpoint = day.actuators.index(SETPOINT)
+    assert np.isnan(day.orders[0]).all()
+    assert day.orders[1:4, setpoint].tolist() == [24.0, 25.0, 26.0]
+    assert day.orders[5:9, setpoint].tolist() == [27.0] * 4  # the write, for an hour
+    assert day.orders[9, setpoint] == 24.0 + 8 % 3
+    assert np.array_equal(day[SETPOINT][1:], day.orders[1:, setpoint])
+    with pytest.raises(UnknownName, match=CORE):
+        day["core_zn_temperature"]
+    with pytest.raises(UnknownName, match="no actuator"):
+        day.value_source(CORE)
+    assert loaded.scenario.startswith("building: ref-small-office")
+    assert {"model", "weather 1", "engine"} <= set(loaded.provenance["files"])
+
+
+def test_the_log_has_senders_times_and_results(seen: Any) -> None:
+    loaded = recording.load(seen.path)
+    writes = [(e.source, e.subject, e.result, e.simulated) for e in loaded.log if e.kind == "write"]
+    assert [w[:2] for w in writes] == [
+        ("plc7", f"{SETPOINT} = 27.0 at priority 3 for 3600 s"),
+        ("plc8", f"{SETPOINT} = 26.0 at priority 10"),
+        ("plc7", f"{SETPOINT} = 25 degC at priority 5"),
+        ("plc7", "nothing = 25.0 at priority 8"),
+    ]
+    assert writes[0][2:] == ("accepted", "2017-07-03T01:00:00")
+    assert writes[1][2].startswith("RequestRejected: priority 10 of")
+    assert writes[2][2:] == ("accepted", "2017-07-03T05:00:00")
+    assert writes[3][2].startswith("rejected: no actuator 'nothing'")
+    commands = [e for e in loaded.log if e.kind == "command" and e.source == seen.name]
+    late = [e for e in commands if not e.is_accepted]
+    assert [e.result.partition(":")[0] for e in late] == ["late"]
+    assert "answers step [3] of episode [1]" in late[0].subject
+    assert sum(e.count for e in commands if e.is_accepted) == 35
+    assert [e.kind for e in loaded.log if e.source == seen.name][:2] == ["claim", "reset"]
+    times = [e.time for e in loaded.log]
+    assert times == sorted(times)
+
+
+def test_the_log_command_selects_by_source(seen: Any) -> None:
+    said = run("log", str(seen.path), "--source", "plc7")
+    assert said.returncode == 0
+    assert len(said.stdout.splitlines()) == 1 + 3
+    fields = json.loads(run("log", str(seen.path), "--source", "plc*", "--rejected", "--json").stdout)
+    assert [f["source"] for f in fields] == ["plc8", "plc7"]
+    said = run("log", str(seen.path), "--source", "plc9")
+    assert said.returncode != 0
+    assert "did you mean" in said.stderr
+
+
+def test_the_tables_have_exact_numbers(seen: Any, folder: Path) -> None:
+    loaded = recording.load(seen.path)
+    csv_file, parquet_file = folder / "run.csv", folder / "run.parquet"
+    assert run("export", str(seen.path), "--to", "csv", "--out", str(csv_file)).returncode == 0
+    assert run("export", str(seen.path), "--out", str(parquet_file)).returncode == 0
+    with csv_file.open() as file:
+        rows = list(csv.DictReader(file))
+    table = pq.read_table(parquet_file)
+    assert len(rows) == table.num_rows == 38
+    expected = np.concatenate([episode[CORE] for episode in loaded.episodes])
+    assert [float(row[CORE]) for row in rows] == expected.tolist()
+    assert table[CORE].to_numpy().tolist() == expected.tolist()
+    assert table.schema.field(CORE).metadata[b"unit"] == b"degC"
+    assert [row[f"{SETPOINT}.source"] for row in rows[1:32]] == seen.sources[:31]
+    assert table[f"{SETPOINT}.source"].to_pylist() == [row[f"{SETPOINT}.source"] for row in rows]
+    assert rows[1]["time"].startswith("2017-07-03T00:00:00")
+    said = run("export", str(seen.path), "--out", str(folder / "missing" / "run.parquet"))
+    assert "there is no folder" in said.stderr
+
+
+class Frame(dict[str, Any]):
+    """What is used of `pandas.DataFrame`."""
+
+    def set_index(self, name: str) -> tuple[Any, dict[str, Any]]:
+        return self[name], {key: value for key, value in self.items() if key != name}
+
+
+def test_pandas_gets_the_simulated_time_as_its_index(seen: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    day = recording.load(seen.path).episodes[1]
+    monkeypatch.setitem(sys.modules, "pandas", SimpleNamespace(DataFrame=Frame))
+    index, columns = day.to_pandas()
+    assert index[4] == np.datetime64("2017-07-03T01:00")
+    assert columns[CORE].tolist() == day[CORE].tolist()
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(InvalidConfig, match="pip install pandas"):
+        day.to_pandas()
+
+
+def test_a_cut_file_is_loaded_up_to_its_last_chunk_and_says_so(seen: Any, folder: Path) -> None:
+    whole = rewrite(seen.path, folder / "whole.mcap")
+    cut = folder / "cut.mcap"
+    cut.write_bytes(whole.read_bytes()[: chunk_ends(whole)[1] + 3])
+    with pytest.warns(UserWarning, match="it was cut off after byte"):
+        loaded = recording.load(cut)
+    assert not loaded.is_complete
+    assert "cut off" in loaded.note
+    assert 0 < sum(map(len, loaded.episodes)) < 38
+
+
+# Replay
+
+
+@pytest.fixture
+def session(folder: Path) -> Iterator[tuple[zenoh.Session, str]]:
+    endpoint = f"unixsock-stream/{folder}/bus"
+    with open_session(listen=[endpoint], role=keys.Role.NODE) as opened:
+        yield opened, endpoint
+
+
+def test_a_replay_is_the_node_again(seen: Any, session: tuple[zenoh.Session, str]) -> None:
+    opened, endpoint = session
+    with (
+        RecordingReader(seen.path) as reader,
+        Replay(reader, opened, speed=1e6) as replay,
+        agent_sdk.connect(endpoint, affinity="off") as bus,
+        bus.listen("office") as samples,
+    ):
+        assert bus.nodes() == ["office"]
+        manifest = bus.manifest("office")
+        same = {"instance", "mode", "speed", "statistics"}
+        assert manifest.model_dump(exclude=same) == reader.manifest.model_dump(exclude=same)
+        counts = list[int]()
+        running = threading.Thread(target=lambda: counts.append(replay.run(threading.Event())))
+        running.start()
+        received = [next(samples).message for _ in range(38)]
+        running.join()
+        assert counts == [38]
+        assert received[1:] == seen.samples[:31] + seen.samples[31:]
+        assert bus.status("office").step == [5]
+        assert bus.latest("office") == received[-1]
+        assert bus.scenario("office") == reader.scenario
+        with pytest.raises(RequestRejected, match="is the replay of a recording and takes no requests"):
+            bus.claim("office", Claim(controller="rbc"))
+        with pytest.raises(NameInUse, match="'office' is on this bus already"):
+            _enter_second(seen.path, endpoint)
+
+
+def _enter_second(path: Path, endpoint: str) -> None:
+    with open_session(connect=[endpoint]) as other, RecordingReader(path) as reader, Replay(reader, other):
+        pass
+
+
+def test_a_part_is_replayed_under_another_name_at_its_pace(seen: Any, session: tuple[zenoh.Session, str]) -> None:
+    opened, endpoint = session
+    part = ReplayRange(datetime(2017, 7, 3, 2), datetime(2017, 7, 3, 3))
+    with (
+        RecordingReader(seen.path) as reader,
+        Replay(reader, opened, name="again", speed=1e6, selected=part) as replay,
+        agent_sdk.connect(endpoint, affinity="off") as bus,
+    ):
+        assert bus.manifest("again").node == "again"
+        waits = [wait_s for wait_s, item in replay._schedule() if item.schema == "Sample"]
+        assert waits == pytest.approx([900.0 / 1e6] * 5)
+        assert replay.run(threading.Event()) == 5
+        assert bus.latest("again").time == ["2017-07-03T03:00:00"]
+        stop = threading.Event()
+        stop.set()
+        assert replay.run(stop) == 0
+    with (
+        RecordingReader(seen.path) as reader,
+        Replay(reader, opened, selected=ReplayRange(begin=datetime(2018, 1, 1))) as replay,
+        pytest.raises(InvalidConfig, match="has no samples in the selected time"),
+    ):
+        replay.run(threading.Event())
+
+
+def test_the_replay_command(seen: Any, folder: Path) -> None:
+    endpoint = f"unixsock-stream/{folder}/bus"
+    said = run("replay", str(seen.path), "--speed", "1e9", "--listen", endpoint, "--name", "again")
+    assert said.returncode == 0, said.stderr
+    assert "again: replayed 38 samples" in said.stdout
+    said = run("replay", str(seen.path), "--from", "soon", "--listen", endpoint)
+    assert said.returncode != 0
+    assert "--from soon: expected a date and time" in said.stderr
+
+
+def test_loading_warns_of_nothing_where_nothing_is_wrong(seen: Any) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        recording.load(seen.path)

@@ -1,0 +1,267 @@
+"""A recording of a real node verifies to the bit, whatever happened to the node; what was changed in it is named."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import msgpack
+import numpy as np
+import psutil
+import pytest
+from support.nodes import SMALL, NodeProgram, until
+from support.run_cli import run_in_process as run
+
+import agent_sdk
+from bridge.recording.reader import RecordingReader
+from eplus_node.verification import verify
+from models.catalog import find_building
+from topics import codec
+from topics.errors import InvalidConfig, InvalidRecording, RequestRejected
+from topics.messages import Event, EventKind, RecordingState
+
+TWO = {"weather": ["USA_CO_Denver", "USA_FL_Miami"]}
+NOISE = {"weather_noise": {"dry_bulb_temperature": {"sigma": 3.0, "mu": 0.0, "tau_h": 5.0}}}
+FAULTS = """
+seed: 3
+faults:
+  - {kind: bias, points: [core_zn_air_temperature], offset: 2.5}
+  - {kind: noise, points: [perimeter_zn_1_air_temperature], sigma: 0.5}
+  - {kind: drop, points: [perimeter_zn_2_air_temperature], when: {from_step: 5, to_step: 9}}
+  - {kind: bias, actuators: [core_zn_cooling_setpoint], offset: -0.5, when: {from_step: 12, to_step: 30}}
+  - {kind: latency, samples: true, delay_ms: 2}
+  - {kind: duplicate, samples: true, probability: 0.3}
+"""
+SETPOINT = "core_zn_cooling_setpoint"
+
+
+def setpoints(manifest: Any, rng: np.random.Generator) -> np.ndarray[Any, Any]:
+    low = np.array([a.low if a.low is not None else 0.0 for a in manifest.actuators])
+    high = np.array([a.high if a.high is not None else 1.0 for a in manifest.actuators])
+    return rng.uniform(low, high, (manifest.slots, len(low)))
+
+
+@pytest.fixture(scope="module")
+def eventful(module_scratch: Path) -> Path:
+    """A recording of three slots with noise, two weathers, faults, writes, expiries, snapshots and partial resets."""
+    folder, rng = module_scratch, np.random.default_rng(5)
+    (folder / "faults.yaml").write_text(FAULTS)
+    path = folder / "eventful.mcap"
+    settings = {**SMALL, **TWO, **NOISE, "slots": 3, "faults": str(folder / "faults.yaml"), "record": str(path)}
+    with (
+        NodeProgram(folder / "eventful", **settings) as program,
+        agent_sdk.connect(program.endpoint, affinity="off") as bus,
+        bus.controller("office", name="random") as link,
+    ):
+        sample = link.reset(seed=7)
+        for number in range(40):
+            sample.send(setpoints(link.manifest, rng))
+            sample = link.receive()
+            if number == 5:
+                bus.write("office", SETPOINT, 27.0, priority=3, duration_s=3600.0, source="plc7")
+            if number == 10:
+                taken = bus.snapshot("office", controller=link.name)
+            if number == 15:
+                bus.write("office", SETPOINT, 26.0, priority=4, source="plc7")
+            if number == 20:
+                link.send(setpoints(link.manifest, rng), still=(1,))
+                sample = link.receive()
+        sample = link.reset(snapshot=taken.snapshot)
+        for _ in range(10):
+            sample.send(setpoints(link.manifest, rng))
+            sample = link.receive()
+        sample = link.reset(slots=[1], seed=11)
+        for _ in range(100):
+            if sample.truncated:
+                break
+            link.send(setpoints(link.manifest, rng))
+            sample = link.receive()
+    return path
+
+
+def test_slots_noise_faults_writes_snapshots_and_partial_resets_verify_to_the_bit(eventful: Path) -> None:
+    with RecordingReader(eventful) as reader:
+        orders = [msgpack.unpackb(i.payload)["slots"] for i in reader.messages({"RecordedOrder"})]
+        samples = [msgpack.unpackb(i.payload) for i in reader.messages({"Sample"})]
+        assert reader.end.is_complete
+    assert [0, 2] in orders  # the slot that paused
+    assert any(s["values"] != s["fault_free_values"] for s in samples)
+    result = verify(eventful)
+    assert result.passed, str(result)
+    assert result.difference is None
+    assert not result.skipped
+    assert result.steps == sum(map(len, orders))
+    assert result.episodes == 3 + 3 + 3 + 1  # at the start, reset, return to the snapshot, reset of one slot
+
+
+def test_a_changed_model_is_a_regression_test(scratch: Path) -> None:
+    model, path = scratch / "office.idf", scratch / "day.mcap"
+    model.write_bytes(find_building("ref-small-office").path.read_bytes())
+    settings = {**SMALL, "building": str(model), "record": str(path)}
+    with (
+        NodeProgram(scratch / "day", **settings) as program,
+        agent_sdk.connect(program.endpoint, affinity="off") as bus,
+        bus.controller("office") as link,
+    ):
+        for number, _ in enumerate(link):
+            if number == 20:
+                break
+    text = model.read_text(encoding="latin-1")
+    lower = text.replace("10.76", "8.0")  # W/m2 of lights
+    assert lower != text
+    model.write_text(lower, encoding="latin-1")
+    with pytest.raises(InvalidRecording, match=r"the model .*office\.idf has changed"):
+        verify(path)
+    result = verify(path, tolerance=0.01)
+    assert not result.passed
+    assert result.steps == 20
+    assert result.difference is None
+    assert result.greatest["outdoor_temperature"] == 0.0
+    assert result.greatest["core_zn_air_temperature"] > 0.01
+    said = run("verify", str(path), "--tolerance", "0.01")
+    assert said.returncode == 1
+    assert "core_zn_air_temperature" in said.stdout
+    assert run("verify", str(path), "--tolerance", "1e12").returncode == 0
+    model.unlink()
+    with pytest.raises(InvalidRecording, match=r"cannot be simulated here: no building file at .*office\.idf"):
+        verify(path)
+
+
+def test_a_killed_node_leaves_a_file_that_verifies_to_its_end(scratch: Path) -> None:
+    path = scratch / "killed.mcap"
+    program = NodeProgram(scratch / "killed", **SMALL, record=str(path), monitoring=True, baseline=True)
+    try:
+        with agent_sdk.connect(program.endpoint, affinity="off") as bus, bus.controller("office") as link:
+            sample = link.current()
+            for _ in range(30):
+                sample.send()
+                sample = link.receive()
+
+            def written() -> int:
+                with RecordingReader(path) as reader:
+                    return sum(1 for _ in reader.messages({"Sample"}))
+
+            until(lambda: path.stat().st_size > 10_000 and written() == 31, "the last chunk is written")
+            with RecordingReader(path) as reader:
+                list(reader.messages())
+                assert reader.end.text == "it is still being recorded"
+    finally:
+        program.kill()
+        program.close()
+    result = verify(path)
+    assert result.passed, str(result)
+    assert result.steps == 30
+    assert any("cut off" in note for note in result.notes)
+
+
+def test_a_running_node_is_recorded_from_its_next_reset(shared_node: NodeProgram, scratch: Path) -> None:
+    path = scratch / "running.mcap"
+    with agent_sdk.connect(shared_node.endpoint, affinity="off") as bus, bus.controller("office") as link:
+        link.reset()
+        link.send()
+        link.receive()
+        assert bus.record("office", path).state is RecordingState.ARMED
+        assert bus.status("office").recording.state is RecordingState.ARMED
+        with pytest.raises(RequestRejected, match="recording to"):
+            bus.record("office", path)
+        link.send()
+        link.receive()
+        assert not path.exists()
+        link.reset()
+        for _ in range(3):
+            link.send()
+            link.receive()
+        status = bus.stop_recording("office")
+        assert status.state is RecordingState.ENDED
+        assert status.messages > 9
+        with pytest.raises(RequestRejected, match="not recording"):
+            bus.stop_recording("office")
+    result = verify(path)
+    assert result.passed, str(result)
+    assert (result.steps, result.episodes) == (3, 1)
+
+
+def test_a_recording_from_within_an_episode_names_what_it_cannot_verify(
+    shared_node: NodeProgram, scratch: Path
+) -> None:
+    path = scratch / "now.mcap"
+    with agent_sdk.connect(shared_node.endpoint, affinity="off") as bus, bus.controller("office") as link:
+        link.reset()
+        before = bus.snapshot("office", controller=link.name)
+        assert bus.record("office", path, now=True).state is RecordingState.RECORDING
+        for _ in range(2):
+            link.send()
+            link.receive()
+        link.reset(snapshot=before.snapshot)
+        link.send()
+        link.receive()
+        link.reset()
+        link.send()
+        link.receive()
+        bus.stop_recording("office")
+    result = verify(path)
+    assert result.passed, str(result)
+    assert (result.steps, result.episodes) == (1, 1)
+    assert result.skipped[0].startswith("4 samples of episodes whose start is not in the recording")
+    assert "taken before the recording began" in result.skipped[1]
+
+
+def test_a_full_disk_stops_the_recording_by_name_and_not_the_node(scratch: Path) -> None:
+    path = scratch / "full.mcap"
+    with (
+        NodeProgram(scratch / "full", **SMALL, record=str(path)) as program,
+        agent_sdk.connect(program.endpoint, affinity="off") as bus,
+        bus.controller("office") as link,
+    ):
+        until(lambda: bus.status("office").recording.messages, "the first chunk is written")
+        limit = path.stat().st_size + 1000  # less than the next chunk
+        node = psutil.Process(program.pid)
+        unlimited = node.rlimit(psutil.RLIMIT_FSIZE)
+        node.rlimit(psutil.RLIMIT_FSIZE, (limit, unlimited[1]))
+        for sample in link:
+            if sample.step == 50:
+                break
+        status = until(
+            lambda: (r := bus.status("office").recording).state is RecordingState.STOPPED and r, "it has stopped"
+        )
+        assert status.reason == f"cannot write {path}: File too large"
+        link.send()
+        assert link.receive().step == 51  # the node goes on
+        node.rlimit(psutil.RLIMIT_FSIZE, unlimited)
+        assert bus.record("office", scratch / "second.mcap", now=True).state is RecordingState.RECORDING
+    assert path.stat().st_size <= limit
+    assert verify(path).passed
+    with RecordingReader(scratch / "second.mcap") as reader:
+        events = [codec.decode(Event, item.payload) for item in reader.messages({"Event"})]
+    assert events[0].kind is EventKind.RECORDING
+
+
+def test_a_recording_that_cannot_begin_is_an_error_before_anything_starts(scratch: Path) -> None:
+    path = scratch / "run.mcap"
+    path.write_text("mine")
+    for settings in ({}, {"record_overwrite": True}, {"check": True}):
+        with pytest.raises(InvalidConfig, match=r"run\.mcap exists"):
+            NodeProgram(scratch / "node", **SMALL, record=str(path), **settings)
+    assert path.read_text() == "mine"
+    with pytest.raises(InvalidConfig, match=r"suffix \.mcap"):
+        NodeProgram(scratch / "node", **SMALL, record=str(scratch / "run.csv"))
+
+
+def test_the_record_command_starts_and_ends_a_recording(shared_node: NodeProgram, scratch: Path) -> None:
+    path, at = scratch / "command.mcap", ("--connect", shared_node.endpoint)
+    said = run("record", "office", "--out", str(path), "--now", *at)
+    assert said.stdout == f"office: recording to {path}\n"
+    said = run("status", *at, columns=300)
+    assert f"recording to {path}" in said.stdout
+    said = run("record", "office", "--stop", *at)
+    assert f"to {path}" in said.stdout
+    with RecordingReader(path) as reader:
+        assert list(reader.messages())
+        assert reader.end.is_complete
+    said = run("record", "office", "--out", str(path), *at)
+    assert said.returncode != 0
+    assert "exists; choose another name" in said.stderr
+    assert run("record", "office", "--out", str(path), "--overwrite", *at).returncode == 0
+    assert run("record", "office", "--stop", *at).returncode == 0  # armed, not begun
+    for words in ((), ("--out", str(path), "--stop")):
+        assert "expected either --out FILE.mcap, or --stop" in run("record", "office", *words, *at).stderr
