@@ -63,13 +63,13 @@ def points(
     if as_json:
         show_json([asdict(row) for row in rows])
         return
-    columns = ("kind", "name", "key", "where", "unit", "low", "high")
+    columns = ("kind", "name", "key (location)", "unit", "low", "high")
     show(
         f"{model.name}: {len(rows):,} points",
         columns,
         [_cells(row) for row in rows],
         right=("low", "high"),
-        wrap=("name", "key", "where"),
+        wrap=("name", "key (location)"),
     )
 
 
@@ -106,4 +106,6 @@ def _parts(row: PointListing) -> tuple[str, ...]:
 
 def _cells(row: PointListing) -> tuple[str, ...]:
     low, high = ("" if bound is None else f"{bound:g}" for bound in (row.low, row.high))
-    return row.kind, row.name, row.key, row.where, unit_label(row.unit), low, high
+    is_named_by_key = not row.where or row.where.casefold() == row.key.casefold()
+    place = row.key if is_named_by_key else f"{row.key} ({row.where})".lstrip()
+    return row.kind, row.name, place, unit_label(row.unit), low, high

@@ -5,11 +5,13 @@ The commands run within the test's process; of each kind one runs as a program, 
 
 from __future__ import annotations
 
+import io
 import json
 import re
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 from support.run_cli import DAY, plain, run_in_process, run_program
 
 COMMANDS = (
@@ -89,7 +91,7 @@ def test_points__have_units_and_bounds() -> None:
 def test_points__without_a_unit_show_none() -> None:
     done = run_in_process("points", "ref-small-office", "--default", "--match", "occupant", columns=200)
     cells = done.stdout.splitlines()[1].split()
-    assert cells[-3:] == ["CORE_ZN", "Core_ZN", "0"], "its location, no unit, and the low bound"
+    assert cells[-2:] == ["CORE_ZN", "0"], "its key, no unit, and the low bound"
 
 
 @pytest.mark.parametrize("more", [[], ["--json"], ["--kind", "actuator"]], ids=str)
@@ -109,9 +111,30 @@ def test_points__have_bounds_and_places() -> None:
     heating = next(row for row in rows if row["name"] == "Zone Temperature Control / Heating Setpoint")
     assert (heating["low"], heating["high"], heating["where"]) == (15.0, 22.5, "Perimeter_ZN_1")
     internal = run_in_process("points", "ref-small-office", "--kind", "internal").stdout.splitlines()
-    assert internal[0].split() == ["kind", "name", "key", "where", "unit", "low", "high"]
+    assert internal[0].split() == ["kind", "name", "key", "(location)", "unit", "low", "high"]
     assert all(line.startswith("internal") for line in internal[1:])
     assert len({line.index("m2") for line in internal if "Zone Floor Area" in line}) == 1  # columns stand straight
+
+
+def test_points__show_a_location_once_and_nothing_is_cut_at_80_columns(monkeypatch: pytest.MonkeyPatch) -> None:
+    select = ("points", "ref-small-office", "--default")
+    rows = json.loads(run_in_process(*select, "--json").stdout)
+    terminal = Console(width=80, force_terminal=True, color_system=None, file=io.StringIO())
+    monkeypatch.setattr("cli.tables.out", terminal)
+    run_in_process(*select)
+    _, heading, _, *lines = terminal.file.getvalue().splitlines()
+    assert max(map(len, lines)) <= 80
+    name, place, unit = (heading.index(column) for column in ("name", "key (location)", "unit"))
+    cells: list[tuple[str, str]] = []
+    for line in lines:  # a row goes on in the lines that have no kind
+        begun = cells.pop() if line[0] == " " else ("", "")
+        cells.append((begun[0] + line[name:place].replace(" ", ""), begun[1] + line[place:unit].replace(" ", "")))
+    expected = [
+        (row["name"], row["key"] if row["where"].upper() == row["key"].upper() else f"{row['key']} ({row['where']})")
+        for row in rows
+    ]
+    assert cells == [(first.replace(" ", ""), second.replace(" ", "")) for first, second in expected]
+    assert {"CORE_ZN", "WHOLEBUILDING(facility)", "(facility)"} <= {second for _, second in cells}
 
 
 def test_buildings__are_a_table() -> None:
