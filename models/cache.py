@@ -71,12 +71,21 @@ def cached_bytes(name: str, make: Callable[[Path], None]) -> bytes:
         InvalidConfig: the cache cannot be written; the text names `ZENOSTAT_CACHE`.
     """
     target = cache_dir() / _FILES / name
-    content = _verified(target, name)
-    if content is not None:
-        return content
+    damage = ""
+    try:
+        content = _verified(target, name)
+        if content is not None:
+            return content
+        damage = "its content does not match its digest"
+    except FileNotFoundError:
+        pass
+    except OSError as error:
+        damage = error.strerror or str(error)
     with _as_cache_errors():
         target.parent.mkdir(parents=True, exist_ok=True)
         scratch = Path(tempfile.mkdtemp(prefix=".making-", dir=target.parent))
+    if damage:
+        _notice(target, damage)
     try:
         product = scratch / target.name
         with _as_cache_errors(_DISK_ERRORS):
@@ -96,18 +105,9 @@ def _head(name: str, content: bytes) -> bytes:
 
 
 def _verified(target: Path, name: str) -> bytes | None:
-    """Return the content of a cached file; None if it is missing, or damaged (with a notice)."""
-    try:
-        head, _, content = target.read_bytes().partition(b"\n")
-    except FileNotFoundError:
-        return None
-    except OSError as error:
-        _notice(target, error.strerror or str(error))
-        return None
-    if head + b"\n" == _head(name, content):
-        return content
-    _notice(target, "its content does not match its digest")
-    return None
+    """Return the content of a cached file; None if it is damaged."""
+    head, _, content = target.read_bytes().partition(b"\n")
+    return content if head + b"\n" == _head(name, content) else None
 
 
 def _notice(target: Path, reason: str) -> None:

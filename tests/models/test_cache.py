@@ -131,13 +131,18 @@ def test_a_file_in_the_place_of_a_folder_gives_way(cache: Path, capsys: pytest.C
 @pytest.mark.parametrize("make", [cached_bytes, cached_dir])
 @pytest.mark.parametrize("place", ["/proc/nowhere", "file/below"])
 def test_a_cache_that_cannot_be_written_is_one_error_that_names_the_variable(
-    make: Callable[..., object], place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    make: Callable[..., object],
+    place: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("ZENOSTAT_CACHE", str(tmp_path / place))
     with pytest.raises(InvalidConfig, match=r"cannot (read|write) the cache .*; set ZENOSTAT_CACHE to ") as caught:
         make("models/a.json", never)
     assert "\n" not in str(caught.value)
+    assert not capsys.readouterr().err, "no notice of a damaged file beside the error"
 
 
 def test_a_full_disk_is_an_error_of_the_cache(cache: Path) -> None:
