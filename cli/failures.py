@@ -6,6 +6,7 @@ import sysconfig
 import traceback
 from pathlib import Path
 
+from bridge.runtime.exhaustion import describe_exhaustion
 from cli.console import err, print_error
 from topics.errors import UsageError, ZenostatError
 
@@ -15,7 +16,7 @@ _NOT_USER_CODE = (*(_ROOT / name for name in _PACKAGES), Path(sysconfig.get_path
 
 
 def print_failure(error: Exception) -> int:
-    """Print the error that ended a command, and return the exit code.
+    """Print the error that ended a command, and return the exit code; no memory and no threads are one sentence.
 
     Raises:
         Exception: the error itself, if it is not a `ZenostatError` and the user's code did not raise it.
@@ -27,6 +28,9 @@ def print_failure(error: Exception) -> int:
     if isinstance(error, ZenostatError):
         print_error(str(error))
         return 2 if isinstance(error, UsageError) else 1
+    if (text := describe_exhaustion(error)) is not None:
+        print_error(text)
+        return 1
     if not frames:
         raise error
     last = frames[-1]

@@ -140,13 +140,18 @@ class Subscriptions:
         closed = threading.Event()
         # While a full FIFO blocks Zenoh's threads, nothing can be undeclared.
         drain = threading.Thread(target=self._drain, args=(closed,), name="drain", daemon=True)
-        drain.start()
+        try:
+            drain.start()
+        except RuntimeError:  # the system cannot start a thread
+            while self._try_recv() is not None:
+                pass
         try:
             self._wake.close()
             self._close.close()
         finally:
             closed.set()
-            drain.join()
+            if drain.ident is not None:
+                drain.join()
             for queue in self._queues:  # a query ends once nothing refers to it; its sender would wait for minutes
                 queue.clear()
 

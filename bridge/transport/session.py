@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import zenoh
 
+from bridge.runtime.exhaustion import describe_exhaustion
 from bridge.transport.access_control import ROLES, acl_config
 from topics import codec
 from topics.errors import AddressInUse, BusError, ErrorCollector, InvalidConfig, NodeNotFound
@@ -110,7 +111,8 @@ def open_session(
             certificate that is missing, expired or of another authority; the text lists all errors.
         AddressInUse: another program listens there.
         NodeNotFound: no program listens at any of `connect`, or the TLS handshake failed; the text has the reason.
-        BusError: this process was forked from one with a session; Zenoh's threads do not survive a fork.
+        BusError: this process was forked from one with a session (Zenoh's threads do not survive a fork), or the
+            system has no threads left.
     """
     global _used
     if _forked:
@@ -130,6 +132,10 @@ def open_session(
         return zenoh.open(config)
     except zenoh.ZError as error:
         raise _bus_error(error, listen, connect, identity) from None
+    except BaseException as error:  # a panic in Zenoh is no `Exception`
+        if (text := describe_exhaustion(error)) is None:
+            raise
+        raise BusError(text) from None
 
 
 def exposure(listen: Sequence[str], keys: Path | None) -> str:
