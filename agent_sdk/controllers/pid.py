@@ -6,12 +6,15 @@ import math
 from collections.abc import Sequence
 
 from agent_sdk.bus.sample import SampleView
-from agent_sdk.controllers.action_roles import SETPOINTS, role_of, temperature_sensors
+from agent_sdk.controllers.action_roles import SETPOINTS, Role, role_of, temperature_sensors
 from agent_sdk.controllers.base import Controller, Values
 from agent_sdk.controllers.parameters import ControllerMismatch, actuator_values, number
 from topics.errors import InvalidConfig, did_you_mean
 from topics.messages import Action, Actuator, Manifest, Sensor
 from topics.points import bounds
+
+_FLOATING_K = 0.5
+"""Distance of a zone from its setpoint at which it is neither cooled nor heated."""
 
 
 class PIDController(Controller):
@@ -19,23 +22,32 @@ class PIDController(Controller):
 
     With the error e = setpoint - T (T - setpoint if direct acting) and the timestep dt in hours, the output is
 
-        u = bias + kp e + I + D,    I = I + ki e dt,    D = -kd dT/dt (+kd dT/dt if direct acting)
+        u = bias + kp e + I + D,    I = I + min(ki dt, a) e,    D = -kd dT/dt (+kd dT/dt if direct acting)
 
     clipped to its limits. The derivative acts on the measurement, so that a change of the setpoint causes no kick; it
-    is 0 at the first sample of an episode. The integral is frozen while the output is at a limit and the error would
-    drive it further out (conditional integration; Astrom and Hagglund, Advanced PID Control, chapter 3).
+    is 0 at the first sample of an episode.
+
+    The integral does not wind up. It changes no further than until the output reaches its limit (Astrom and Hagglund,
+    Advanced PID Control, chapter 3), or is 0.5 K beyond the temperature of a zone that floats: a zone that is colder
+    than its cooling setpoint is not cooled, so raising that setpoint further has no effect, and likewise for heating.
+
+    The gain of the integral for one timestep is at most a = 1 - kp if the output is a zone setpoint and kp < 1. The
+    loop is then stable for any timestep if the zone follows its setpoint with a gain of at most 1, at once or with a
+    lag; with a gain of 1 and no lag, its poles are those of z^2 = kp. For other outputs, a = 7/3 kp has the same effect
+    if kp times the change of the temperature per unit of the output is at most 0.3. With kp = 0 there is no such limit.
 
     Args:
         manifest: manifest of the node.
         setpoint: setpoint of the temperature, degC.
         sensor: name of a sensor in degC; None: the only zone air temperature.
         actuator: name of an action or an actuator; None: the only action.
-        kp: proportional gain, output unit/K. The default is stable if the output is a zone setpoint: the zone follows
-            it with a gain of at most 1, with or without a lag, so that the loop gain stays below 1.
+        kp: proportional gain, output unit/K. The default is stable if the output is a zone setpoint.
         ki: integral gain, output unit/(K h).
         kd: derivative gain, output unit h/K.
-        low: lower limit of the output; None: the lower bound of the action or actuator.
-        high: upper limit of the output; None: the upper bound.
+        low: lower limit of the output; None: the lower bound of the action or actuator and, if the output is a zone
+            setpoint, `setpoint` - `max_offset`.
+        high: upper limit of the output; None: the upper bound and `setpoint` + `max_offset`, likewise.
+        max_offset: maximum difference between `setpoint` and an output that is a zone setpoint, K, above 0.
         bias: output at zero error; None: `setpoint` if the output is a zone setpoint, else the middle of the limits.
         reverse: whether the output falls as the temperature rises (reverse acting), as for heating and for all
             setpoints; False for cooling power, valves and flows.
@@ -43,7 +55,7 @@ class PIDController(Controller):
 
     Raises:
         InvalidConfig: there is no temperature sensor or actuator, or several of which none is named, or a parameter is
-            invalid.
+            invalid; or `setpoint` is further than `max_offset` outside the bounds of a zone setpoint.
     """
 
     def __init__(
@@ -58,6 +70,7 @@ class PIDController(Controller):
         kd: float = 0.0,
         low: float | None = None,
         high: float | None = None,
+        max_offset: float = 2.0,
         bias: float | None = None,
         reverse: bool = True,
         **others: float,
@@ -70,9 +83,14 @@ class PIDController(Controller):
         self._sign = 1.0 if reverse else -1.0
         self._sensor = _sensor(manifest, sensor)
         output = _output(manifest, actuator)
-        self._low, self._high = _limits(output, low, high)
         self._outputs = output.actuators if isinstance(output, Action) else (output.name,)
-        self._bias = self._default_bias(output) if bias is None else number("bias", bias)
+        self._role = role_of(output, next(a for a in manifest.actuators if a.name in self._outputs))
+        limits = bounds(output)
+        if self._role in SETPOINTS:
+            limits = _around(self._setpoint, number("max_offset", max_offset, minimum=0.0), output)
+        self._low, self._high = _limits(output, low, high, limits)
+        middle = self._setpoint if self._role in SETPOINTS else (self._low + self._high) / 2
+        self._bias = min(max(middle, self._low), self._high) if bias is None else number("bias", bias)
         self._fixed: Values = dict(actuator_values(manifest, others))
         conflicts = set(self._outputs) & set(self._fixed)
         if conflicts:
@@ -80,13 +98,14 @@ class PIDController(Controller):
                 f"{', '.join(sorted(conflicts))}: the controller's own output cannot have a fixed value"
             )
         self._dt_h = manifest.step_s / 3600.0
+        self._integral_gain = min(self._gains[1] * self._dt_h, self._max_integral_gain())
         self._integral, self._previous = 0.0, math.nan
 
-    def _default_bias(self, output: Action | Actuator) -> float:
-        actuator = next((a for a in self.manifest.actuators if a.name in self._outputs), None)
-        if actuator is not None and role_of(output, actuator) in SETPOINTS:
-            return min(max(self._setpoint, self._low), self._high)
-        return (self._low + self._high) / 2
+    def _max_integral_gain(self) -> float:
+        kp = self._gains[0]
+        if self._role in SETPOINTS and kp < 1.0:
+            return 1.0 - kp
+        return 7.0 / 3.0 * kp if kp else math.inf
 
     def begin(self, sample: SampleView) -> None:  # noqa: ARG002
         """Reset the integral and the previous temperature."""
@@ -94,19 +113,24 @@ class PIDController(Controller):
 
     def act(self, sample: SampleView) -> Values:
         """Return the output and the fixed values for the timestep that begins at `sample.time`."""
-        kp, ki, kd = self._gains
+        kp, _, kd = self._gains
         measured = sample[self._sensor]
         error = self._sign * (self._setpoint - measured)
         rate = 0.0 if math.isnan(self._previous) else (measured - self._previous) / self._dt_h
-        without_integral = self._bias + kp * error - self._sign * kd * rate
-        integral = self._integral + ki * error * self._dt_h
-        output = without_integral + integral
-        if (output > self._high and error > 0.0) or (output < self._low and error < 0.0):
-            output = without_integral + self._integral
-        else:
-            self._integral = integral
         self._previous = measured
-        return {**self._fixed, **dict.fromkeys(self._outputs, min(max(output, self._low), self._high))}
+        without_integral = self._bias + kp * error - self._sign * kd * rate
+        self._integrate(self._integral_gain * error, without_integral, measured)
+        output = min(max(without_integral + self._integral, self._low), self._high)
+        return {**self._fixed, **dict.fromkeys(self._outputs, output)}
+
+    def _integrate(self, increment: float, without_integral: float, measured: float) -> None:
+        """Change the integral by at most `increment`, and only as far as the output has an effect."""
+        if increment > 0.0:
+            highest = min(self._high, measured + _FLOATING_K) if self._role is Role.COOLING else self._high
+            self._integral = max(self._integral, min(self._integral + increment, highest - without_integral))
+        else:
+            lowest = max(self._low, measured - _FLOATING_K) if self._role is Role.HEATING else self._low
+            self._integral = min(self._integral, max(self._integral + increment, lowest - without_integral))
 
 
 def _sensor(manifest: Manifest, name: str | None) -> str:
@@ -146,10 +170,26 @@ def _only(
     return defaults[0].name
 
 
-def _limits(output: Action | Actuator, low: float | None, high: float | None) -> tuple[float, float]:
+def _around(setpoint: float, max_offset: float, output: Action | Actuator) -> tuple[float, float]:
+    """Return the default limits of a zone setpoint."""
+    if max_offset == 0.0:
+        raise InvalidConfig("max_offset = 0; expected more than 0 K")
     minimum, maximum = bounds(output)
-    lower = minimum if low is None else number("low", low, minimum=minimum, maximum=maximum)
-    upper = maximum if high is None else number("high", high, minimum=minimum, maximum=maximum)
+    low, high = max(minimum, setpoint - max_offset), min(maximum, setpoint + max_offset)
+    if low >= high:
+        raise InvalidConfig(
+            f"setpoint = {setpoint:g} is out of reach: {output.name!r} has bounds of {minimum:g} to {maximum:g} degC, "
+            f"and max_offset is {max_offset:g} K"
+        )
+    return low, high
+
+
+def _limits(
+    output: Action | Actuator, low: float | None, high: float | None, defaults: tuple[float, float]
+) -> tuple[float, float]:
+    minimum, maximum = bounds(output)
+    lower = defaults[0] if low is None else number("low", low, minimum=minimum, maximum=maximum)
+    upper = defaults[1] if high is None else number("high", high, minimum=minimum, maximum=maximum)
     if math.isinf(lower) or math.isinf(upper):
         raise InvalidConfig(f"{output.name!r} has no bounds: set the limits of the output by low=... and high=...")
     if not lower < upper:

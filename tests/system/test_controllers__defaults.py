@@ -8,6 +8,8 @@ from itertools import pairwise
 from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from support import data_packs as packs
 from support.builders import actuator, manifest, sensor, view
 from support.nodes import SMALL
@@ -18,7 +20,9 @@ from agent_sdk.envs.arguments import of_scenario
 from agent_sdk.envs.building_env import BuildingEnv
 from agent_sdk.evaluation.evaluate import evaluate
 from topics.errors import InvalidConfig
+from topics.messages import Manifest
 
+SETPOINT_NAMES = ("heating_setpoint", "cooling_setpoint")
 WEEK = {"begin": "07-10", "end": "07-16", "affinity": "off"}
 
 
@@ -78,6 +82,108 @@ def test_pid_settles_where_a_zone_follows_its_setpoint_at_once_or_with_a_lag(
     assert airs[-1] == pytest.approx(24.0, abs=0.1)
     late = airs[len(airs) // 2 :]
     assert max(late) - min(late) < 0.5
+
+
+def thermostat(name: str, step_s: float = 900.0) -> Manifest:
+    """A node with one zone setpoint of 10 to 40 degC."""
+    of = manifest(sensors=[sensor("air")], actuators=[actuator(name, 10.0, 40.0)])
+    return of.model_copy(update={"step_s": step_s})
+
+
+def output(control: PIDController, air: float) -> float:
+    (setpoint,) = control.act(view(control.manifest, air=air)).values()
+    return setpoint
+
+
+@pytest.mark.parametrize(
+    ("name", "floats_at", "comes_back_at", "integral"),
+    [
+        ("cooling_setpoint", 20.0, 26.0, 0.0),
+        ("cooling_setpoint", 24.8, 26.0, 0.25),  # until the setpoint is 0.5 K above the zone, of which 0.06 K by kp
+        ("heating_setpoint", 30.0, 24.0, 0.0),
+        ("heating_setpoint", 25.2, 24.0, -0.25),
+    ],
+)
+def test_pid_is_ready_when_a_zone_comes_back_after_it_floated(
+    name: str, floats_at: float, comes_back_at: float, integral: float
+) -> None:
+    control = PIDController(thermostat(name), setpoint=25.0)
+    for _ in range(48):
+        output(control, floats_at)
+    proportional_and_step = (25.0 - comes_back_at) * (0.3 + 0.5 / 4)
+    assert output(control, comes_back_at) == pytest.approx(25.0 + integral + proportional_and_step, abs=0.02)
+
+
+@pytest.mark.parametrize("name", SETPOINT_NAMES)
+def test_pid_leaves_its_limit_at_once(name: str) -> None:
+    """A zone that cannot follow: at 20 degC kp takes 1.5 K of the 2 K to the limit, and the integral the rest."""
+    control = PIDController(thermostat(name), setpoint=25.0)
+    for _ in range(48):
+        output(control, 20.0)
+    assert output(control, 26.0) <= 25.0 + 0.5 - 0.3 + 1e-9
+    control = PIDController(thermostat(name), setpoint=25.0)
+    for _ in range(48):
+        output(control, 30.0)
+    assert output(control, 24.0) >= 25.0 - 0.5 + 0.3 - 1e-9
+
+
+@given(airs=st.lists(st.floats(-20.0, 60.0), max_size=40), kd=st.floats(0.0, 2.0), name=st.sampled_from(SETPOINT_NAMES))
+def test_pid_keeps_a_zone_setpoint_near_its_own(airs: list[float], kd: float, name: str) -> None:
+    control = PIDController(thermostat(name), setpoint=25.0, kd=kd)
+    assert all(23.0 <= output(control, air) <= 27.0 for air in airs)
+    wide = PIDController(thermostat(name), setpoint=25.0, kd=kd, max_offset=5.0, low=24.0)
+    assert all(24.0 <= output(wide, air) <= 30.0 for air in airs)
+
+
+def test_pid_refuses_a_setpoint_that_its_output_cannot_reach() -> None:
+    with pytest.raises(
+        InvalidConfig, match=r"setpoint = 45 is out of reach: 'cooling_setpoint' has bounds of 10 to 40"
+    ):
+        PIDController(thermostat("cooling_setpoint"), setpoint=45.0)
+    with pytest.raises(InvalidConfig, match="max_offset = 0; expected more than 0 K"):
+        PIDController(thermostat("cooling_setpoint"), setpoint=25.0, max_offset=0)
+
+
+@given(
+    step_h=st.floats(1 / 60, 24.0),
+    gain=st.floats(0.3, 1.0),
+    lag_h=st.floats(0.0, 10.0),
+    kp=st.floats(0.0, 0.9),
+    ki=st.floats(0.0, 5.0),
+    offset=st.floats(-0.4, 1.5),
+)
+def test_pid_settles_at_any_timestep_where_a_zone_follows_its_setpoint(
+    step_h: float, gain: float, lag_h: float, kp: float, ki: float, offset: float
+) -> None:
+    """A zone that follows its cooling setpoint by `gain`, and stands `offset` above it; the output is not limited."""
+    control = PIDController(
+        thermostat("cooling_setpoint", 3600.0 * step_h), setpoint=25.0, kp=kp, ki=ki, max_offset=15.0
+    )
+    air, left, airs = 25.1, math.exp(-step_h / lag_h) if lag_h else 0.0, []
+    for _ in range(300):
+        goal = 25.0 + gain * (output(control, air) - 25.0) + gain * offset
+        air = goal + (air - goal) * left
+        airs.append(air)
+    assert max(abs(a - b) for a, b in pairwise(airs[-20:])) < 0.05, "no swing is left"
+    if not lag_h and min(ki * step_h, 1.0 - kp) * gain > 0.1:
+        assert airs[-1] == pytest.approx(25.0, abs=1e-3)
+
+
+def test_pid_of_a_valve_is_stable_for_a_day_as_a_timestep() -> None:
+    """A room that a valve of 0 to 1 heats by up to 10 K: kp = 0.3 (high - low) / change, as the page has it."""
+    of = manifest(sensors=[sensor("air")], actuators=[actuator("valve", 0.0, 1.0)])
+    of = of.model_copy(update={"step_s": 86400.0})
+    control, air = PIDController(of, setpoint=21.0, kp=0.03), 15.0
+    for _ in range(60):
+        air = 15.0 + 10.0 * output(control, air)
+    assert air == pytest.approx(21.0, abs=1e-3)
+
+
+def test_pid_integrates_up_to_its_limit_in_long_timesteps() -> None:
+    """A step of the integral that would pass the limit (0.95 * 3 K) still takes the output to it."""
+    control = PIDController(thermostat("heating_setpoint", 86400.0), setpoint=25.0, kp=0.05)
+    assert output(control, 22.0) == 27.0
+    assert output(control, 22.0) == 27.0
 
 
 def test_pid_does_not_swing_in_a_building() -> None:
