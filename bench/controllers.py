@@ -14,16 +14,74 @@ import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
+from agent_sdk.bus.sample import SampleView
+from agent_sdk.controllers import Controller, PIDController
+from agent_sdk.controllers.action_roles import SETPOINTS, ActionBinding, Role, bind_actions
+from agent_sdk.controllers.base import Values
+from agent_sdk.controllers.comfort_band import Band, comfort_bands, inside
+from agent_sdk.controllers.fixed import default_values
+from agent_sdk.controllers.parameters import ControllerMismatch
 from agent_sdk.evaluation.evaluate import evaluate
+from topics.messages import Manifest
+from topics.points import bounds
 from topics.scenario_ids import WEATHERS, pack_ids
 
 BUNDLED = ("office-small", "office-medium", "ref-warehouse", "warehouse", "ref-large-hotel", "hotel-small")
 SEASONS = {"January": ("01-09", "01-15"), "July": ("07-10", "07-16")}
-CONTROLLERS = ("baseline", "rbc", "incremental", "setback", "fixed")
 BEGIN, END = "<!-- controllers -->", "<!-- /controllers -->"
 
 _WEATHER = ("mixed", "chicago")
 _KWH = ("electricity_kwh", "natural_gas_kwh")
+
+
+class ZonePIDs(Controller):
+    """One `PIDController` for each zone and zone setpoint, with its default gains; other actions as in `fixed`.
+
+    The controllers' setpoints are 1 K (at most a third of the band) inside the comfort band of the first sample. An
+    action that serves several zones takes the output of the zone that demands the most heating or cooling. Heating
+    setpoints stay below the middle of the band and cooling setpoints above it, so that they cannot cross.
+    """
+
+    def __init__(self, manifest: Manifest) -> None:
+        super().__init__(manifest)
+        self._band = comfort_bands(manifest)
+        bindings = bind_actions(manifest)
+        self._setpoints = [b for b in bindings if b.role in SETPOINTS and b.temperatures]
+        self._others = [b for b in bindings if b not in self._setpoints]
+        if not self._setpoints:
+            raise ControllerMismatch(f"node {manifest.node!r} has no zone setpoints")
+        self._zones: list[tuple[ActionBinding, list[PIDController]]] = []
+
+    def begin(self, sample: SampleView) -> None:
+        """Create the controllers for the comfort band of the episode's first day."""
+        band = self._band(sample.time)
+        self._zones = [(b, [self._zone(b, index, band) for index in b.temperatures]) for b in self._setpoints]
+
+    def _zone(self, binding: ActionBinding, index: int, band: Band) -> PIDController:
+        middle, (low, high) = (band[0] + band[1]) / 2, bounds(binding.action)
+        is_heating = binding.role is Role.HEATING
+        setpoint = binding.clip(inside(band)[not is_heating])
+        limits = {"high": min(middle, setpoint + 2.0)} if is_heating else {"low": max(middle, setpoint - 2.0)}
+        limits = {name: value for name, value in limits.items() if low < value < high}
+        sensor = self.manifest.names[index]
+        return PIDController(self.manifest, setpoint=setpoint, sensor=sensor, actuator=binding.action.name, **limits)
+
+    def act(self, sample: SampleView) -> Values:
+        """Return the output of the most demanding zone of each zone setpoint, and the other actions' defaults."""
+        band = inside(self._band(sample.time))
+        values: Values = {}
+        for binding in self._others:
+            values |= default_values(binding, band)
+        for binding, zones in self._zones:
+            outputs = [value for zone in zones for value in zone.act(sample).values() if value is not None]
+            values |= binding.at(max(outputs) if binding.role is Role.HEATING else min(outputs))
+        return values
+
+
+CONTROLLERS: Mapping[str, str | type[Controller]] = {
+    **{name: name for name in ("baseline", "rbc", "incremental", "setback", "fixed")},
+    "pid": ZonePIDs,
+}
 
 
 def scenarios() -> list[str]:
