@@ -143,8 +143,8 @@ class Subscriptions:
         try:
             drain.start()
         except RuntimeError:  # the system cannot start a thread
-            while self._try_recv() is not None:
-                pass
+            for _attempt in range(COMMAND_QUEUE):
+                self._try_recv()
         try:
             self._wake.close()
             self._close.close()
