@@ -151,8 +151,11 @@ def describe_validation_errors(error: ValidationError, known: Iterable[str] = ()
     errors = error.errors(include_url=False)
     for detail in errors[:_MAX_ERRORS]:
         loc = [str(part) for part in detail["loc"] if not str(part).startswith("@")]
-        path = _cut(".".join(loc)) or "(whole)"
-        if detail["type"] == "missing":
+        path, rule = _cut(".".join(loc)), detail["msg"].removeprefix("Value error, ")
+        if not path:  # a rule on several fields
+            is_fields = isinstance(detail["input"], (dict, Message))
+            texts.append(rule if is_fields else f"{rule}, got {_short(detail['input'])}")
+        elif detail["type"] == "missing":
             texts.append(f"{path}: it is missing")
         elif detail["type"] == "extra_forbidden":
             texts.append(
@@ -160,7 +163,7 @@ def describe_validation_errors(error: ValidationError, known: Iterable[str] = ()
                 + (f"; {did_you_mean(loc[0], known)}" if len(loc) == 1 and known else "")
             )
         else:
-            texts.append(f"{path}: {detail['msg'].removeprefix('Value error, ')}, got {_short(detail['input'])}")
+            texts.append(f"{path}: {rule}, got {_short(detail['input'])}")
     more = len(errors) - len(texts)
     return "; ".join(texts) + (f"; and {more} more" if more else "")
 

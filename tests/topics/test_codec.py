@@ -12,8 +12,10 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from pydantic import ValidationError
 from support.builders import actuator, manifest, meter, sensor
 
+from bridge.node.settings import NodeSettings
 from topics import codec
 from topics.errors import BadMessage
 from topics.messages import (
@@ -247,6 +249,12 @@ def test_all_faults_are_named_at_once() -> None:
     assert all(f"{name}: " in said for name in ("value", "priority", "duration_s", "colour"))
     assert "'warm'" in said
     assert "17" in said
+
+
+def test_a_rule_on_several_fields_is_named_without_a_path_or_their_values() -> None:
+    with pytest.raises(ValidationError) as caught:
+        NodeSettings(listen=[], connect=[])
+    assert codec.describe_validation_errors(caught.value) == "name an endpoint to listen on, or one to connect to"
 
 
 def test_a_fault_quotes_no_more_than_a_line() -> None:
