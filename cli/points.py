@@ -15,6 +15,7 @@ from topics.errors import did_you_mean
 from topics.units import unit_label
 
 if TYPE_CHECKING:
+    from models.building.model import Building
     from models.points.discovery import PointCatalog
     from models.points.selection import PointListing
 
@@ -52,7 +53,7 @@ def points(
     with err.status(f"reading the points of {building} with EnergyPlus"):
         model = read_building(catalog.find_building(building))
         discovered = discover(model, catalog.weathers()[0].path)
-    selected = _keys(discovered, default=default, monitoring=monitoring) if default or monitoring else None
+    selected = _keys(model, discovered, default=default, monitoring=monitoring) if default or monitoring else None
     listed = [
         row
         for row in listing(discovered, model)
@@ -73,7 +74,9 @@ def points(
     )
 
 
-def _keys(discovered: PointCatalog, *, default: bool, monitoring: bool) -> set[tuple[str, str, str]]:
+def _keys(
+    building: Building, discovered: PointCatalog, *, default: bool, monitoring: bool
+) -> set[tuple[str, str, str]]:
     """Return (kind, name, key), case-folded, of the points that a node has by default, or for monitoring."""
     from models.points.monitoring import monitoring_meters, monitoring_sensors
     from models.points.selection import default_actuators, default_meters, default_sensors
@@ -84,7 +87,7 @@ def _keys(discovered: PointCatalog, *, default: bool, monitoring: bool) -> set[t
         keys |= {("meter", name, "") for name in default_meters(discovered).values()}
         keys |= {("actuator", f"{a} / {b}", key) for a, b, key in default_actuators(discovered).values()}
     if monitoring:
-        keys |= {("sensor", *spec) for spec in monitoring_sensors(discovered).values()}
+        keys |= {("sensor", *spec) for spec in monitoring_sensors(building, discovered).values()}
         keys |= {("meter", name, "") for name in monitoring_meters(discovered).values()}
     return {(kind, name.casefold(), key.casefold()) for kind, name, key in keys}
 

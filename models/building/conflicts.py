@@ -74,7 +74,7 @@ class _Model:
     def __init__(self, objects: Objects) -> None:
         self.objects = objects
         self.ems = _Programs(objects)
-        self.thermostats = list(_thermostats(objects))
+        self.thermostats = list(thermostat_setpoints(objects))
         self.by_approach = dict(_approach_zones(objects))
 
     @cached_property
@@ -231,7 +231,7 @@ def _zones(objects: Objects, name: object) -> list[str]:
     return [folded]
 
 
-def _thermostats(objects: Objects) -> Iterator[tuple[str, str, str]]:
+def thermostat_setpoints(objects: Objects) -> Iterator[tuple[str, str, str]]:
     """Yield (zone, control, schedule), all case-folded, for each setpoint that a thermostat uses."""
     setpoints = {
         (_fold(kind), _fold(name)): (kind, fields)

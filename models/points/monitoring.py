@@ -6,13 +6,16 @@ import re
 from collections.abc import Collection
 from dataclasses import replace
 
+from models.building.conflicts import thermostat_setpoints
 from models.building.model import Building
 from models.points.discovery import PointCatalog
 from models.points.selection import Points, default_meters, default_sensors, select_points, thermostat_zones
 from topics.energyplus_names import (
+    COOLING_SETPOINT,
     COOLING_SETPOINT_VARIABLE,
     END_USES,
     FUELS,
+    HEATING_SETPOINT,
     HEATING_SETPOINT_VARIABLE,
     OCCUPANTS,
     ZONE_TEMPERATURE,
@@ -45,6 +48,12 @@ def with_unobserved(points: Points, names: Collection[str]) -> Points:
     )
 
 
+_SETPOINTS = {
+    "thermostat_heating_setpoint": HEATING_SETPOINT.casefold(),
+    "thermostat_cooling_setpoint": COOLING_SETPOINT.casefold(),
+}
+
+
 def with_monitoring(building: Building, available: PointCatalog, points: Points) -> Points:
     """Return the points of a run, followed by unobserved ones; none is measured twice.
 
@@ -56,7 +65,7 @@ def with_monitoring(building: Building, available: PointCatalog, points: Points)
     measured = {meter.meter.casefold() for meter in points.meters}
     sensors = {
         _free_name(name, taken): (variable, key)
-        for name, (variable, key) in monitoring_sensors(available).items()
+        for name, (variable, key) in monitoring_sensors(building, available).items()
         if (_quantity(variable), key.casefold()) not in variables
     }
     meters = {
@@ -74,11 +83,19 @@ def with_monitoring(building: Building, available: PointCatalog, points: Points)
     )
 
 
-def monitoring_sensors(available: PointCatalog) -> dict[str, tuple[str, str]]:
-    """Return by name the outdoor temperature, and each conditioned zone's temperature, occupants and setpoints."""
+def monitoring_sensors(building: Building, available: PointCatalog) -> dict[str, tuple[str, str]]:
+    """Return by name the outdoor temperature, and each conditioned zone's temperature, occupants and setpoints.
+
+    A setpoint that a zone's thermostat never has is left out: EnergyPlus reports 0 degC for it.
+    """
+    used = {(zone, control) for zone, control, _ in thermostat_setpoints(building.objects)}
+    controlled = {zone for zone, _ in used}
     sensors = {name: spec for name, spec in default_sensors(available).items() if name == _OUTDOORS}
     for zone, name in thermostat_zones(available).items():
         for suffix, variable in _ZONE_SENSORS.items():
+            control = _SETPOINTS.get(suffix)
+            if control is not None and zone.casefold() in controlled and (zone.casefold(), control) not in used:
+                continue
             if (variable.casefold(), zone.casefold()) in available.by_variable:
                 sensors[f"{name}_{suffix}"] = (variable, zone)
     return sensors

@@ -92,6 +92,17 @@ def test_own_points_stay_first_and_are_measured_once() -> None:
     assert [m.name for m in extended.meters[1:]] == list(ADDED_METERS)[1:]
 
 
+def test_a_setpoint_that_a_thermostat_never_has_is_left_out() -> None:
+    control = {"control_1_object_type": "ThermostatSetpoint:SingleHeating", "control_1_name": "night"}
+    objects = {
+        "Zone": {"Core ZN": {}},
+        "ThermostatSetpoint:SingleHeating": {"night": {"setpoint_temperature_schedule_name": "heat"}},
+        "ZoneControl:Thermostat": {"core": {"zone_or_zonelist_name": "Core ZN", **control}},
+    }
+    names = {sensor.name for sensor in with_monitoring(Building("b", objects, "0"), CATALOG, own()).sensors}
+    assert ADDED_SENSORS.keys() - names == {"core_zn_thermostat_cooling_setpoint"}
+
+
 def test_points_are_added_once_only() -> None:
     points = monitored(own())
     assert monitored(points) == points
