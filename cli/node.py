@@ -51,7 +51,7 @@ def node(
     keys: Keys = None,
     certificate: CertificateName = None,
     slots: options.Slots = 1,
-    monitoring: options.Monitoring = True,
+    no_monitoring: options.NoMonitoring = False,
     baseline: options.Baseline = False,
     branches: options.Branches = 64,
     unresponsive_s: options.Unresponsive = 10.0,
@@ -79,13 +79,14 @@ def node(
     if overwrite and record is None:
         raise InvalidConfig("--overwrite needs --record FILE.mcap")
     settings["record_overwrite"] = settings.pop("overwrite")
-    del settings["no_listen"], settings["no_shrink_caches"], settings["plant_argument"]
+    del settings["no_listen"], settings["no_monitoring"], settings["no_shrink_caches"], settings["plant_argument"]
     if speed is None:
         del settings["speed"]
     settings |= {
         "weather": weather or None,
         "connect": connect or [],
         "listen": [] if no_listen else [listen or default_endpoint(keys)],
+        "monitoring": not no_monitoring,
         "shrink_caches": not no_shrink_caches,
     }
     if plant is None:

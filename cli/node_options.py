@@ -59,7 +59,7 @@ Connect = Annotated[
 NoListen = Annotated[bool, typer.Option("--no-listen", help="Only connect to a router or another node.")]
 Expose = Annotated[bool, typer.Option("--expose", help="Allow connections from other machines.")]
 Slots = Annotated[int, typer.Option(help="Number of engines that step together, each with its own episode.")]
-Monitoring = Annotated[bool, argument("monitoring", "--monitoring/--no-monitoring")]
+NoMonitoring = Annotated[bool, argument("monitoring", "--no-monitoring", note=" This option prevents it.")]
 Baseline = Annotated[bool, argument("baseline", "--baseline")]
 Branches = Annotated[int, argument("branches")]
 Unresponsive = Annotated[float, argument("unresponsive_s", "--unresponsive", metavar="SECONDS")]

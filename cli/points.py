@@ -37,7 +37,10 @@ def points(
         bool, typer.Option("--default", help="Show only the points that a node has by default.")
     ] = False,
     monitoring: Annotated[
-        bool, typer.Option("--monitoring", help="Show only the points that `--monitoring` adds to a node.")
+        bool,
+        typer.Option(
+            "--monitoring", help="Show only the points for pictures and reports, of which agents observe none."
+        ),
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:

@@ -223,7 +223,8 @@ def _zone_series(roles: PointRoles, *, has_comfort: bool) -> list[Series]:
 
 def _power_series(roles: PointRoles) -> list[Series]:
     plots = []
-    totals = [
+    fuels = _other_fuels(roles)
+    totals: list[tuple[str, RGB, PowerSource | EndUse]] = [
         (name, color, source)
         for name, color, source in (
             ("Whole building", FACILITY, roles.facility_power),
@@ -231,12 +232,14 @@ def _power_series(roles: PointRoles) -> list[Series]:
         )
         if source is not None
     ]
+    shown = [*totals, *((use_label(fuel), fuel.color, fuel) for fuel in fuels if not roles.end_uses)]
+    if shown:
+        title = "Electric power (kW)" if len(shown) == len(totals) else "Power (kW)"
+        names, colors = [name for name, _, _ in shown], [color for _, color, _ in shown]
+        compute, widths = _in_kw([source for _, _, source in shown]), [2.0] * len(shown)
+        plots.append(Series(POWER, title, names, colors, compute=compute, widths=widths))
     if totals:
         names, colors = [name for name, _, _ in totals], [color for _, color, _ in totals]
-        sources = [source for _, _, source in totals]
-        plots.append(
-            Series(POWER, "Electric power (kW)", names, colors, compute=_in_kw(sources), widths=[2.0] * len(names))
-        )
         plots.append(
             Series(
                 ENERGY,
@@ -248,8 +251,8 @@ def _power_series(roles: PointRoles) -> list[Series]:
                 is_smooth=True,
             )
         )
-    if roles.end_uses or roles.fuels:
-        uses = [*roles.end_uses, *_other_fuels(roles)]
+    if roles.end_uses:
+        uses = [*roles.end_uses, *fuels]
         names, colors = [use_label(use) for use in uses], [use.color for use in uses]
         plots.append(Series(END_USES, "End uses (kW)", names, colors, compute=_in_kw(uses)))
     return plots

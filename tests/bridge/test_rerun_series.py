@@ -72,6 +72,17 @@ def test_band_is_bold_while_any_zone_is_occupied() -> None:
     np.testing.assert_array_equal(band_rows(block), [[nan, nan, 20, 26], [20, 26, 20, 26], [nan, nan, 20, 26]])
 
 
+def test_a_node_without_end_uses_has_its_other_fuels_beside_its_electric_power() -> None:
+    manifest = builders.manifest(
+        meters=[builders.meter("electricity"), builders.meter("gas", "NaturalGas:Facility")],
+        actuators=[builders.actuator("heating_setpoint")],
+    )
+    plots = {plot.path: plot for plot in all_series(manifest, roles(manifest), has_comfort=False)}
+    assert "end_uses" not in plots
+    assert (plots["power"].title, len(plots["power"].names)) == ("Power (kW)", 2)
+    assert plots["energy"].names == ["Whole building"]
+
+
 def test_commands_are_drawn_apart_from_effective_values_with_gaps_where_they_were_relinquished() -> None:
     manifest = office()
     made = samples(manifest, rows(2), effective=(20.0, 25.0), commanded=(21.0, float("nan")))

@@ -109,5 +109,5 @@ def test_monitor__names_the_node_that_it_waits_for(shared_node: NodeProgram, scr
         )
         monitor.send_signal(signal.SIGINT)
         rest, _ = monitor.communicate(timeout=60)
-    assert "open the recording with: " in rest
-    assert "rerun run.rrd" in rest
+    assert "open it with: " in rest
+    assert "view run.rrd" in rest

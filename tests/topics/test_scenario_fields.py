@@ -93,7 +93,7 @@ def test_the_command_line_has_the_defaults_of_a_node(monkeypatch: pytest.MonkeyP
 def test_each_option_sets_its_argument(monkeypatch: pytest.MonkeyPatch) -> None:
     values = {
         "scenario": "mine.yaml", "building": "b", "weather": "w", "begin": "07-01", "end": "07-02",
-        "steps_per_hour": 6, "output_dir": "/o", "keep_last": 2, "monitoring": True, "baseline": True, "branches": 3,
+        "steps_per_hour": 6, "output_dir": "/o", "keep_last": 2, "monitoring": False, "baseline": True, "branches": 3,
         "unresponsive_s": 4.5, "shrink_caches": False, "faults": "f.yaml", "plant": "tank.py:Tank",
         "record": "runs", "record_on_full": "stop",
     }  # fmt: skip
