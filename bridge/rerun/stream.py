@@ -21,8 +21,9 @@ from bridge.rerun.node_stream import NodeStream
 from bridge.rerun.recording import entity_path
 from bridge.rerun.samples import ComfortFactory, RewardFactory, fixed_band
 from bridge.rerun.summary import NodeRow, overview
+from bridge.transport.request import ask
 from topics import codec, keys
-from topics.errors import BadMessage
+from topics.errors import BadMessage, ZenostatError
 from topics.messages import SCHEMA_VERSION, Batch, Event, Geometry, Manifest, Message, Query, Sample, Status
 
 RING = 65536
@@ -298,28 +299,22 @@ class RerunStream:
             known.set_manifest(manifest)
             return known
         name = manifest.node
-        node = NodeStream(self.recording, manifest, self._geometry(name), self._comfort, self._reward)
+        geometry = self._ask(name, keys.GEOMETRY, Geometry)  # None for a plant without one, and for an older node
+        node = NodeStream(self.recording, manifest, geometry, self._comfort, self._reward)
         self._nodes[name] = node
-        status = self._status(name)
+        status = self._ask(name, keys.STATUS, Status)
         if status is not None:
             for controller in status.controllers:
                 node.set_controller(controller.controller, is_connected=controller.state.is_connected)
             node.set_faults(status.faults)
         return node
 
-    def _geometry(self, name: str) -> Geometry | None:
-        """Query a node's geometry; None for a plant without one, and for a node of an older version."""
-        return self._query(keys.GEOMETRY.at(name), Geometry)
-
-    def _status(self, name: str) -> Status | None:
-        return self._query(keys.STATUS.at(name), Status)
-
-    def _query(self, key: str, message: type[M]) -> M | None:
-        payload, encoding = codec.encode(Query()), codec.encoding(Query)
-        for reply in self._session.get(key, payload=payload, encoding=encoding, timeout=_QUERY_S):
-            if reply.ok is not None:
-                try:
-                    return codec.decode(message, reply.ok.payload.to_bytes(), str(reply.ok.encoding))
-                except BadMessage as error:
-                    self._on_unreadable(keys.node_of(key), error)
+    def _ask(self, name: str, topic: keys.Topic, reply_type: type[M]) -> M | None:
+        """Return a node's reply to a query; None if it has none."""
+        try:
+            return ask(self._session, topic, name, Query(), reply_type, timeout_s=_QUERY_S)
+        except BadMessage as error:
+            self._on_unreadable(name, error)
+        except ZenostatError:  # the node refuses, or does not answer in time
+            pass
         return None

@@ -43,7 +43,7 @@ def _pump_until(stream: RerunStream, holds: Callable[[], object], what: str) -> 
     until(there, what)
 
 
-def test_zone_colors_and_overview_of_an_office_beside_a_tank(scratch, shared_node, episode_bus):
+def test_zone_colors_and_overview_of_an_office_beside_a_tank(scratch, shared_node, episode_bus, capsys):
     """The office has geometry, comfort band and reward of its scenario; the tank has none of them."""
     rr.set_strict_mode(True)
     path, plant = scratch / "run.rrd", scratch / "tank.py"
@@ -69,6 +69,7 @@ def test_zone_colors_and_overview_of_an_office_beside_a_tank(scratch, shared_nod
                 if sample.step == 60:
                     break
         _pump_until(stream, lambda: stream.samples >= 2, "both nodes are shown")
+    assert not capsys.readouterr().err  # a plant without geometry is nothing to warn of
     band, reward = comfort_band(manifest), reward_terms(manifest)
     colors = logged(path, "Mesh3D:albedo_factor")
     zones = {entity.rpartition("/")[2] for entity in colors if "/building/zones/" in entity}
