@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from datetime import date, datetime
+from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,7 +16,7 @@ Floats = NDArray[np.float64]
 if TYPE_CHECKING:
     import zenoh
 
-    from bridge.rerun.samples import Comfort, RewardTerms
+    from bridge.rerun.samples import RewardTerms
     from bridge.rerun.stream import RerunStream
 
 
@@ -39,40 +39,15 @@ def reward_terms(manifest: Manifest) -> RewardTerms | None:
     return terms
 
 
-class _DailyBand:
-    """A comfort band that depends on the day only, computed once a day."""
-
-    def __init__(self, comfort: Comfort) -> None:
-        self.zones, self.source = comfort.zones, comfort.source
-        self._comfort = comfort
-        self._day: date | None = None
-        self._limits = (np.empty(0), np.empty(0))
-
-    def limits(self, values: Floats, begin: datetime) -> tuple[Floats, Floats]:
-        """Return the limits of each zone; see `Comfort`."""
-        if begin.date() != self._day:
-            self._day, self._limits = begin.date(), self._comfort.limits(values, begin)
-        return self._limits
-
-
-def comfort_band(manifest: Manifest) -> Comfort | None:
-    """Return the comfort bands of a node's zones, by the scenario's reward; None without zone temperatures."""
-    from agent_sdk.evaluation.comfort import display_comfort
-    from agent_sdk.rewards import MultiZoneReward
-
-    comfort = display_comfort(manifest)
-    kind = MultiZoneReward.model_fields["kind"].default
-    if comfort is None or (manifest.task.reward or {}).get("kind") == kind:  # its band follows the setpoints
-        return comfort
-    return _DailyBand(comfort)
-
-
 def open_stream(session: zenoh.Session, node: str, sinks: Iterable[Any], *, is_live: bool) -> RerunStream:
     """Return a stream to Rerun that prints its notices; see `RerunStream`."""
+    from agent_sdk.evaluation.comfort import display_comfort
     from bridge.rerun.stream import RerunStream
     from cli.console import err
 
     def notify(text: str) -> None:
         err.print(f"warning: {text}", style="yellow", markup=False, soft_wrap=True)
 
-    return RerunStream(session, node, sinks, is_live=is_live, comfort=comfort_band, reward=reward_terms, notify=notify)
+    return RerunStream(
+        session, node, sinks, is_live=is_live, comfort=display_comfort, reward=reward_terms, notify=notify
+    )

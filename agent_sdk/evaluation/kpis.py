@@ -14,9 +14,9 @@ from math import ceil, floor
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk.evaluation.comfort import Comfort
 from agent_sdk.evaluation.energy_sources import EnergySource, hvac_sources
 from agent_sdk.evaluation.tariffs import FuelRate
+from bridge.display.comfort import Comfort
 from topics.messages import Aggregation, Manifest
 
 Floats = NDArray[np.float64]

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from agent_sdk.evaluation.comfort import Comfort
 from agent_sdk.rendering import artists
 from agent_sdk.rendering.data import Floats, Window, finite
 from agent_sdk.rendering.panels import Curve, Panel, Row, Spread, Values
 from agent_sdk.rendering.scale import format_range, format_value
 from agent_sdk.rendering.text import Color
+from bridge.display.comfort import Comfort
 from bridge.display.roles import ZoneRoles
 from topics.typing_compat import override
 
@@ -91,10 +91,9 @@ class ZonePanel(Panel):
 
     @override
     def update(self, window: Window) -> None:
-        pairs = [
-            self._comfort.limits(values, begin) for values, begin in zip(window.values, window.begins, strict=True)
-        ]
-        low, high = (finite(limits, len(self._zones)) for limits in zip(*pairs, strict=True))
+        low, high = (
+            finite(limits, len(self._zones)) for limits in self._comfort.limits_of_samples(window.values, window.begins)
+        )
         worst = self._worst_zone(window, low, high)
         if self._has_many:
             self._show_zone(worst)

@@ -6,18 +6,17 @@ report add up to its totals.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import datetime
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk.evaluation.comfort import Comfort, comfort, display_comfort
+from agent_sdk.evaluation.comfort import comfort, display_comfort
 from agent_sdk.evaluation.trace import EpisodeTrace, WeatherTrace
 from bridge.display.colors import RGB
+from bridge.display.comfort import deviations
 from bridge.display.roles import EndUse, PointRoles, PowerSource, roles
 
 Floats = NDArray[np.float64]
@@ -62,8 +61,7 @@ class ZoneComfort:
     @property
     def deviation(self) -> Floats:
         """Kelvin above (positive) or below (negative) the band; 0 within it, NaN where the temperature is unknown."""
-        above = np.maximum(self.temperature - self.high, 0.0)
-        return np.where(above > 0.0, above, np.minimum(self.temperature - self.low, 0.0))
+        return deviations(self.temperature, self.low, self.high)
 
 
 class Quantities:
@@ -141,16 +139,10 @@ class Quantities:
         values = self.trace.values[1:]
         labels = {zone.temperature: zone.label for zone in self.roles.zones}
         names = self.trace.manifest.names
-        occupied = np.column_stack(
-            [
-                np.full(len(values), fill_value=True) if index is None else values[:, index] > 0.0
-                for index in band.people
-            ]
-        )
-        low, high = _limits(band, values, self.trace.begins())
+        low, high = band.limits_of_samples(values, self.trace.begins())
         return ZoneComfort(
             tuple(labels.get(int(zone), names[int(zone)]) for zone in band.zones),
-            values[:, band.zones], low, high, occupied, band.source,
+            values[:, band.zones], low, high, band.is_occupied(values), band.source,
             any(index is not None for index in band.people), is_rated,
         )  # fmt: skip
 
@@ -170,19 +162,6 @@ class Quantities:
             return self._weather
         temperature = self.trace.values[1:, index]
         return WeatherTrace(self.trace.manifest.step_s, temperature, np.full(len(temperature), np.nan))
-
-
-def _limits(band: Comfort, values: Floats, begins: Sequence[datetime]) -> tuple[Floats, Floats]:
-    """Return the limits of each timestep and zone, each of shape (steps, zones)."""
-    low, high = (np.empty((len(values), len(band.zones))) for _ in range(2))
-    unknown = np.full(values.shape[1], np.nan)
-    depends_on_values = bool(np.isnan(band.limits(unknown, begins[0])).any())
-    day = None
-    for row, begin in enumerate(begins):
-        if depends_on_values or begin.date() != day:  # without set-points, a band changes with the season only
-            limits, day = band.limits(values[row], begin), begin.date()
-        low[row], high[row] = limits
-    return low, high
 
 
 def by_hour(values: Floats, begins: Times, step_s: float) -> tuple[Times, Floats]:

@@ -10,12 +10,13 @@ from datetime import timedelta
 import numpy as np
 import rerun as rr
 
+from bridge.display.comfort import Comfort
 from bridge.display.roles import PointRoles
 from bridge.rerun.building_view import BuildingView
 from bridge.rerun.carpet import CarpetView
 from bridge.rerun.meshes import BuildingModel
 from bridge.rerun.recording import EpisodeLog, entity_path
-from bridge.rerun.samples import BlockReader, Comfort, Floats, RewardTerms, SampleBlock
+from bridge.rerun.samples import BlockReader, Floats, RewardTerms, SampleBlock
 from bridge.rerun.series import REWARD, Lines, Series, all_series, reward_lines, vectors
 from bridge.rerun.summary import MAX_TEXTS, NUMBERS, NodeNumbers, NodeStatus, markdown, numbers_at
 from bridge.rerun.timelines import SourceTimelines, ZoneTimelines
@@ -86,7 +87,7 @@ class EpisodeView:
             self.log.static(series.path, series.style())
         self.numbers = NodeNumbers()
         self.reward: Lines | None = None  # known at the first timestep
-        self._reader = BlockReader(manifest, roles, comfort)
+        self._reader = BlockReader(manifest, comfort)
         self._totals = Totals(manifest, roles)
         self._stride = -(-manifest.steps // MAX_TEXTS) or 1
         self._text_s = 0.0

@@ -10,30 +10,11 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.display.roles import PointRoles, roles
+from bridge.display.comfort import Comfort, deviations
 from topics import codec
 from topics.messages import Manifest, Sample
 
 Floats = NDArray[np.float64]
-
-DEFAULT_BAND_DEGC = (20.0, 26.0)
-"""Comfort band where the monitor is given none: the design values of office rooms in EN 16798-1, category II."""
-
-
-class Comfort(Protocol):
-    """Comfort bands of zones.
-
-    Attributes:
-        zones: indices of the zones' temperatures among the values of a sample, shape (zones,).
-        source: what the band is derived from, for readers.
-    """
-
-    zones: NDArray[np.intp]
-    source: str
-
-    def limits(self, values: Floats, begin: datetime) -> tuple[Floats, Floats]:
-        """Return the lower and the upper limit of each zone in degC for the timestep that starts at `begin`."""
-        ...
 
 
 class RewardTerms(Protocol):
@@ -46,25 +27,6 @@ class RewardTerms(Protocol):
 
 ComfortFactory = Callable[[Manifest], Comfort | None]
 RewardFactory = Callable[[Manifest], RewardTerms | None]
-
-
-class FixedBand:
-    """The same comfort band for all zones."""
-
-    def __init__(self, points: PointRoles, band_degc: tuple[float, float] = DEFAULT_BAND_DEGC) -> None:
-        self.zones = np.array([zone.temperature for zone in points.zones if zone.temperature is not None], np.intp)
-        self.source = f"{band_degc[0]:g} to {band_degc[1]:g} °C"
-        self._limits = tuple(np.full(len(self.zones), limit) for limit in band_degc)
-
-    def limits(self, values: Floats, begin: datetime) -> tuple[Floats, Floats]:  # noqa: ARG002
-        """Return the limits, whatever the values and the time."""
-        return self._limits[0], self._limits[1]
-
-
-def fixed_band(manifest: Manifest) -> Comfort | None:
-    """Return `DEFAULT_BAND_DEGC` for all zones; None without a zone temperature."""
-    band = FixedBand(roles(manifest))
-    return band if len(band.zones) else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,31 +68,23 @@ class BlockReader:
 
     Args:
         manifest: manifest of the node.
-        points: roles of its points.
         comfort: comfort bands of its zones, if it has zone temperatures.
     """
 
-    def __init__(self, manifest: Manifest, points: PointRoles, comfort: Comfort | None) -> None:
+    def __init__(self, manifest: Manifest, comfort: Comfort | None) -> None:
         self._points = len(manifest.points)
         self._actuators = len(manifest.actuators)
         self._slots = manifest.slots
         self._relinquished = codec.RELINQUISHED * (manifest.slots * len(manifest.actuators))
         self._timestep = timedelta(seconds=manifest.step_s)
-        self._comfort = comfort
-        by_temperature = {zone.temperature: zone.occupants for zone in points.zones}
-        air = [] if comfort is None else comfort.zones.tolist()
-        people = [by_temperature.get(index) for index in air]
-        self._air = np.array(air, np.intp)
-        self._people = np.array([index or 0 for index in people], np.intp)
-        self._always_occupied = np.array([index is None for index in people], bool)
+        self._comfort = comfort or Comfort("", (), (), lambda *_: (0.0, 0.0))
 
     def block(self, samples: Sequence[Sample]) -> SampleBlock:
         """Return the first slot of the samples as arrays."""
         values = self._rows((s.values for s in samples), self._points, "values")
         plant = (s.fault_free_values or s.values for s in samples)
         plant_values = self._rows(plant, self._points, "fault_free_values")
-        low, high = self._limits(plant_values, samples)
-        air = plant_values[:, self._air]
+        low, high = self._comfort.limits_of_samples(plant_values, self._begins(samples))
         return SampleBlock(
             steps=np.array([s.step[0] for s in samples], np.int64),
             times=np.array([s.time[0] for s in samples], "datetime64[ns]"),
@@ -141,24 +95,16 @@ class BlockReader:
             sources=self._sources(samples),
             low=low,
             high=high,
-            deviations=np.maximum(air - high, 0.0) - np.maximum(low - air, 0.0),
-            is_occupied=self._always_occupied | (plant_values[:, self._people] > 0.0),
+            deviations=deviations(plant_values[:, self._comfort.zones], low, high),
+            is_occupied=self._comfort.is_occupied(plant_values),
         )
 
     def _rows(self, raw: Iterable[bytes], width: int, what: str) -> Floats:
         rows = [codec.row(data, 0, self._slots, width, what) for data in raw]
         return np.array(rows, np.float64).reshape(len(rows), width)
 
-    def _limits(self, values: Floats, samples: Sequence[Sample]) -> tuple[Floats, Floats]:
-        if self._comfort is None:
-            empty = np.empty((len(samples), 0))
-            return empty, empty
-        limits = [
-            self._comfort.limits(row, datetime.fromisoformat(sample.time[0]) - self._timestep)
-            for row, sample in zip(values, samples, strict=True)
-        ]
-        low, high = np.array(limits, np.float64).transpose(1, 0, 2)
-        return low, high
+    def _begins(self, samples: Sequence[Sample]) -> list[datetime]:
+        return [datetime.fromisoformat(sample.time[0]) - self._timestep for sample in samples]
 
     def _sources(self, samples: Sequence[Sample]) -> NDArray[np.object_]:
         shape = (self._slots, self._actuators)

@@ -16,10 +16,11 @@ import rerun as rr
 import zenoh
 from zenoh.handlers import RingChannel
 
+from bridge.display.comfort import default_comfort
 from bridge.rerun.layout import OVERVIEW, blueprint
 from bridge.rerun.node_stream import NodeStream
 from bridge.rerun.recording import entity_path
-from bridge.rerun.samples import ComfortFactory, RewardFactory, fixed_band
+from bridge.rerun.samples import ComfortFactory, RewardFactory
 from bridge.rerun.summary import NodeRow, overview
 from bridge.transport.request import ask
 from topics import codec, keys
@@ -77,7 +78,7 @@ class RerunStream:
         sinks: Iterable[Any],
         *,
         is_live: bool = True,
-        comfort: ComfortFactory = fixed_band,
+        comfort: ComfortFactory = default_comfort,
         reward: RewardFactory | None = None,
         notify: Callable[[str], None] = _ignore,
     ) -> None:

@@ -11,9 +11,10 @@ import pytest
 from support.builders import manifest, meter, sensor
 from support.data_packs import sinergym
 
-from agent_sdk.evaluation.comfort import DISPLAY_BAND_DEGC, comfort, display_comfort
+from agent_sdk.evaluation.comfort import comfort, display_comfort
 from agent_sdk.testing import FakeBuilding
 from bridge.display.colors import zone_color
+from bridge.display.comfort import DEFAULT_BAND_DEGC
 from bridge.display.roles import PowerSource, roles
 from bridge.python_plant.description import describe, load_class
 from topics.keys import safe_name
@@ -217,7 +218,7 @@ def test_pictures_have_a_band_where_the_reward_has_none_or_there_is_no_reward() 
     shown = display_comfort(of)
     assert shown is not None
     low, high = shown.limits(np.zeros(len(of.points)), JULY)
-    assert [(low.tolist(), high.tolist())] == [([b] * 2, [c] * 2) for b, c in [DISPLAY_BAND_DEGC]]
+    assert [(low.tolist(), high.tolist())] == [([b] * 2, [c] * 2) for b, c in [DEFAULT_BAND_DEGC]]
     assert shown.source == "2 zones, 20 to 26 °C"
     assert display_comfort(of.model_copy(update={"sensors": ()})) is None
 

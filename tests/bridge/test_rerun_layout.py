@@ -10,15 +10,17 @@ import rerun as rr
 import rerun.blueprint as rrb
 from support.monitor import office, rows, samples, two_storeys
 
+from bridge.display.comfort import default_comfort
 from bridge.rerun.layout import blueprint
 from bridge.rerun.node_stream import NodeStream
-from bridge.rerun.samples import fixed_band
 from bridge.rerun.summary import NodeNumbers, NodeRow, overview, quantity
 
 
 def _node(recording: rr.RecordingStream, **changes: Any) -> NodeStream:
     manifest = office(**changes)
-    node = NodeStream(recording, manifest, two_storeys() if changes.get("node") != "plain" else None, fixed_band, None)
+    node = NodeStream(
+        recording, manifest, two_storeys() if changes.get("node") != "plain" else None, default_comfort, None
+    )
     for sample in samples(manifest, rows(2)):
         node.add_sample(sample)
     node.flush()

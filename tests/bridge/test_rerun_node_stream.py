@@ -14,9 +14,9 @@ from support import builders
 from support.monitor import BEGIN, STEP, logged, office, rows, samples, static, times, two_storeys
 
 from bridge.display.colors import comfort_color
+from bridge.display.comfort import default_comfort
 from bridge.rerun.layout import blueprint
 from bridge.rerun.node_stream import NodeStream
-from bridge.rerun.samples import fixed_band
 from topics.errors import InvalidConfig
 from topics.messages import Event, EventKind, Geometry, Manifest
 
@@ -28,7 +28,7 @@ def _node(path: Path, manifest: Manifest, geometry: Geometry | None = None, rewa
     rr.set_strict_mode(True)
     recording = rr.RecordingStream("zenostat")
     recording.set_sinks(rr.FileSink(str(path)))
-    node = NodeStream(recording, manifest, geometry, fixed_band, reward)
+    node = NodeStream(recording, manifest, geometry, default_comfort, reward)
     yield node
     node.flush()
     node.draw()

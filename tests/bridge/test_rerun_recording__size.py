@@ -9,8 +9,8 @@ import rerun as rr
 from support import builders
 from support.monitor import office, samples, two_storeys
 
+from bridge.display.comfort import default_comfort
 from bridge.rerun.node_stream import NodeStream
-from bridge.rerun.samples import fixed_band
 from bridge.rerun.stream import ROWS
 
 YEAR, SHARE = 35040, 10
@@ -29,7 +29,7 @@ def test_a_year_of_sixty_points_stays_below_25_megabytes(scratch: Path) -> None:
     values[:, 1:3] = 24.0 + 4.0 * np.sin(2 * np.pi * np.arange(len(values)) / 96)[:, None]
     recording = rr.RecordingStream("zenostat")
     recording.set_sinks(rr.FileSink(str(path)))
-    node = NodeStream(recording, manifest, two_storeys(), fixed_band, None)
+    node = NodeStream(recording, manifest, two_storeys(), default_comfort, None)
     for sample in samples(manifest, values):
         node.add_sample(sample)
         if len(node.samples) == ROWS:

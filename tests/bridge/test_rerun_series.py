@@ -9,15 +9,16 @@ from hypothesis import strategies as st
 from support import builders
 from support.monitor import office, rows, samples
 
+from bridge.display.comfort import default_comfort
 from bridge.display.roles import roles
-from bridge.rerun.samples import BlockReader, SampleBlock, fixed_band
+from bridge.rerun.samples import BlockReader, SampleBlock
 from bridge.rerun.series import MAX_SMOOTH_ROWS, Series, all_series, band_rows, significant_rows, temperature_range
 from bridge.rerun.totals import Totals
 from topics.messages import Manifest
 
 
 def _block(manifest: Manifest, table: np.ndarray) -> SampleBlock:
-    return BlockReader(manifest, roles(manifest), fixed_band(manifest)).block(samples(manifest, table))
+    return BlockReader(manifest, default_comfort(manifest)).block(samples(manifest, table))
 
 
 def _plots(manifest: Manifest) -> dict[str, Series]:
@@ -87,7 +88,7 @@ def test_commands_are_drawn_apart_from_effective_values_with_gaps_where_they_wer
     manifest = office()
     made = samples(manifest, rows(2), effective=(20.0, 25.0), commanded=(21.0, float("nan")))
     made.append(samples(manifest, rows(1), first=2)[0])  # a node that does not report its commands
-    block = BlockReader(manifest, roles(manifest), fixed_band(manifest)).block(made)
+    block = BlockReader(manifest, default_comfort(manifest)).block(made)
     plots, totals = _plots(manifest), Totals(manifest, roles(manifest)).add(block)
     nan = float("nan")
     np.testing.assert_array_equal(plots["commands/0"].compute(block, totals), [[21, nan], [21, nan], [nan, nan]])

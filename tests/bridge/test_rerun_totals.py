@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 from support.monitor import office, rows, samples
 
+from bridge.display.comfort import default_comfort
 from bridge.display.roles import roles
-from bridge.rerun.samples import BlockReader, fixed_band
+from bridge.rerun.samples import BlockReader
 from bridge.rerun.totals import TotalRows, Totals
 
 
 def _add(totals: Totals, table: np.ndarray, *, first: int = 0, fault_free: np.ndarray | None = None) -> TotalRows:
     manifest = office()
-    reader = BlockReader(manifest, roles(manifest), fixed_band(manifest))
+    reader = BlockReader(manifest, default_comfort(manifest))
     return totals.add(reader.block(samples(manifest, table, first=first, fault_free=fault_free)))
 
 

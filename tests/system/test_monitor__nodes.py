@@ -12,9 +12,10 @@ import zenoh
 from support.monitor import logged, static
 from support.nodes import NodeProgram, free_port, until
 
+from agent_sdk.evaluation.comfort import display_comfort
 from bridge.rerun.stream import RerunStream
 from bridge.transport.session import open_session
-from cli.monitor_stream import comfort_band, open_stream, reward_terms
+from cli.monitor_stream import open_stream, reward_terms
 from topics import codec, keys
 from topics.messages import Sample
 
@@ -70,7 +71,7 @@ def test_zone_colors_and_overview_of_an_office_beside_a_tank(scratch, shared_nod
                     break
         _pump_until(stream, lambda: stream.samples >= 2, "both nodes are shown")
     assert not capsys.readouterr().err  # a plant without geometry is nothing to warn of
-    band, reward = comfort_band(manifest), reward_terms(manifest)
+    band, reward = display_comfort(manifest), reward_terms(manifest)
     colors = logged(path, "Mesh3D:albedo_factor")
     zones = {entity.rpartition("/")[2] for entity in colors if "/building/zones/" in entity}
     assert len(zones) == len(band.zones) == 5
