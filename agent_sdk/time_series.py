@@ -73,7 +73,7 @@ class TimeSeries(BaseModel, ABC):
 
 
 class Constant(TimeSeries):
-    """The same number at all times: `{value: 0.25, unit: EUR/kWh}`."""
+    """A constant number: `{value: 0.25, unit: EUR/kWh}`."""
 
     value: Number
 

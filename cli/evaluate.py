@@ -79,7 +79,7 @@ def evaluate(
         evaluation = run_all(
             scenario, controllers, episodes=episodes, seed=seed, parameters=read_parameters(parameters or []),
             prices=read_rates("--price", prices), emissions=read_rates("--emissions", emissions),
-            progress=watch, record=outputs.wanted, record_dir=record, **overrides,
+            progress=watch, trace=outputs.wanted, record=record, **overrides,
         )  # fmt: skip
     if file is not None:
         write(evaluation.table(), file)

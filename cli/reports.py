@@ -19,7 +19,7 @@ FIGURES_HELP = "Write the figures of the report to a folder as PNG, SVG and CSV.
 
 @dataclass(frozen=True)
 class ReportOutputs:
-    """Where a report and its figures are written; checked before anything is simulated.
+    """Files to which a report and its figures are written; checked before anything is simulated.
 
     Raises:
         InvalidConfig: nothing can be written there, or Matplotlib is missing.
@@ -52,7 +52,7 @@ class ReportOutputs:
             write_figures(comparison, self.figures)
 
     def show(self) -> None:
-        """Print where it is."""
+        """Print the paths."""
         for name, path in (("report", self.report), ("figures", self.figures)):
             if path is not None:
                 out.print(f"{name}: {path}", markup=False, soft_wrap=True)

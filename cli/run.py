@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from agent_sdk import Bus, ControllerLink
     from agent_sdk.controllers import Agent
     from agent_sdk.evaluation.metrics import EpisodeMetrics, MetricsAccumulator
-    from cli.run_recording import RunRecording
+    from cli.run_trace import RunTrace
 
 _WORDS = {"true": True, "false": False}
 
@@ -80,7 +80,7 @@ def run(
     with connect_bus(connect or default_endpoint(keys), keys=keys, certificate=certificate) as bus:
         agent = Agent(make_controller(factory, bus.manifest(node), arguments))
         results: dict[str, tuple[EpisodeMetrics, float]] = {}
-        recording = _recording(bus, node, controller, rates) if outputs.wanted else None
+        trace = _trace(bus, node, controller, rates) if outputs.wanted else None
         with bus.controller(node, name=name, priority=priority) as link, progress() as bars:
             for number in range(episodes):
                 episode_seed = seed if reset or number else None
@@ -89,24 +89,24 @@ def run(
                     seed = None  # later episodes continue the seed sequence
                 heading = controller if episodes == 1 else f"episode {number + 1}"
                 metrics = MetricsAccumulator(link.manifest, None, *rates)
-                results[heading] = _episode(link, agent, metrics, bars, recording)
-                if recording is not None:
-                    recording.end_episode(link, results[heading][0], episode_seed)
-        if recording is not None:
-            outputs.write(recording.comparison(command_line()))
+                results[heading] = _episode(link, agent, metrics, bars, trace)
+                if trace is not None:
+                    trace.end_episode(link, results[heading][0], episode_seed)
+        if trace is not None:
+            outputs.write(trace.comparison(command_line()))
     out.print(f"{node}: {episodes} episode{'s' if episodes > 1 else ''} controlled by {controller}")
     show_results(results, ", ".join(filter(None, (link.manifest.building, link.manifest.weather))))
     outputs.show()
 
 
-def _recording(bus: Bus, node: str, controller: str, rates: tuple[Any, Any]) -> RunRecording:
-    from cli.run_recording import RunRecording  # only for a report
+def _trace(bus: Bus, node: str, controller: str, rates: tuple[Any, Any]) -> RunTrace:
+    from cli.run_trace import RunTrace  # only for a report
 
-    return RunRecording(bus, node, controller, *rates)
+    return RunTrace(bus, node, controller, *rates)
 
 
 def _episode(
-    link: ControllerLink, agent: Agent, metrics: MetricsAccumulator, bars: Progress, recording: RunRecording | None
+    link: ControllerLink, agent: Agent, metrics: MetricsAccumulator, bars: Progress, trace: RunTrace | None
 ) -> tuple[EpisodeMetrics, float]:
     """Answer all samples of one episode and show progress; return its metrics and its timesteps per second."""
     bar = bars.add_task(f"{link.manifest.node}: {link.name}", total=link.manifest.steps, rate="")
@@ -115,8 +115,8 @@ def _episode(
     for sample in link:
         if not sample.truncated:
             sample.send(agent.values(sample))
-        if recording is not None:
-            recording.add(sample)
+        if trace is not None:
+            trace.add(sample)
         if first is None:
             first = sample.step
             metrics.begin(sample)  # earlier timesteps were not under this controller

@@ -60,7 +60,7 @@ class Role(StrEnum):
 
 
 class Delivery(StrEnum):
-    """How a topic's messages are delivered."""
+    """Delivery of a topic's messages."""
 
     DROP = "drop"  # a slow subscriber loses messages; the publisher never waits
     BLOCK = "block"  # the publisher waits for a slow subscriber; no message is lost

@@ -103,7 +103,7 @@ class LocalNode:
 
     @property
     def end(self) -> str:
-        """How the node's process ended; empty while it runs, and always in a forked process."""
+        """Reason for which the node's process ended; empty while it runs, and always in a forked process."""
         if os.getpid() != self._owner or (code := self._processes[0].poll()) is None:
             return ""
         if code != -signal.SIGKILL:

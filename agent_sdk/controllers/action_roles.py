@@ -23,7 +23,7 @@ _MAX_CHILLED_DEGC = 20.0
 
 
 class Role(StrEnum):
-    """What an action sets."""
+    """Quantity that an action sets."""
 
     HEATING = "heating setpoint"
     COOLING = "cooling setpoint"

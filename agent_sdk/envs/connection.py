@@ -29,12 +29,12 @@ AGENT = "agent"
 RENDER_MODES = ("rgb_array", "rerun")
 BUSY = "another thread is in step() or reset() of this environment; one thread at a time, or an environment for each"
 _EXIT_TIMEOUT_S = 1.0
-"""How long after its last message a killed process may take to end."""
+"""Time that a killed process may take to end after its last message."""
 
 
 @dataclass(frozen=True)
 class _Target:
-    """Where the node is, and how to control it."""
+    """Address of the node, and the way to control it."""
 
     endpoint: str
     node: str

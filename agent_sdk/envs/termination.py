@@ -78,7 +78,7 @@ class TerminationLimits:
 
 
 class _LimitCheck(NamedTuple):
-    """Of one limit's points: values, seconds outside so far, and whether that violates the limit."""
+    """State of one limit's points: values, seconds outside so far, and whether that violates the limit."""
 
     values: Floats
     outside_s: Floats

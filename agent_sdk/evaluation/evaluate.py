@@ -20,7 +20,7 @@ from agent_sdk.envs.building_env import BuildingEnv
 from agent_sdk.evaluation.metrics import EpisodeMetrics, MetricsAccumulator
 from agent_sdk.evaluation.statistics import MetricSummary, summarize
 from agent_sdk.evaluation.tariffs import Rate, read_emissions, read_prices
-from agent_sdk.evaluation.trace import Recording, TraceRecorder, WeatherTrace, episode_weather
+from agent_sdk.evaluation.trace import ControllerTrace, TraceRecorder, WeatherTrace, episode_weather
 from topics.errors import InvalidAction, InvalidConfig, UsageError, did_you_mean
 from topics.keys import safe_name
 from topics.messages import Manifest
@@ -94,14 +94,14 @@ class Evaluation:
         rows: records by controller, then by episode.
         sources: by metric, the point or reward that it is derived from.
         unfit: by controller that was skipped since it does not fit the scenario, the reason.
-        recordings: by controller, what reports show; empty unless `evaluate` was called with `record`.
-        scenario: the scenario as the text of a scenario file (YAML); only with `record`.
+        traces: by controller, samples and weather for reports; empty unless `evaluate` was called with `trace=True`.
+        scenario: the scenario as the text of a scenario file (YAML); only with `trace=True`.
     """
 
     rows: tuple[EpisodeRecord, ...]
     sources: dict[str, str]
     unfit: dict[str, str] = field(default_factory=dict)
-    recordings: dict[str, Recording] = field(default_factory=dict)
+    traces: dict[str, ControllerTrace] = field(default_factory=dict)
     scenario: str = ""
 
     def table(self) -> list[dict[str, Any]]:
@@ -121,24 +121,24 @@ class Evaluation:
             command: the command line that repeats the evaluation, for the report.
 
         Raises:
-            InvalidConfig: `evaluate` was called without `record`.
+            InvalidConfig: `evaluate` was called without `trace=True`.
         """
         from agent_sdk.report import Comparison, Run
 
-        if not self.recordings:
-            raise InvalidConfig("a report needs recorded episodes: call evaluate(..., record=True)")
+        if not self.traces:
+            raise InvalidConfig("a report needs the samples of episodes: call evaluate(..., trace=True)")
         runs = []
-        for name, recording in self.recordings.items():
+        for name, traced in self.traces.items():
             rows = [row for row in self.rows if row.controller == name]
             runs.append(
                 Run(
                     name=name,
                     results=tuple(row.result for row in rows),
-                    trace=recording.trace,
+                    trace=traced.trace,
                     seeds=tuple(row.seed for row in rows),
                     weather_names=tuple(row.weather for row in rows),
-                    weathers=recording.weathers,
-                    reward=recording.reward,
+                    weathers=traced.weathers,
+                    reward=traced.reward,
                 )
             )
         return Comparison(tuple(runs), self.scenario, command, self.unfit, self.sources)
@@ -147,7 +147,7 @@ class Evaluation:
         """Write a report as one HTML file; see `comparison`, and `agent_sdk.report` for the figures as files.
 
         Raises:
-            InvalidConfig: `evaluate` was called without `record`; no .html file, no such folder, or no Matplotlib.
+            InvalidConfig: `evaluate` was called without `trace=True`; no .html file, no such folder, or no Matplotlib.
         """
         from agent_sdk.report import write_report
 
@@ -175,8 +175,8 @@ def evaluate(
     prices: Mapping[str, Rate] | None = None,
     emissions: Mapping[str, Rate] | None = None,
     progress: Progress | None = None,
-    record: bool = False,
-    record_dir: str | Path | None = None,
+    trace: bool = False,
+    record: str | Path | None = None,
     **overrides: Any,
 ) -> Evaluation:
     """Run controllers one after another through the same episodes.
@@ -198,9 +198,9 @@ def evaluate(
             `agent_sdk.time_series`.
         emissions: emission factors for the KPI of emissions, in the same forms; numbers are in kg CO2 per kWh.
         progress: callback for each timestep.
-        record: record the first episode of each controller, with the points that reports show besides those of the
-            scenario (`monitoring`), which no controller observes; see `Evaluation.report`.
-        record_dir: folder for a recording (`.mcap`) of each controller's node, which has the controller's name.
+        trace: keep the samples of the first episode of each controller, with the points that reports show besides
+            those of the scenario (`monitoring`), which no controller observes; see `Evaluation.report`.
+        record: folder for a recording (`.mcap`) of each controller's node, which has the controller's name.
         overrides: arguments of `BuildingEnv` that override those of the scenario.
 
     Raises:
@@ -209,9 +209,9 @@ def evaluate(
     if episodes < 1 or seed < 0:
         raise InvalidConfig(f"episodes={episodes}, seed={seed}: expected at least one episode and a seed of at least 0")
     settings = {**of_scenario(scenario), **overrides}
-    if record_dir is not None:
-        settings["record"] = record_dir
-    if record and not {"connect", "link"} & settings.keys():  # a node that runs elsewhere has what it has
+    if record is not None:
+        settings["record"] = record
+    if trace and not {"connect", "link"} & settings.keys():  # a node that runs elsewhere has what it has
         settings.setdefault("monitoring", True)
     prices, emissions = read_prices(prices), read_emissions(emissions)
     factories = _factories(controllers)
@@ -220,7 +220,7 @@ def evaluate(
     sources: dict[str, str] = {}
     created: dict[str, ControllerProtocol] = {}
     unfit: dict[str, UsageError] = {}
-    recordings: dict[str, Recording] = {}
+    traces: dict[str, ControllerTrace] = {}
     text = ""
     for name in sorted(factories, key=lambda key: _is_baseline(factories[key])):
         is_baseline = _is_baseline(factories[name])
@@ -231,12 +231,12 @@ def evaluate(
                 created |= _create_controllers(alike, env.manifest, arguments, unfit)
             if name not in unfit:
                 try:
-                    seeds, recorder = range(seed, seed + episodes), TraceRecorder(env.manifest) if record else None
+                    seeds, recorder = range(seed, seed + episodes), TraceRecorder(env.manifest) if trace else None
                     run = partial(run_episode, env, prices=prices, emissions=emissions)
                     rows[name], weathers = _run_episodes(name, created[name], run, env, seeds, progress, recorder)
                     if recorder is not None:
                         source_names = {getattr(env.link, "name", ""): name}
-                        recordings[name] = Recording(recorder.trace(source_names), weathers, env.reward)
+                        traces[name] = ControllerTrace(recorder.trace(source_names), weathers, env.reward)
                         text = _scenario_text(env) if not (text and is_baseline) else text
                 except InvalidAction as error:
                     unfit[name] = error
@@ -244,10 +244,10 @@ def evaluate(
     if not rows:
         raise next(iter(unfit.values()))
     reasons = {name: str(unfit[name]) for name in factories if name in unfit}
-    in_order = sorted(recordings, key=lambda key: (not _is_baseline(factories[key]), list(factories).index(key)))
+    in_order = sorted(traces, key=lambda key: (not _is_baseline(factories[key]), list(factories).index(key)))
     return Evaluation(
         tuple(row for name in factories for row in rows.get(name, ())), sources, reasons,
-        {name: recordings[name] for name in in_order}, text,
+        {name: traces[name] for name in in_order}, text,
     )  # fmt: skip
 
 
@@ -288,7 +288,7 @@ def _run_episodes(
     progress: Progress | None,
     recorder: TraceRecorder | None,
 ) -> tuple[list[EpisodeRecord], tuple[WeatherTrace | None, ...]]:
-    """Run the episodes of a controller; record the samples of the first one, and the weather of all."""
+    """Run the episodes of a controller; trace the samples of the first one, and the weather of all."""
     agent, steps = Agent(controller), env.manifest.steps
     rows, weathers = [], []
     for number, seed in enumerate(seeds):

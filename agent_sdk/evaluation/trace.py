@@ -150,8 +150,8 @@ class TraceRecorder:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Recording:
-    """What is recorded of a controller's episodes besides their metrics.
+class ControllerTrace:
+    """Samples and weather of a controller's episodes, besides their metrics.
 
     Attributes:
         trace: samples of the first episode.

@@ -53,8 +53,8 @@ class Curve:
         held: Whether a value is valid for the whole timestep, so that it is drawn as steps.
         dash: matplotlib's line style.
         width: Line width in points.
-        lane: For one of several curves above each other: its axis from 0 to 1 is this lane's; else None.
-        range: Lowest and highest value of a curve in a lane.
+        row: For one of several curves drawn one above the other: its row, counted from the top; else None.
+        range: Lowest and highest value of a curve in a row.
         unit: Unit in the legend, where it is not the panel's.
     """
 
@@ -64,16 +64,16 @@ class Curve:
     held: bool = False
     dash: Dash = "-"
     width: float = 1.4
-    lane: int | None = None
+    row: int | None = None
     range: tuple[float, float] = (0.0, 1.0)
     unit: str = ""
 
     def plotted(self, values: Floats) -> Floats:
         """Return the values on the panel's axis."""
-        if self.lane is None:
+        if self.row is None:
             return values
         low, high = self.range
-        return -self.lane - 0.9 + 0.8 * (values - low) / max(high - low, 1e-12)
+        return -self.row - 0.9 + 0.8 * (values - low) / max(high - low, 1e-12)
 
 
 @dataclass
@@ -133,9 +133,9 @@ class Panel:
         return 1 + len(self.spreads) + len(self.curves) + len(self.notes)
 
     @property
-    def has_lanes(self) -> bool:
-        """Whether each curve has a lane of its own instead of a common axis."""
-        return bool(self.curves) and self.curves[0].lane is not None
+    def has_rows(self) -> bool:
+        """Whether each curve has a row of its own instead of a common axis."""
+        return bool(self.curves) and self.curves[0].row is not None
 
     def attach(self, figure: Any, top: float, height: float) -> None:
         """Create the plot in a figure, `top` pixels from its upper edge."""
@@ -206,7 +206,7 @@ class Panel:
         most = max(3, int(self.height // _TICK_PX))
         bottom, top = -float(len(self.curves)), 0.0
         self._ticks = list[float]()
-        if not self.has_lanes:
+        if not self.has_rows:
             bottom, top, self._ticks = round_scale(low, high, self.min_span, most, from_zero=self.from_zero)
         self.axes.set(xlim=window.limits, ylim=(bottom, top))
         self._tick_y = [self.top + self.height * (top - tick) / (top - bottom) for tick in self._ticks]

@@ -139,7 +139,7 @@ class FrameQuantities:
         curves = [
             Curve(
                 _common_label(discrete.actions), PALETTE[i % len(PALETTE)], _action(i), held=True,
-                lane=None if is_single else i, range=(0.0, len(discrete.values) - 1.0),
+                row=None if is_single else i, range=(0.0, len(discrete.values) - 1.0),
             )
             for i, discrete in enumerate(dimensions)
         ]  # fmt: skip
@@ -168,10 +168,10 @@ class FrameQuantities:
         return Curve(label(action.name), color, _action(index), held=True, dash=dash)
 
     def _scaled_actions(self, actions: Sequence[Action]) -> Panel:
-        """Create one panel for actions of several units: a lane for each or, of many, the share of their ranges."""
+        """Create one panel for actions of several units: a row for each or, of many, the share of their ranges."""
         curves = [
             Curve(
-                label(action.name), PALETTE[i % len(PALETTE)], _action(i), held=True, lane=i,
+                label(action.name), PALETTE[i % len(PALETTE)], _action(i), held=True, row=i,
                 range=_range(action), unit=unit_label(action.unit),
             )
             for i, action in enumerate(actions)

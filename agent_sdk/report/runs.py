@@ -1,4 +1,4 @@
-"""What a report is made of: controllers, their episodes and where they come from."""
+"""Content of a report: controllers, their episodes and the origin of these."""
 
 from __future__ import annotations
 

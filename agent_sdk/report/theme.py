@@ -20,7 +20,7 @@ DARK = {
     "series-1": "#9ba7b5", "series-2": "#5aa9f5", "series-3": "#f0894a", "series-4": "#4fbf88", "series-5": "#b98cec",
     "series-6": "#d3a83a", "warm": "#f0824e", "cool": "#6ba4f2", "solar": "#d9a83c", "occupied": "#272c1e",
 }  # fmt: skip
-"""The same on dark pages."""
+"""Colors on dark pages."""
 
 SERIES = tuple(LIGHT[f"series-{number}"] for number in range(1, 7))
 DASHES: tuple[Any, ...] = ("solid", "solid", (0, (5, 2)), (0, (1, 1.4)), (0, (6, 2, 1, 2)), (0, (3, 1.5)))

@@ -10,7 +10,7 @@ from topics.errors import EngineDied
 UNRESPONSIVE_S = 10.0
 """Default time after which an engine that neither answers nor uses processor time is killed."""
 _CLOSING_UNRESPONSIVE_S = 1.0
-"""The same limit once the node is ending."""
+"""Time limit while the node is ending."""
 
 
 class Interruptible(Protocol):

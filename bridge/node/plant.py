@@ -78,7 +78,7 @@ class Site:
 
 @dataclass(frozen=True, slots=True)
 class Provenance:
-    """What creates the same plant again.
+    """Origin of a plant: all that is needed to create it again.
 
     Attributes:
         kind: which program can: `energyplus`, `python`; empty: none.

@@ -51,7 +51,7 @@ class RecordedItem(NamedTuple):
 
 @dataclass(slots=True)
 class RecordingEnd:
-    """How a recording ends, known once it has been read to its end.
+    """End of a recording, known once it has been read to its end.
 
     Attributes:
         is_complete: whether the recorder completed the file.

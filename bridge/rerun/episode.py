@@ -36,7 +36,7 @@ MAX_TIMELINE_DAYS = 14.5
 
 @dataclass(frozen=True, eq=False)
 class NodeModel:
-    """What all episodes of a node share.
+    """Properties that all episodes of a node share.
 
     Attributes:
         manifest: of the node.

@@ -39,7 +39,7 @@ DRAW_PERIOD_S = 2.0
 """Shortest interval between two layouts, and between two images of a carpet, for a viewer."""
 
 FILE_DRAW_PERIOD_S = 60.0
-"""The same for a file, of which mostly the last ones are seen; a layout takes half a megabyte."""
+"""The limit for a file, of which mostly the last ones are seen; a layout takes half a megabyte."""
 
 _OVERVIEW_PERIOD_S = 0.5
 _VERSION_CHUNK = 1

@@ -25,7 +25,7 @@ NO_VULKAN = (
 )
 NO_DISPLAY = "a window needs a display, and neither DISPLAY nor WAYLAND_DISPLAY is set"
 _DRIVERS = ("/usr/share/vulkan/icd.d", "/usr/local/share/vulkan/icd.d", "/etc/vulkan/icd.d")
-"""Where the Vulkan loader searches for drivers, besides its environment variables."""
+"""Folders in which the Vulkan loader searches for drivers, besides its environment variables."""
 _NO_ADAPTER = ("render context", "graphics adapter", "wgpu")
 """Words of the message with which a viewer without a Vulkan driver ends."""
 

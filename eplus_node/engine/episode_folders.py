@@ -17,7 +17,7 @@ from topics.errors import EngineDied, ForkFailed
 
 
 class EpisodeFolders:
-    """Where the engines of one slot read and write.
+    """Folders in which the engines of one slot read and write.
 
     Args:
         plan: of the node.

@@ -257,5 +257,5 @@ def test_figures_need_a_folder(comparison: Comparison, tmp_path: Path) -> None:
 
 
 def test_an_evaluation_without_recordings_has_no_report(tmp_path: Path) -> None:
-    with pytest.raises(InvalidConfig, match="record=True"):
+    with pytest.raises(InvalidConfig, match="trace=True"):
         Evaluation((), {}).report(tmp_path / "a.html")

@@ -220,11 +220,11 @@ def test_a_plant_that_cannot_be_created_again_is_refused(walk: Path) -> None:
 def test_an_evaluation_has_a_recording_per_controller(walk: Path) -> None:
     folder = walk.parent / "runs"
     settings = {"plant": f"{walk.with_name('walk.py')}:Walk", "reward": None}
-    evaluate(settings, {"first": "random", "second": "random"}, episodes=2, record_dir=folder)
+    evaluate(settings, {"first": "random", "second": "random"}, episodes=2, record=folder)
     files = sorted(folder.iterdir())
     assert [file.name.partition("-")[0] for file in files] == ["first", "second"]
     loaded = [recording.load(file) for file in files]
     assert [run_.manifest.node for run_ in loaded] == ["first", "second"]
     assert [[len(e) for e in run_.episodes if e.seed is not None] for run_ in loaded] == [[11, 11], [11, 11]]
     with pytest.raises(InvalidConfig, match="name a folder"):
-        evaluate(settings, ["random"], record_dir=folder / "run.mcap")
+        evaluate(settings, ["random"], record=folder / "run.mcap")

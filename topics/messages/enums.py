@@ -6,7 +6,7 @@ from enum import IntEnum, IntFlag, StrEnum
 
 
 class Aggregation(StrEnum):
-    """How a sensor's value relates to its timestep.
+    """Relation of a sensor's value to its timestep.
 
     `MEAN` and `SUM` are the values that EnergyPlus reports for the timestep: the time-weighted mean, or the sum, over
     its system timesteps. `INSTANT` is the state at the end of the timestep.
@@ -18,7 +18,7 @@ class Aggregation(StrEnum):
 
 
 class Mode(StrEnum):
-    """What determines the pace of simulated time.
+    """Pacing of simulated time.
 
     `LOCKSTEP`: each timestep waits for the required controllers. `PACED`: simulated time follows the wall clock at a
     multiple of its speed; the last commands stay in effect. `FREE`: the simulation runs as fast as it can.
@@ -75,7 +75,7 @@ class ControllerState(StrEnum):
 
 
 class EngineStart(StrEnum):
-    """How an episode's engine reached its first sample.
+    """Way in which an episode's engine reached its first sample.
 
     `REUSED`: it was already waiting at sample 0, unused. `FORKED`: it was forked from an engine that waits at sample 0.
     `PREFETCHED`: it was started while the previous episode ran. `STARTED`: it was newly started. `SNAPSHOT`: it was

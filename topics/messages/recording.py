@@ -11,7 +11,7 @@ from topics.messages.base import Count, Message, SourceName
 
 
 class OnFull(StrEnum):
-    """What a node does when its recording cannot be written as fast as it simulates.
+    """Response of a node when its recording cannot be written as fast as it simulates.
 
     `WAIT`: the next step waits until there is room in the buffer. `STOP`: the recording ends, and the node continues.
     """

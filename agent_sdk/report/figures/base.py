@@ -1,4 +1,4 @@
-"""What figures share: their data, axes over time, legends."""
+"""Common parts of figures: data, axes over time, legends."""
 
 from __future__ import annotations
 

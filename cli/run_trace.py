@@ -1,4 +1,4 @@
-"""Record what a controller on the bus does, for the report of `zenostat run`."""
+"""Trace of a controller on the bus, for the report of `zenostat run`."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from agent_sdk.report import Comparison, Run
 from topics.points import value_index
 
 
-class RunRecording:
-    """Records what a controller on the bus does, and the baseline that the node runs beside it, for a report.
+class RunTrace:
+    """Samples of a controller on the bus, and of the baseline that the node runs beside it, for a report.
 
     Args:
         bus: the bus of the node.
