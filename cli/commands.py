@@ -23,6 +23,7 @@ from cli import (
     node,
     pace,
     points,
+    priorities,
     probe,
     read,
     record,
@@ -41,7 +42,7 @@ from topics import VERSION
 
 _GROUPS: dict[str, tuple[Callable[..., None] | typer.Typer, ...]] = {
     "Simulate and control": (demo.demo, node.node, run.run, evaluate.evaluate, probe.probe),
-    "Watch a bus": (status.status, monitor.monitor, view.view, watch.watch, read.read),
+    "Watch a bus": (status.status, monitor.monitor, view.view, watch.watch, read.read, priorities.priorities),
     "Operate a running node": (
         write.write, write.relinquish, lifecycle.reset, pace.pause, pace.resume, pace.step, pace.pace, pace.faults,
         lifecycle.stop,

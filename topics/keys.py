@@ -26,6 +26,7 @@ from topics.messages import (
     Message,
     Pause,
     PointValue,
+    PriorityArrays,
     Query,
     RecordingStatus,
     Reset,
@@ -110,6 +111,7 @@ STATUS = Topic("rpc/status", Role.ANYONE, Query, Delivery.QUERY, reply=Status)
 SCENARIO = Topic("rpc/scenario", Role.ANYONE, Query, Delivery.QUERY, reply=ScenarioText)
 WEATHER = Topic("rpc/weather", Role.ANYONE, WeatherQuery, Delivery.QUERY, reply=WeatherSeries)
 GEOMETRY = Topic("rpc/geometry", Role.ANYONE, Query, Delivery.QUERY, reply=Geometry)
+PRIORITIES = Topic("rpc/priorities", Role.ANYONE, Query, Delivery.QUERY, reply=PriorityArrays)
 NODE_TOKEN = Topic("@live/node/{name}", Role.NODE, None, Delivery.TOKEN)
 CONTROLLER_TOKEN = Topic("@live/controller/{name}", Role.CONTROLLER, None, Delivery.TOKEN)
 
@@ -141,6 +143,7 @@ TOPICS = (
     SCENARIO,
     WEATHER,
     GEOMETRY,
+    PRIORITIES,
     NODE_TOKEN,
     CONTROLLER_TOKEN,
 )

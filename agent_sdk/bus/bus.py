@@ -21,7 +21,10 @@ from zenoh import QueryTarget
 from agent_sdk.bus import fork_guard
 from agent_sdk.bus.controller_link import ControllerLink
 from agent_sdk.bus.listener import listen
-from agent_sdk.bus.recording_requests import M, RecordingRequests
+from agent_sdk.bus.pace_requests import PaceRequests
+from agent_sdk.bus.priorities import PriorityRequests
+from agent_sdk.bus.recording_requests import RecordingRequests
+from agent_sdk.bus.requests import M, build
 from agent_sdk.bus.sample import SampleView
 from bridge.runtime import affinity
 from bridge.runtime.affinity import Affinity
@@ -51,17 +54,12 @@ from topics.messages import (
     Geometry,
     Manifest,
     Message,
-    Mode,
-    Pause,
     Query,
     Reset,
-    Resume,
     Sample,
     ScenarioText,
-    SetPace,
     SnapshotTaken,
     Status,
-    StepRequest,
     Stop,
     TakeSnapshot,
     WeatherQuery,
@@ -105,15 +103,7 @@ def connect(
     return Bus(endpoint, session, Affinity(affinity), role if keys else None)
 
 
-def _build(message_type: type[M], **fields: Any) -> M:
-    """Build a message; `InvalidConfig` lists all invalid fields."""
-    try:
-        return message_type(**fields)
-    except ValidationError as error:
-        raise InvalidConfig(codec.describe_validation_errors(error, message_type.model_fields)) from None
-
-
-class Bus(RecordingRequests):
+class Bus(PaceRequests, PriorityRequests, RecordingRequests):
     """A connection to all nodes that are reachable through one endpoint.
 
     Attributes:
@@ -181,38 +171,6 @@ class Bus(RecordingRequests):
         """Stop a node."""
         self._ask(keys.STOP, node, Stop(), Ack)
 
-    def pace(self, node: str, speed: float | None = None, *, mode: Mode | str = Mode.PACED, source: str = "") -> None:
-        """Set a node's mode: what decides when it simulates the next timestep.
-
-        Args:
-            node: The node's name.
-            speed: Simulated seconds per second, above 0 and at most 1e9; only with `paced`.
-            mode: `lockstep` (required controllers), `paced` (the wall clock) or `free` (nothing; full speed).
-            source: Name of the requester, for the event that reports the change.
-
-        Raises:
-            InvalidConfig: Unknown mode, or speed out of range.
-            RequestRejected: `paced` without a speed, or another mode with one.
-        """
-        self._ask(keys.PACE, node, _build(SetPace, mode=mode, speed=speed, source=source), Ack)
-
-    def pause(self, node: str, *, source: str = "") -> None:
-        """Pause a node, in any mode; return once it is paused."""
-        self._ask(keys.PAUSE, node, _build(Pause, source=source), Ack)
-
-    def resume(self, node: str, *, source: str = "") -> None:
-        """Resume a paused node from its current timestep; it does not catch up."""
-        self._ask(keys.RESUME, node, _build(Resume, source=source), Ack)
-
-    def step(self, node: str, steps: int = 1, *, source: str = "") -> None:
-        """Let a paused node simulate some timesteps: in lockstep as soon as they are answered, else at once.
-
-        Raises:
-            InvalidConfig: `steps` is not from 1 to 1,000,000.
-            RequestRejected: The node is not paused.
-        """
-        self._ask(keys.STEP, node, _build(StepRequest, steps=steps, source=source), Ack)
-
     def faults(self, node: str, plan: FaultPlan | Mapping[str, Any] | Path | None) -> None:
         """Replace the faults that a node injects; None stops all injection.
 
@@ -228,7 +186,7 @@ class Bus(RecordingRequests):
 
             plan = read_plan(plan)
         if not isinstance(plan, FaultPlan):
-            plan = _build(FaultPlan, **(plan or {}))
+            plan = build(FaultPlan, **(plan or {}))
         self._ask(keys.FAULTS, node, plan, Ack)
 
     def latest(self, node: str) -> Sample:

@@ -1,21 +1,15 @@
-"""The part of the client of a bus that starts and ends recordings."""
+"""Requests about the recording of a node."""
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from pathlib import Path
-from typing import TypeVar
 
-from pydantic import ValidationError
-
-from topics import codec, keys
-from topics.errors import InvalidConfig
-from topics.messages import Message, OnFull, RecordingStatus, StartRecording, StopRecording
-
-M = TypeVar("M", bound=Message)
+from agent_sdk.bus.requests import Requests, build
+from topics import keys
+from topics.messages import OnFull, RecordingStatus, StartRecording, StopRecording
 
 
-class RecordingRequests:
+class RecordingRequests(Requests):
     """Base class of `Bus`: requests about the recording of a node."""
 
     def record(
@@ -42,11 +36,7 @@ class RecordingRequests:
             InvalidConfig: The file exists or cannot be created, or `on_full` is neither.
             RequestRejected: The node is recording already, or the path is relative.
         """
-        try:
-            fields = {"path": str(path), "now": now, "overwrite": overwrite, "on_full": on_full, "source": source}
-            request = StartRecording.model_validate(fields)
-        except ValidationError as error:
-            raise InvalidConfig(codec.describe_validation_errors(error)) from None
+        request = build(StartRecording, path=str(path), now=now, overwrite=overwrite, on_full=on_full, source=source)
         return self._ask(keys.RECORD, node, request, RecordingStatus)
 
     def stop_recording(self, node: str, *, source: str = "") -> RecordingStatus:
@@ -56,7 +46,3 @@ class RecordingRequests:
             RequestRejected: The node is not recording.
         """
         return self._ask(keys.STOP_RECORDING, node, StopRecording(source=source), RecordingStatus)
-
-    @abstractmethod
-    def _ask(self, topic: keys.Topic, node: str, request: Message | None, reply_type: type[M], *, name: str = "") -> M:
-        """Send a request and return its reply."""

@@ -140,6 +140,15 @@ class PriorityArray:
         where[:, actuator] = True
         self.put(priority, source, np.full(self.shape, value), where)
 
+    def table(self) -> tuple[NDArray[np.float64], NDArray[np.uint16]]:
+        """Return all values, NaN where relinquished, and their sources, each of shape (slots, actuators, 16)."""
+        values, sources = np.full((*self.shape, PRIORITIES), np.nan), np.zeros((*self.shape, PRIORITIES), np.uint16)
+        for priority, row in self._rows.items():
+            values[..., priority - 1] = np.frombuffer(row.values).reshape(self.shape)
+            sources[..., priority - 1] = np.frombuffer(row.sources, INDEX).reshape(self.shape)
+        sources[np.isnan(values)] = 0
+        return values, sources
+
     def resolve(self) -> tuple[bytes, bytes]:
         """Return the values in effect (float64, NaN under baseline control) and their sources' indices (uint16)."""
         rows = self._rows

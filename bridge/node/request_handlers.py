@@ -26,6 +26,7 @@ from topics.messages import (
     Geometry,
     Manifest,
     Message,
+    PriorityArrays,
     Query,
     ScenarioText,
     Status,
@@ -64,6 +65,7 @@ class RequestHandlers:
         subscriptions.request_undecoded(keys.COMMAND_REQUEST, self._request_command)
         subscriptions.request_undecoded(keys.WRITE_REQUEST, self._request_write)
         subscriptions.request(keys.WEATHER, WeatherQuery, self._weather)
+        subscriptions.request(keys.PRIORITIES, Query, self._priorities)
         subscriptions.request(keys.STOP, Stop, self._stop, on_receipt=server.on_stop)
         subscriptions.request(keys.FAULTS, FaultPlan, self._set_faults)
 
@@ -154,6 +156,17 @@ class RequestHandlers:
             units=units,
             step_s=step_s,
             values=np.ascontiguousarray(values, "<f8").tobytes(),
+        )
+
+    def _priorities(self, _: Query) -> Message:
+        exchange = self._server.exchange
+        values, source_index = exchange.commands.array.table()
+        return PriorityArrays(
+            episode=exchange.episode,
+            step=exchange.step,
+            values=values.astype("<f8").tobytes(),
+            source_index=source_index.astype("<u2").tobytes(),
+            sources=exchange.source_names,
         )
 
     def _stop(self, _: Stop) -> Message:

@@ -84,7 +84,7 @@ class Request:
             return
         payload, encoding = codec.encode(reply), codec.encoding(type(reply))
         recorder = self._subscriptions.recorder
-        if recorder is not None and is_recorded and self._topic is not keys.WEATHER:  # which only reads
+        if recorder is not None and is_recorded and self._topic.sender is not keys.Role.ANYONE:  # those only read
             recorder.request(self._topic, self.name, self.payload, self.encoding, payload, encoding)
         with query:
             query.reply(self._key, payload, encoding=zenoh.Encoding(encoding))

@@ -70,6 +70,16 @@ class Model(RuleBasedStateMachine):
         self.model = [{} for _ in self.model]
 
     @invariant()
+    def the_table_has_each_value_at_its_priority(self) -> None:
+        if hasattr(self, "array"):
+            values, sources = self.array.table()
+            assert values.shape == sources.shape == (SLOTS, ACTUATORS, PRIORITIES)
+            for cell, entries in enumerate(self.model):
+                row, by = values.reshape(-1, PRIORITIES)[cell], sources.reshape(-1, PRIORITIES)[cell]
+                shown = {p + 1: (row[p], self.array.names[by[p]]) for p in range(PRIORITIES) if not np.isnan(row[p])}
+                assert shown == entries
+
+    @invariant()
     def the_lowest_occupied_level_rules(self) -> None:
         if hasattr(self, "array"):
             expected = [cell[min(cell)] if cell else (None, BASELINE_SOURCE) for cell in self.model]

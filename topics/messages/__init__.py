@@ -2,7 +2,7 @@
 
 Messages are frozen and reject unknown fields, NaN and infinities: a message that exists is valid. Arrays are sent as
 raw little-endian float64 (`values`, `effective`), uint16 (`source_index`) or uint8 (`operations`) bytes in C order,
-with the shape `(slots, points)` and in the manifest's order. `Geometry` describes its own arrays.
+with the shape `(slots, points)` and in the manifest's order. `Geometry` and `PriorityArrays` describe their own.
 """
 
 from __future__ import annotations
@@ -68,6 +68,7 @@ from topics.messages.requests import (
     EpisodeStart,
     ErrorReply,
     Pause,
+    PriorityArrays,
     Query,
     Reset,
     Resume,
@@ -134,6 +135,7 @@ __all__ = [
     "PointValue",
     "Policy",
     "Priority",
+    "PriorityArrays",
     "Query",
     "Raw",
     "RecordingState",

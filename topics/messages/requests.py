@@ -133,8 +133,26 @@ class ScenarioText(Message):
     text: str
 
 
+class PriorityArrays(Message):
+    """The priority array of each actuator, in manifest order, as it is before the next timestep.
+
+    `values` is raw, of shape (slots, actuators, 16): element p - 1 is the value at priority p, NaN where it is
+    relinquished (BACnet: Null). `source_index`, of the same shape, has the source of each value, an index into
+    `sources`; it is 0 where a value is relinquished.
+    """
+
+    episode: list[Count]
+    step: list[Count]
+    values: bytes
+    source_index: bytes
+    sources: list[str]
+
+
 class Query(Message):
-    """Query of a node's status, scenario or geometry. `memory`: include each process's private memory in the status."""
+    """Query of a node's status, scenario, geometry or priority arrays.
+
+    `memory`: include each process's private memory in the status.
+    """
 
     memory: bool = False
 

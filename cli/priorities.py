@@ -1,0 +1,57 @@
+"""`zenostat priorities`: the priority arrays of a node's actuators."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from bridge.transport.session import default_endpoint
+from cli.options import CertificateName, Connect, Keys
+from cli.tables import show, show_json
+from topics.keys import Role
+from topics.points import actuator_index
+from topics.units import unit_label
+
+
+def priorities(
+    node: Annotated[str, typer.Argument(help="Name of the node.")],
+    actuators: Annotated[list[str] | None, typer.Argument(help="Names of actuators. Default: all in use.")] = None,
+    slot: Annotated[int, typer.Option(min=0, help="Slot of a node with several engines.")] = 0,
+    connect: Connect = None,
+    keys: Keys = None,
+    certificate: CertificateName = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Show who has commanded which actuator at which priority; the first line of an actuator is in effect.
+
+    With keys, it uses the monitor role.
+
+    Example: `zenostat priorities office core_zn_cooling_setpoint`
+    """
+    from agent_sdk import connect as connect_bus
+
+    connect = connect or default_endpoint(keys)
+    with connect_bus(connect, keys=keys, role=Role.MONITOR, certificate=certificate) as bus:
+        manifest = bus.manifest(node)
+        actuator_index(manifest.actuators).require(actuators or [])
+        arrays = bus.priorities(node, slot=slot)
+    rows = [
+        (actuator, priority, entry)
+        for actuator in manifest.actuators
+        if not actuators or actuator.name in actuators
+        for priority, entry in enumerate(arrays[actuator.name], 1)
+        if entry.value is not None
+    ]
+    if as_json:
+        show_json(
+            [
+                {"actuator": a.name, "priority": priority, "value": entry.value, "unit": a.unit, "source": entry.source}
+                for a, priority, entry in rows
+            ]
+        )
+        return
+    columns = ("actuator", "priority", "value", "unit", "source")
+    cells = [(a.name, str(p), f"{e.value:.6g}", unit_label(a.unit), e.source or "") for a, p, e in rows]
+    title = f"{node}: commands by priority" if rows else f"{node}: baseline control has all of these actuators"
+    show(title, columns, cells, right=("priority", "value"), wrap=("actuator", "source"))
