@@ -18,7 +18,8 @@ LAYERS = {
     "bridge": {"topics"},
     "eplus_node": {"topics", "models", "bridge"},
     "agent_sdk": {"topics", "bridge"},
-    "cli": {"topics", "models", "bridge", "eplus_node", "agent_sdk"},
+    "bridge.gateways": {"topics", "bridge", "agent_sdk"},
+    "cli": {"topics", "models", "bridge", "bridge.gateways", "eplus_node", "agent_sdk"},
 }
 # Only these packages import the simulator itself.
 SIMULATORS = {"pyenergyplus": {"models", "eplus_node"}}
@@ -53,22 +54,28 @@ def imported(tree: ast.Module) -> list[tuple[int, str, bool]]:
     return modules
 
 
+def layer(module: str) -> str:
+    """Layer of a module: its package, or the gateways, which are clients of the bus."""
+    names = module.split(".")
+    return ".".join(names[:2]) if ".".join(names[:2]) in LAYERS else names[0]
+
+
 def may_import(package: str, other: str) -> bool:
-    """Whether a package may import another one, or a simulator."""
+    """Whether a layer may import another one, or a simulator."""
     return package in SIMULATORS[other] if other in SIMULATORS else other == package or other in LAYERS[package]
 
 
 def main(root: Path = ROOT) -> int:
     """Print each fault; the exit code says whether there is any."""
     faults, graph = [], {}
-    paths = [path for package in LAYERS for path in sorted((root / package).rglob("*.py"))]
+    paths = [path for package in LAYERS if "." not in package for path in sorted((root / package).rglob("*.py"))]
     modules = {".".join(path.relative_to(root).with_suffix("").parts).removesuffix(".__init__"): path for path in paths}
     for module, path in modules.items():
         text = path.read_text(encoding="utf-8")
         faults += vague_names(path.relative_to(root), text)
-        package, needs = module.split(".")[0], set()
+        package, needs = layer(module), set()
         for line, name, at_import in imported(ast.parse(text)):
-            if not may_import(package, name.split(".")[0]):
+            if not may_import(package, layer(name)):
                 faults.append(f"{path.relative_to(root)}:{line}: {package} must not import {name}")
             if at_import and name in modules and name != module:
                 needs.add(name)

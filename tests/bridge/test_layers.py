@@ -29,6 +29,9 @@ def test_this_source_passes(check: dict[str, Any]) -> None:
         ("bridge/a.py", "from models.scenario import schema\n", "1: bridge must not import models.scenario"),
         ("bridge/a.py", "def f():\n    from eplus_node import node\n", "2: bridge must not import eplus_node"),
         ("bridge/b/c.py", "def f():\n    import pyenergyplus.api\n", "2: bridge must not import pyenergyplus.api"),
+        ("bridge/a.py", "import bridge.gateways.x\n", "1: bridge must not import bridge.gateways.x"),
+        ("bridge/gateways/x.py", "import models\n", "1: bridge.gateways must not import models"),
+        ("agent_sdk/a.py", "from bridge.gateways import x\n", "1: agent_sdk must not import bridge.gateways"),
         ("agent_sdk/a.py", "class A:\n    import models\n", "2: agent_sdk must not import models"),
         ("agent_sdk/a.py", "from pyenergyplus.api import API\n", "1: agent_sdk must not import pyenergyplus.api"),
         ("topics/a.py", "if True:\n    import bridge.node\n", "2: topics must not import bridge.node"),
@@ -47,9 +50,10 @@ def test_allowed_imports_are_no_faults(check: dict[str, Any], tmp_path: Path) ->
     for path, text in (
         ("bridge/a.py", "import topics\nimport bridge.node\nimport json\n"),
         ("eplus_node/a.py", "from bridge import node\nfrom models import cache\nimport pyenergyplus.api\n"),
-        ("cli/a.py", "def f():\n    import agent_sdk\n"),
+        ("bridge/gateways/x/a.py", "import agent_sdk\nimport bridge.node\nfrom bridge.gateways import bus_side\n"),
+        ("cli/a.py", "def f():\n    import agent_sdk\n    import bridge.gateways.x\n"),
     ):
-        (tmp_path / path).parent.mkdir(exist_ok=True)
+        (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / path).write_text(text)
     assert check["main"](tmp_path) == 0
 
@@ -58,11 +62,14 @@ def test_allowed_imports_are_no_faults(check: dict[str, Any], tmp_path: Path) ->
 def test_all_modules_of_bridge_load_without_models_and_energyplus() -> None:
     program = """
 import importlib, pkgutil, sys, bridge
-for module in pkgutil.walk_packages(bridge.__path__, "bridge."):
-    if not module.name.endswith("__main__"):
-        importlib.import_module(module.name)
-print(sorted({name.split(".")[0] for name in sys.modules} & {"models", "pyenergyplus", "eplus_node", "agent_sdk"}))
+names = [module.name for module in pkgutil.walk_packages(bridge.__path__, "bridge.")]
+for are_gateways in (False, True):
+    for name in names:
+        if name.startswith("bridge.gateways.") is are_gateways and not name.endswith("__main__"):
+            importlib.import_module(name)
+    loaded = {name.split(".")[0] for name in sys.modules}
+    print(sorted(loaded & {"models", "pyenergyplus", "eplus_node", "agent_sdk"}))
 """
     done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    assert done.stdout == "[]\n"
+    assert done.stdout == "[]\n['agent_sdk']\n"  # gateways are clients of the bus

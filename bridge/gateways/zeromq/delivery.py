@@ -10,8 +10,8 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from bridge.gateways.bus_side import BusMessage, BusSide
 from bridge.gateways.zeromq.frames import Request, denied
-from bridge.gateways.zeromq.zenoh_side import BusMessage, BusSide
 from topics import keys
 from topics.errors import NodeLost, NodeNotFound, RequestRejected, ZenostatError
 from topics.messages import Claim, Message

@@ -11,10 +11,10 @@ from dataclasses import dataclass, field
 
 import zenoh
 
+from bridge.gateways.bus_side import BusMessage, BusSide
 from bridge.gateways.zeromq.delivery import DeliveryQueues, NodeView
 from bridge.gateways.zeromq.frames import Peer, Request, answer, denied, read, split
 from bridge.gateways.zeromq.sockets import DEFAULT_COMMAND, DEFAULT_PUBLISH, Sockets, check_endpoint
-from bridge.gateways.zeromq.zenoh_side import BusMessage, BusSide
 from topics import codec, errors, keys
 from topics.errors import (
     BadMessage,

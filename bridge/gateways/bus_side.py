@@ -1,4 +1,4 @@
-"""The gateway's Zenoh side: asynchronous queries, and messages of nodes in the order received.
+"""The bus of a gateway: asynchronous queries, and messages of nodes in the order received.
 
 Zenoh's threads only post tasks to the gateway's single queue. So the events, samples and replies of a node are
 processed in the order in which it sent them.
@@ -103,7 +103,16 @@ class BusSide:
                 return BusMessage(str(reply.ok.key_expr), str(reply.ok.encoding), reply.ok.payload.to_bytes())
         return None
 
-    def ask(self, topic: Topic, node: str, question: bytes | None, then: ReplyCallback, *, name: str = "") -> None:
+    def ask(
+        self,
+        topic: Topic,
+        node: str,
+        question: bytes | None,
+        then: ReplyCallback,
+        *,
+        name: str = "",
+        timeout_s: float = _QUERY_S,
+    ) -> None:
         """Query a node; `then` is called once, in the gateway's thread."""
         key, answered = topic.at(node, name=name), False
 
@@ -129,7 +138,7 @@ class BusSide:
             Callback(on_reply, on_end, indirect=False),
             payload=question,
             encoding=_encoding(topic) if question is not None else None,
-            timeout=_QUERY_S,
+            timeout=timeout_s,
         )
 
     def token(self, node: str, controller: str) -> Callable[[], None]:

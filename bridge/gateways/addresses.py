@@ -1,0 +1,40 @@
+"""Addresses on which gateways listen: loopback, unless others are allowed."""
+
+from __future__ import annotations
+
+import ipaddress
+import re
+
+from topics.errors import InvalidConfig
+
+_FORM = re.compile(r"(?P<host>\[[0-9A-Fa-f:.]+\]|[^\s:/\[\]]+):(?P<port>\d{1,5})")
+
+
+def parse_address(text: str, protocol: str, *, expose: bool, default_port: int) -> tuple[str, int]:
+    """Return host and port of `HOST` or `HOST:PORT`.
+
+    Args:
+        text: an IPv4 address, an IPv6 address (in brackets before a port) or `localhost`.
+        protocol: name of the protocol, for errors.
+        expose: allow addresses that other machines can reach.
+        default_port: port where the text has none.
+
+    Raises:
+        InvalidConfig: not an address, or other machines can reach it and `expose` is false.
+    """
+    match = _FORM.fullmatch(text)
+    host, port = (match["host"].strip("[]"), int(match["port"])) if match else (text.strip("[]"), default_port)
+    try:
+        address = ipaddress.ip_address("127.0.0.1" if host == "localhost" else host)
+    except ValueError:
+        address = None
+    if address is None or not 0 <= port <= 65535:
+        raise InvalidConfig(
+            f"{text!r} is not an address to listen on; write ADDRESS:PORT, for example 127.0.0.1:{default_port}"
+        )
+    if not address.is_loopback and not expose:
+        raise InvalidConfig(
+            f"{text} can be reached from other machines, and {protocol} has neither encryption nor a password here; "
+            "if that is intended, allow it with --expose"
+        )
+    return str(address), port
