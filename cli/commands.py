@@ -16,6 +16,7 @@ from cli import (
     evaluate,
     export,
     gateway,
+    gateway_modbus,
     keys,
     lifecycle,
     log,
@@ -39,6 +40,9 @@ from cli import (
 )
 from cli.scenarios import scenarios
 from topics import VERSION
+
+for _command in (gateway_modbus.modbus,):
+    gateway.app.command()(_command)
 
 _GROUPS: dict[str, tuple[Callable[..., None] | typer.Typer, ...]] = {
     "Simulate and control": (demo.demo, node.node, run.run, evaluate.evaluate, probe.probe),

@@ -29,7 +29,7 @@ app = typer.Typer(add_completion=False, rich_markup_mode="markdown", no_args_is_
 def gateway() -> None:
     """Give clients of other protocols access to the nodes of a bus.
 
-    Example: `zenostat gateway zeromq --node office`
+    Example: `zenostat gateway modbus office`
     """
 
 

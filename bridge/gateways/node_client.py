@@ -277,11 +277,11 @@ class NodeClient:
         payload = None if request is None else codec.encode(request)
         self._bus.ask(topic, self.name, payload, then, name=name, timeout_s=timeout_s)
         reply = await future
-        if reply is None:
-            missing = NodeLost if self._instance else NodeNotFound
-            raise missing(
-                f"no node {self.name!r} on the bus" if missing is NodeNotFound else f"node {self.name!r} is gone"
-            )
+        if reply is None:  # nobody answers to this key
+            if self._instance:
+                raise NodeLost(f"node {self.name!r} is gone")
+            await asyncio.to_thread(self._bus.nodes, self.name)  # raises NodeNotFound with similar names
+            raise NodeNotFound(f"no node {self.name!r} on the bus")
         if reply.denied:
             raise from_wire(codec.decode(ErrorReply, reply.payload, reply.encoding).__dict__)
         return codec.decode(reply_type, reply.payload, reply.encoding)

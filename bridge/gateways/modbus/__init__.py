@@ -1,0 +1,1 @@
+"""Modbus TCP: the points of one node as registers and coils."""

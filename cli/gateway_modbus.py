@@ -1,0 +1,81 @@
+"""`zenostat gateway modbus`: a node as a Modbus TCP server."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from bridge.transport.session import default_endpoint
+from cli.console import out
+from cli.gateway import serve
+from cli.options import CertificateName, Connect, Keys
+from topics.errors import InvalidConfig
+from topics.keys import Role
+
+DEFAULT_PORT = 1502
+
+
+def modbus(
+    node: Annotated[str, typer.Argument(help="Name of the node.")],
+    address: Annotated[
+        str, typer.Option(help="ADDRESS:PORT to listen on; port 0 is any free one.")
+    ] = f"127.0.0.1:{DEFAULT_PORT}",
+    priority: Annotated[
+        int, typer.Option(min=1, max=16, metavar="1-16", help="Priority of all commands; 1 is the highest.")
+    ] = 8,
+    word_order: Annotated[
+        str,
+        typer.Option(metavar="big|little", help="First word of a 32-bit value: the high one (big) or the low one."),
+    ] = "big",
+    source: Annotated[str, typer.Option(help="Name of the gateway among the sources of values.")] = "modbus",
+    map_file: Annotated[
+        Path | None, typer.Option("--map", help="Write the map of registers to FILE.csv or FILE.md, and end.")
+    ] = None,
+    connect: Connect = None,
+    keys: Keys = None,
+    certificate: CertificateName = None,
+    expose: Annotated[bool, typer.Option("--expose", help="Allow addresses reachable from other machines.")] = False,
+) -> None:
+    """Run a Modbus TCP gateway of a node until Ctrl-C. With keys, it uses the controller role.
+
+    Example: `zenostat gateway modbus office --address 127.0.0.1:1502`
+    """
+    from bridge.gateways.addresses import parse_address
+    from bridge.gateways.modbus.gateway import ModbusGateway
+
+    if word_order not in ("big", "little"):
+        raise InvalidConfig(f"--word-order {word_order}: expected big or little")
+    if map_file is not None:
+        _write_map(node, map_file, connect or default_endpoint(keys), keys, certificate)
+        return
+    host, port = parse_address(address, "Modbus TCP", expose=expose, default_port=DEFAULT_PORT)
+    serve(
+        node,
+        lambda client: ModbusGateway(client, host, port, priority=priority, is_little_endian=word_order == "little"),
+        source=source,
+        connect=connect,
+        keys=keys,
+        certificate=certificate,
+    )
+
+
+def _write_map(node: str, file: Path, connect: str, keys: Path | None, certificate: str | None) -> None:
+    """Write the register map of a node as CSV or Markdown.
+
+    Raises:
+        InvalidConfig: another suffix, or the file cannot be written.
+    """
+    from agent_sdk import connect as connect_bus
+    from bridge.gateways.modbus.register_map import RegisterMap
+
+    if file.suffix not in (".csv", ".md"):
+        raise InvalidConfig(f"--map {file}: expected a file with the suffix .csv or .md")
+    with connect_bus(connect, keys=keys, role=Role.CONTROLLER, certificate=certificate) as bus:
+        registers = RegisterMap(bus.manifest(node))
+    try:
+        file.write_text(registers.csv() if file.suffix == ".csv" else registers.markdown(), encoding="utf-8")
+    except OSError as error:
+        raise InvalidConfig(f"--map {file}: {error.strerror}") from None
+    out.print(f"map of {node}: {file} ({len(registers.entries)} entries)", soft_wrap=True, markup=False)

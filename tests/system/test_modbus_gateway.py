@@ -1,0 +1,361 @@
+"""The Modbus gateway of a real node, with clients that are not ours: pymodbus, and mbpoll where it is installed."""
+
+from __future__ import annotations
+
+import csv
+import math
+import random
+import shutil
+import socket
+import struct
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import datetime
+from pathlib import Path
+
+import pytest
+from pymodbus.client import ModbusTcpClient
+from support.nodes import SMALL, NodeProgram, begin_new_episode, until
+from support.run_cli import ZENOSTAT, run_in_process
+
+import agent_sdk
+from agent_sdk import Bus
+
+COOLING = "core_zn_cooling_setpoint"
+UNIT = 1
+
+
+@contextmanager
+def gateway(endpoint: str, *options: str) -> Iterator[int]:
+    """A running gateway of the node `office`; yields its port. It must end without an error."""
+    command = [*ZENOSTAT, "gateway", "modbus", "office", "--connect", endpoint, "--address", "127.0.0.1:0", *options]
+    program = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        line = program.stdout.readline()
+        assert line.startswith("ready: "), line + program.stderr.read()
+        assert "without encryption or password" in line
+        yield int(line.partition("127.0.0.1:")[2].split(",")[0])
+    finally:
+        program.terminate()
+        out, err = program.communicate(timeout=60)
+    assert (program.returncode, err) == (0, ""), err
+    assert "requests" in out
+
+
+@pytest.fixture(scope="module")
+def port(shared_node: NodeProgram) -> Iterator[int]:
+    with gateway(shared_node.endpoint) as running:
+        yield running
+
+
+@pytest.fixture
+def client(port: int, bus: Bus) -> Iterator[ModbusTcpClient]:
+    with ModbusTcpClient("127.0.0.1", port=port, timeout=20) as connected:
+        yield connected
+
+
+@pytest.fixture
+def bus(shared_node: NodeProgram) -> Iterator[Bus]:
+    """The bus of the node, which is paused at the first sample of an episode and steps on command."""
+    with agent_sdk.connect(shared_node.endpoint, affinity="off") as connected:
+        begin_new_episode(connected)
+        connected.pause("office")
+        connected.pace("office", mode="free")
+        yield connected
+        connected.pace("office", mode="lockstep")
+
+
+def _floats(registers: list[int], *, little: bool = False) -> list[float]:
+    pairs = [registers[i : i + 2] for i in range(0, len(registers), 2)]
+    return [struct.unpack(">f", struct.pack(">HH", *(pair[::-1] if little else pair)))[0] for pair in pairs]
+
+
+def _registers(value: float) -> list[int]:
+    return list(struct.unpack(">HH", struct.pack(">f", value)))
+
+
+def _step(bus: Bus, client: ModbusTcpClient) -> None:
+    """Simulate a timestep, and wait until the gateway has its sample."""
+    before = bus.latest("office").step[0]
+    bus.step("office")
+    until(lambda: client.read_input_registers(7, count=1, device_id=UNIT).registers == [before + 1], "the sample came")
+
+
+def _float32(value: float) -> float:
+    return float(struct.unpack(">f", struct.pack(">f", value))[0])
+
+
+def test_input_registers_are_the_sample_by_the_written_map(
+    bus: Bus, client: ModbusTcpClient, shared_node: NodeProgram, tmp_path: Path
+) -> None:
+    file = tmp_path / "map.csv"
+    done = run_in_process("gateway", "modbus", "office", "--map", str(file), "--connect", shared_node.endpoint)
+    assert done.returncode == 0, done.stderr
+    rows = [row for row in csv.DictReader(file.read_text().splitlines()) if row["table"] == "input register"]
+    _step(bus, client)
+    sample = bus.read("office")
+    expected = sample.as_dict()
+    units = {point.name: point.unit for point in sample.manifest.points}
+    commanded = dict(zip([a.name for a in sample.manifest.actuators], sample.effective.tolist(), strict=True))
+    seen = {}
+    for row in rows:
+        address, count = int(row["address"]), int(row["count"])
+        registers = client.read_input_registers(address, count=count, device_id=UNIT).registers
+        raw = struct.pack(f">{count}H", *registers)
+        seen[row["name"]] = struct.unpack({"uint16": ">H", "uint32": ">I", "float32": ">f"}[row["type"]], raw)[0]
+        if row["unit"] == "W" and units.get(row["name"]) == "J":
+            expected[row["name"]] /= sample.manifest.step_s  # mean power
+    assert (seen.pop("episode"), seen.pop("step")) == (sample.episode, sample.step)
+    assert seen.pop("time") == (sample.time - datetime(1970, 1, 1)).total_seconds()
+    assert seen.pop("timestep") == sample.manifest.step_s
+    assert seen.pop("map_version") == 1
+    assert seen.pop("readings") == len(sample.manifest.points)
+    assert seen.pop("actuators") == len(sample.manifest.actuators)
+    seen.pop("map_checksum")
+    assert seen == {name: _float32(value) for name, value in {**expected, **commanded}.items()}
+
+
+def test_a_write_is_a_command_until_its_coil_is_cleared(bus: Bus, client: ModbusTcpClient) -> None:
+    index = [a.name for a in bus.manifest("office").actuators].index(COOLING)
+    assert not any(client.read_coils(0, count=index + 1, device_id=UNIT).bits[: index + 1])
+    assert math.isnan(_floats(client.read_holding_registers(2 * index, count=2, device_id=UNIT).registers)[0])
+    assert not client.write_registers(2 * index, _registers(26.5), device_id=UNIT).isError()
+    assert bus.priorities("office")[COOLING][7] == (26.5, "modbus")
+    assert client.read_coils(index, count=1, device_id=UNIT).bits[0]
+    assert _floats(client.read_holding_registers(2 * index, count=2, device_id=UNIT).registers) == [26.5]
+    assert not client.read_discrete_inputs(16 + index, count=1, device_id=UNIT).bits[0]  # from the next timestep on
+    _step(bus, client)
+    sample = bus.read("office")
+    assert sample.effective[index] == 26.5
+    assert sample.value_source[COOLING] == "modbus"
+    assert client.read_discrete_inputs(16 + index, count=1, device_id=UNIT).bits[0]
+    bus.write("office", COOLING, 24.0, priority=3, source="fire panel")
+    _step(bus, client)
+    assert not client.read_discrete_inputs(16 + index, count=1, device_id=UNIT).bits[0]  # a higher priority is
+    assert client.read_coils(index, count=1, device_id=UNIT).bits[0]
+    assert not client.write_coil(index, False, device_id=UNIT).isError()
+    assert bus.priorities("office")[COOLING][7] == (None, None)
+    assert client.write_coil(index, True, device_id=UNIT).exception_code == 3  # there is no value to command
+
+
+def test_bounds_are_reached_in_spite_of_the_rounding_to_float32(bus: Bus, client: ModbusTcpClient) -> None:
+    for index, actuator in enumerate(bus.manifest("office").actuators):
+        for bound in (actuator.low, actuator.high):
+            if bound is not None:
+                assert not client.write_registers(2 * index, _registers(bound), device_id=UNIT).isError()
+                assert bus.priorities("office")[actuator.name][7].value == bound
+
+
+def test_invalid_requests_have_modbus_exceptions_and_move_nothing(bus: Bus, client: ModbusTcpClient) -> None:
+    manifest = bus.manifest("office")
+    width, size = 2 * len(manifest.actuators), 16 + 2 * len(manifest.points) + 2 * len(manifest.actuators)
+    index = [a.name for a in manifest.actuators].index(COOLING)
+    at, good = 2 * index, _registers(25.0)
+    for expected, reply in {
+        "half a value": (3, client.write_register(at, good[0], device_id=UNIT)),
+        "half of two values": (3, client.write_registers(at + 1, good, device_id=UNIT)),
+        "NaN": (3, client.write_registers(at, _registers(math.nan), device_id=UNIT)),
+        "infinity": (3, client.write_registers(at, _registers(math.inf), device_id=UNIT)),
+        "beyond the bounds": (3, client.write_registers(at, _registers(99.0), device_id=UNIT)),
+        "one of two beyond the bounds": (
+            3,
+            client.write_registers(0, [*_registers(21.0), *_registers(99.0)], device_id=UNIT),
+        ),
+        "no such register": (2, client.write_registers(width, good, device_id=UNIT)),
+        "across the end": (2, client.write_registers(width - 2, good + good, device_id=UNIT)),
+        "no such input": (2, client.read_input_registers(size, count=1, device_id=UNIT)),
+        "no such coil": (2, client.read_coils(len(manifest.actuators), count=1, device_id=UNIT)),
+        "no such discrete input": (2, client.read_discrete_inputs(16 + width // 2, count=1, device_id=UNIT)),
+        "no such function": (1, client.mask_write_register(address=at, and_mask=0, or_mask=0, device_id=UNIT)),
+    }.items():
+        code, answer = reply
+        assert (expected, answer.exception_code) == (expected, code)
+    assert all(entry.value is None for array in bus.priorities("office").values() for entry in array)
+    assert not client.read_input_registers(size - 1, count=1, device_id=UNIT).isError()
+
+
+def test_the_nodes_own_refusal_is_a_device_failure(bus: Bus, client: ModbusTcpClient) -> None:
+    index = [a.name for a in bus.manifest("office").actuators].index(COOLING)
+    with bus.controller("office", name="mine", priority=8, actuators=[COOLING], required=False):
+        answer = client.write_registers(2 * index, _registers(25.0), device_id=UNIT)
+        assert answer.exception_code == 4
+    assert bus.priorities("office")[COOLING][7].value is None
+
+
+def test_a_new_episode_has_relinquished_everything(bus: Bus, client: ModbusTcpClient) -> None:
+    index = [a.name for a in bus.manifest("office").actuators].index(COOLING)
+    assert not client.write_registers(2 * index, _registers(26.0), device_id=UNIT).isError()
+    begin_new_episode(bus)
+    assert not client.read_coils(index, count=1, device_id=UNIT).bits[0]
+    assert math.isnan(_floats(client.read_holding_registers(2 * index, count=2, device_id=UNIT).registers)[0])
+
+
+def test_requests_sent_at_once_are_all_answered_in_order(bus: Bus, port: int) -> None:
+    frames = [struct.pack(">HHHBBHH", number, 0, 6, UNIT, 4, number % 8, 1) for number in range(200)]
+    with socket.create_connection(("127.0.0.1", port), timeout=30) as connection:
+        connection.sendall(b"".join(frames))
+        answers = b""
+        while len(answers) < 200 * 11:
+            chunk = connection.recv(65536)
+            assert chunk
+            answers += chunk
+    transactions = [struct.unpack(">H", answers[i : i + 2])[0] for i in range(0, len(answers), 11)]
+    assert transactions == list(range(200))
+
+
+def test_noise_half_frames_and_dying_clients_harm_nobody(bus: Bus, client: ModbusTcpClient, port: int) -> None:
+    chance = random.Random(7)
+    for number in range(300):
+        with socket.create_connection(("127.0.0.1", port), timeout=20) as connection:
+            kind = number % 4
+            pdu = bytes([chance.choice([1, 2, 3, 4, 7, 8, 17, 20, 43, 90])]) + chance.randbytes(chance.randrange(12))
+            frame = struct.pack(">HHHB", number, 0, len(pdu) + 1, UNIT) + pdu
+            if kind == 0:
+                connection.sendall(chance.randbytes(chance.randrange(1, 300)))
+            elif kind == 1:
+                connection.sendall(frame[: chance.randrange(1, len(frame))])  # and then it is gone
+            elif kind == 2:
+                connection.sendall(frame * 5)  # and the replies are not read
+            else:
+                connection.sendall(frame)
+                answer = connection.recv(300)
+                assert answer[:2] == frame[:2]
+                assert answer[7] in (pdu[0], pdu[0] | 0x80)
+    assert all(entry.value is None for array in bus.priorities("office").values() for entry in array)
+    assert not client.read_input_registers(0, count=16, device_id=UNIT).isError()
+
+
+def test_more_than_32_clients_are_turned_away_and_room_is_found_again(bus: Bus, port: int) -> None:
+    request = struct.pack(">HHHBBHH", 1, 0, 6, UNIT, 4, 0, 1)
+
+    def is_served(connection: socket.socket) -> bool:
+        try:
+            connection.sendall(request)
+            return len(connection.recv(100)) == 11
+        except ConnectionError:
+            return False
+
+    connections = [socket.create_connection(("127.0.0.1", port), timeout=20) for _ in range(33)]
+    served = [is_served(connection) for connection in connections]
+    assert sum(served) <= 32
+    assert not served[-1]
+    for connection in connections:
+        connection.close()
+
+    def has_room() -> bool:
+        with socket.create_connection(("127.0.0.1", port), timeout=20) as connection:
+            return is_served(connection)
+
+    until(has_room, "there is room again")
+
+
+def test_the_example_raises_the_setpoint_while_nobody_is_there(
+    bus: Bus, port: int, shared_node: NodeProgram, tmp_path: Path
+) -> None:
+    file = tmp_path / "map.csv"
+    run_in_process("gateway", "modbus", "office", "--map", str(file), "--connect", shared_node.endpoint)
+    example = Path(__file__).parents[2] / "examples" / "modbus_client.py"
+    command = [sys.executable, str(example), str(file), "--port", str(port), "--cycles", "1", "--pause", "0"]
+
+    def cycle() -> str:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    people = "core_zn_occupants"
+    assert bus.read("office")[people] == 0  # at midnight
+    assert "setpoint raised" in cycle()
+    assert bus.priorities("office")[COOLING][7] == (28.0, "modbus")
+    until(lambda: bus.step("office") or bus.read("office")[people] > 0, "people have come")
+    until(lambda: "of the building" in cycle(), "the gateway has that sample")
+    assert bus.priorities("office")[COOLING][7].value is None
+
+
+@pytest.mark.skipif(shutil.which("mbpoll") is None, reason="mbpoll is not installed; on Debian: apt install mbpoll")
+def test_mbpoll_reads_and_writes(bus: Bus, port: int) -> None:
+    actuators = [a.name for a in bus.manifest("office").actuators]
+    manifest = bus.manifest("office")
+
+    def mbpoll(*options: str) -> subprocess.CompletedProcess[str]:
+        command = ["mbpoll", "-p", str(port), "-a", str(UNIT), "-1", "-0", *options]
+        return subprocess.run(command, capture_output=True, text=True, timeout=60)
+
+    sample = bus.read("office")
+    done = mbpoll("-t", "3:float", "-B", "-r", "16", "-c", "3", "127.0.0.1")
+    shown = [float(line.split()[-1]) for line in done.stdout.splitlines() if line.startswith("[")]
+    scale = [1 / manifest.step_s if point.unit == "J" else 1.0 for point in manifest.points[:3]]
+    assert shown == pytest.approx((sample.values[:3] * scale).tolist(), rel=1e-5)
+    register = str(2 * actuators.index(COOLING))
+    done = mbpoll("-t", "4:float", "-B", "-r", register, "127.0.0.1", "26.5")
+    assert "Written 1 references" in done.stdout, done.stdout + done.stderr
+    assert bus.priorities("office")[COOLING][7] == (26.5, "modbus")
+    done = mbpoll("-t", "4:float", "-B", "-r", register, "127.0.0.1", "99")
+    assert "Illegal data value" in done.stdout + done.stderr
+    mbpoll("-t", "0", "-r", str(actuators.index(COOLING)), "127.0.0.1", "0")
+    assert bus.priorities("office")[COOLING][7] == (None, None)
+
+
+def test_the_low_word_comes_first_where_that_is_asked_for(bus: Bus, shared_node: NodeProgram) -> None:
+    with (
+        gateway(shared_node.endpoint, "--word-order", "little", "--source", "plc", "--priority", "5") as port,
+        ModbusTcpClient("127.0.0.1", port=port, timeout=20) as client,
+    ):
+        sample = bus.read("office")
+        assert _floats(client.read_input_registers(16, count=2, device_id=UNIT).registers, little=True) == [
+            _float32(float(sample.values[0]))
+        ]
+        index = [a.name for a in sample.manifest.actuators].index(COOLING)
+        assert not client.write_registers(2 * index, _registers(25.5)[::-1], device_id=UNIT).isError()
+        assert bus.priorities("office")[COOLING][4] == (25.5, "plc")
+
+
+@pytest.mark.slow
+def test_a_node_that_is_gone_is_a_gateway_exception_and_its_return_is_noticed(tmp_path: Path) -> None:
+    from bridge.transport.session import Mode, open_session
+
+    endpoint = f"unixsock-stream/{tmp_path}/router"
+    settings = {**SMALL, "listen": [], "name": "office", "connect": [endpoint]}
+    with open_session(listen=[endpoint], mode=Mode.ROUTER):
+        node = NodeProgram(tmp_path / "first", **settings)
+        try:
+            with gateway(endpoint) as port, ModbusTcpClient("127.0.0.1", port=port, timeout=40) as client:
+                node.kill()
+                node.close()
+                until(lambda: client.read_input_registers(0, count=1, device_id=UNIT).isError(), "the loss is noticed")
+                assert client.read_input_registers(0, count=1, device_id=UNIT).exception_code == 11
+                assert client.write_registers(0, _registers(21.0), device_id=UNIT).exception_code == 11
+                assert not any(client.read_discrete_inputs(0, count=3, device_id=UNIT).bits[:3])
+                node = NodeProgram(tmp_path / "second", **settings)
+                until(lambda: client.read_discrete_inputs(0, count=1, device_id=UNIT).bits[0], "the node is back")
+                assert not client.write_registers(0, _registers(21.0), device_id=UNIT).isError()
+        finally:
+            node.close()
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        (("office", "--address", "0.0.0.0:1502"), "--expose"),
+        (("office", "--address", "here:1502"), "write ADDRESS:PORT"),
+        (("office", "--address", "127.0.0.1:99999"), "write ADDRESS:PORT"),
+        (("office", "--word-order", "middle"), "expected big or little"),
+        (("office", "--map", "map.xlsx"), ".csv or .md"),
+        (("ofice",), "did you mean 'office'"),
+    ],
+)
+def test_bad_settings_have_one_error(shared_node: NodeProgram, options: tuple[str, ...], text: str) -> None:
+    done = run_in_process("gateway", "modbus", *options, "--connect", shared_node.endpoint)
+    assert done.returncode in (1, 2)
+    assert text in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_a_port_in_use_is_named(shared_node: NodeProgram, port: int) -> None:
+    address = ["--address", f"127.0.0.1:{port}", "--connect", shared_node.endpoint]
+    done = subprocess.run(
+        [*ZENOSTAT, "gateway", "modbus", "office", *address], capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode != 0
+    assert f"127.0.0.1:{port}: another program listens there" in done.stderr
