@@ -17,6 +17,7 @@ from cli import (
     export,
     gateway,
     gateway_modbus,
+    gateway_mqtt,
     keys,
     lifecycle,
     log,
@@ -41,7 +42,7 @@ from cli import (
 from cli.scenarios import scenarios
 from topics import VERSION
 
-for _command in (gateway_modbus.modbus,):
+for _command in (gateway_modbus.modbus, gateway_mqtt.mqtt):
     gateway.app.command()(_command)
 
 _GROUPS: dict[str, tuple[Callable[..., None] | typer.Typer, ...]] = {

@@ -1,0 +1,361 @@
+"""One node on an MQTT broker."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Callable
+from contextlib import AsyncExitStack, suppress
+from dataclasses import dataclass
+from typing import TypeVar
+
+import aiomqtt
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.properties import Properties
+
+from agent_sdk.bus.sample import SampleView
+from bridge.gateways.mqtt.home_assistant import discovery
+from bridge.gateways.mqtt.messages import (
+    accepted,
+    event_json,
+    manifest_json,
+    number,
+    read_command,
+    rejected,
+    sample_json,
+)
+from bridge.gateways.node_client import NodeClient
+from bridge.gateways.points import effective_value, readings
+from topics.errors import BadMessage, BusError, InvalidConfig, RequestRejected, ZenostatError
+from topics.messages import Event, Manifest
+
+MAX_WAITING = 1000
+"""Largest number of commands, samples or events that wait; further commands are rejected, older samples dropped."""
+
+MAX_RESULTS = 20_000
+"""Largest number of results that wait while the broker is away or slow; beyond, the oldest are dropped."""
+
+T = TypeVar("T")
+
+_RETRY_S = (0.5, 1.0, 2.0, 5.0, 10.0)
+_CONNECT_S = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Broker:
+    """Address and credentials of a broker.
+
+    Attributes:
+        host, port: its address.
+        username, password: None for anonymous access.
+        tls: certificates for an encrypted connection; None for a plain one.
+        version: 5 or 3 (for 3.1.1), of the protocol.
+    """
+
+    host: str
+    port: int
+    username: str | None = None
+    password: str | None = None
+    tls: aiomqtt.TLSParameters | None = None
+    version: int = 5
+
+    def __str__(self) -> str:
+        return f"{self.host}:{self.port}"
+
+
+@dataclass(slots=True)
+class Counts:
+    """Numbers of published samples, of samples dropped since the broker was slow or away, and of commands."""
+
+    samples: int = 0
+    dropped: int = 0
+    accepted: int = 0
+    rejected: int = 0
+    reconnections: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class _Received:
+    """A command as received: the actuator's name, the payload, and where an MQTT 5 client wants the result."""
+
+    actuator: str
+    payload: bytes
+    is_retained: bool
+    reply_topic: str | None
+    correlation: bytes | None
+
+
+class MqttGateway:
+    """Publishes one node to a broker and carries out commands: `async with MqttGateway(node, broker) as gateway`.
+
+    On entering the context it connects for the first time. Later, it reconnects for as long as it runs. Commands that
+    arrived before a connection was lost are carried out, and their results are published on the next connection.
+
+    Args:
+        node: the node.
+        broker: the broker.
+        root: topic below which all topics of the node are; None for `zenostat/NODE`.
+        priority: priority of commands that name none.
+        home_assistant: discovery prefix of Home Assistant; None for no discovery messages.
+        notify: called with a text when the broker is lost and when it is back.
+
+    Raises:
+        BusError: on entering the context, the broker cannot be reached or rejects the connection.
+
+    Attributes:
+        counts: counts of messages.
+    """
+
+    def __init__(
+        self,
+        node: NodeClient,
+        broker: Broker,
+        *,
+        root: str | None = None,
+        priority: int = 8,
+        home_assistant: str | None = None,
+        notify: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        self.counts = Counts()
+        self._node, self._broker, self._priority = node, broker, priority
+        self._root = f"zenostat/{node.name}" if root is None else root
+        self._home_assistant, self._notify = home_assistant, notify
+        self._samples: deque[str] = deque(maxlen=MAX_WAITING)
+        self._events: deque[str] = deque(maxlen=MAX_WAITING)
+        self._results: deque[tuple[str, str, bytes | None]] = deque(maxlen=MAX_RESULTS)
+        self._commands: deque[_Received] = deque()
+        self._has_output, self._has_commands = asyncio.Event(), asyncio.Event()
+        self._published: dict[str, str] = {}
+        self._close = AsyncExitStack()
+
+    async def __aenter__(self) -> MqttGateway:
+        listeners = self._node.listeners
+        self._listen(listeners.samples, self._on_sample)
+        self._listen(listeners.events, self._on_event)
+        self._listen(listeners.presence, self._on_change)
+        self._listen(listeners.manifests, self._on_change)
+        self._client = await self._connect()
+        return self
+
+    def _listen(self, functions: list[Callable[[T], None]], function: Callable[[T], None]) -> None:
+        functions.append(function)
+        self._close.callback(functions.remove, function)
+
+    async def __aexit__(self, *_: object) -> None:
+        await self._close.aclose()
+
+    @property
+    def description(self) -> str:
+        """Node and broker, for the first line."""
+        safety = "encrypted" if self._broker.tls else "without encryption"
+        password = "with a password" if self._broker.password else "without a password"
+        return f"node {self._node.name} on the MQTT broker {self._broker} under {self._root}/, {safety}, {password}"
+
+    def summary(self) -> str:
+        """Return counts for the last line."""
+        counts = self.counts
+        return (
+            f"{counts.samples} samples published, {counts.dropped} dropped; "
+            f"{counts.accepted} commands accepted, {counts.rejected} rejected; {counts.reconnections} reconnections"
+        )
+
+    async def run(self) -> None:
+        """Publish and carry out commands until cancelled."""
+        executing = asyncio.create_task(self._execute())
+        try:
+            attempt = 0
+            while True:
+                try:
+                    await self._serve(self._client)
+                except aiomqtt.MqttError as error:
+                    self._notify(f"the broker {self._broker} is lost ({error}); reconnecting")
+                    with suppress(aiomqtt.MqttError):
+                        await self._client.__aexit__(None, None, None)
+                while True:
+                    await asyncio.sleep(_RETRY_S[min(attempt, len(_RETRY_S) - 1)])
+                    attempt += 1
+                    try:
+                        self._client = await self._connect()
+                    except BusError:
+                        continue
+                    break
+                attempt = 0
+                self.counts.reconnections += 1
+                self._notify(f"connected to the broker {self._broker} again")
+        finally:
+            executing.cancel()
+            await self._say_goodbye()
+
+    # Connection
+
+    async def _connect(self) -> aiomqtt.Client:
+        broker = self._broker
+        is_v5 = broker.version == 5
+        client = aiomqtt.Client(
+            broker.host, broker.port, username=broker.username, password=broker.password, tls_params=broker.tls,
+            protocol=aiomqtt.ProtocolVersion.V5 if is_v5 else aiomqtt.ProtocolVersion.V311,
+            clean_session=None if is_v5 else True, timeout=_CONNECT_S, keepalive=15,
+            will=aiomqtt.Will(f"{self._root}/status", b"offline", qos=1, retain=True),
+        )  # fmt: skip
+        try:
+            await client.__aenter__()
+        except (aiomqtt.MqttError, OSError, ValueError) as error:
+            raise BusError(f"no connection to the MQTT broker {broker}: {error}") from None
+        return client
+
+    async def _say_goodbye(self) -> None:
+        """Publish that the node is not served any more, and disconnect; a lost broker publishes the last will."""
+        try:
+            async with asyncio.timeout(2.0):
+                await self._client.publish(f"{self._root}/status", b"offline", qos=1, retain=True)
+                await self._client.__aexit__(None, None, None)
+        except (aiomqtt.MqttError, TimeoutError):
+            pass
+
+    async def _serve(self, client: aiomqtt.Client) -> None:
+        """Serve one connection until it is lost."""
+        self._published.clear()
+        self._has_output.set()
+        tasks = [asyncio.create_task(self._receive(client)), asyncio.create_task(self._publish(client))]
+        try:
+            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            for task in done:
+                task.result()
+        finally:
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+
+    # From the node
+
+    def _on_sample(self, sample: SampleView) -> None:
+        if len(self._samples) == MAX_WAITING:
+            self.counts.dropped += 1
+        self._samples.append(sample_json(sample, readings(self._node.manifest)))
+        self._has_output.set()
+
+    def _on_event(self, event: Event) -> None:
+        self._events.append(event_json(event))
+        self._has_output.set()
+
+    def _on_change(self, _: bool | Manifest) -> None:  # noqa: FBT001
+        self._has_output.set()
+
+    # To the broker
+
+    async def _publish(self, client: aiomqtt.Client) -> None:
+        """Publish results, events and samples as they come, and each point's latest value where it has changed."""
+        while True:
+            await self._has_output.wait()
+            self._has_output.clear()
+            await self._publish_state(client)
+            while self._results or self._events or self._samples:
+                await self._publish_next(client)
+            await self._publish_points(client)
+
+    async def _publish_next(self, client: aiomqtt.Client) -> None:
+        if self._results:
+            topic, text, correlation = self._results[0]
+            properties = None
+            if correlation is not None:
+                properties = Properties(PacketTypes.PUBLISH)  # type: ignore[no-untyped-call]
+                properties.CorrelationData = correlation
+            await client.publish(topic, text, qos=1, properties=properties)
+            self._results.popleft()  # only now: it is published again if the connection was lost meanwhile
+        elif self._events:
+            await client.publish(f"{self._root}/event", self._events[0], qos=1)
+            self._events.popleft()
+        else:
+            await client.publish(f"{self._root}/sample", self._samples.popleft())
+            self.counts.samples += 1
+
+    async def _publish_state(self, client: aiomqtt.Client) -> None:
+        manifest = self._node.manifest
+        await self._publish_changed(client, "manifest", manifest_json(manifest, readings(manifest)), qos=1)
+        if self._home_assistant is not None:
+            for topic, text in discovery(manifest, self._root, self._home_assistant):
+                await self._publish_changed(client, topic, text, qos=1, is_absolute=True)
+        await self._publish_changed(client, "status", "online" if self._node.is_online else "offline", qos=1)
+
+    async def _publish_points(self, client: aiomqtt.Client) -> None:
+        sample = self._node.sample
+        if sample is None or not self._node.is_online:
+            return
+        manifest = sample.manifest
+        for reading in readings(manifest):
+            kind = "sensor" if reading.index < len(manifest.sensors) else "meter"
+            await self._publish_changed(client, f"{kind}/{reading.name}", number(reading.of(sample)))
+        for index, actuator in enumerate(manifest.actuators):
+            await self._publish_changed(client, f"actuator/{actuator.name}", number(effective_value(sample, index)))
+
+    async def _publish_changed(
+        self, client: aiomqtt.Client, topic: str, text: str, *, qos: int = 0, is_absolute: bool = False
+    ) -> None:
+        """Publish a retained text unless it is on the broker already."""
+        if self._published.get(topic) != text:
+            await client.publish(topic if is_absolute else f"{self._root}/{topic}", text, qos=qos, retain=True)
+            self._published[topic] = text
+
+    # Commands
+
+    async def _receive(self, client: aiomqtt.Client) -> None:
+        await client.subscribe(f"{self._root}/actuator/+/set", qos=1)
+        async for message in client.messages:
+            properties = message.properties
+            received = _Received(
+                str(message.topic).split("/")[-2],
+                message.payload if isinstance(message.payload, bytes) else str(message.payload or "").encode(),
+                bool(message.retain),
+                getattr(properties, "ResponseTopic", None),
+                getattr(properties, "CorrelationData", None),
+            )
+            if len(self._commands) >= MAX_WAITING:
+                error = RequestRejected(f"{MAX_WAITING} commands are waiting; try again later")
+                self._reply(received, rejected(error), is_accepted=False)
+            else:
+                self._commands.append(received)
+                self._has_commands.set()
+
+    async def _execute(self) -> None:
+        """Carry out commands one after another, in the order received, also while the broker is away."""
+        while True:
+            await self._has_commands.wait()
+            self._has_commands.clear()
+            while self._commands:
+                await self._carry_out(self._commands.popleft())
+
+    async def _carry_out(self, received: _Received) -> None:
+        try:
+            if received.is_retained:
+                raise BadMessage("a retained command is ignored: it would be repeated at each connection")
+            command = read_command(received.payload, priority=self._priority, source=self._node.source)
+            ack = await self._node.write(
+                received.actuator, command.value, priority=command.priority, duration_s=command.duration_s,
+                source=command.source,
+            )  # fmt: skip
+        except ZenostatError as error:
+            self._reply(received, rejected(error), is_accepted=False)
+        else:
+            at = (ack.episode[0] if ack.episode else 0, ack.step[0] if ack.step else 0)
+            self._reply(received, accepted(command, ack.text, *at), is_accepted=True)
+
+    def _reply(self, received: _Received, text: str, *, is_accepted: bool) -> None:
+        """Queue the result for `…/actuator/NAME/result`, and for the response topic of an MQTT 5 client."""
+        self.counts.accepted += is_accepted
+        self.counts.rejected += not is_accepted
+        self._results.append((f"{self._root}/actuator/{received.actuator}/result", text, received.correlation))
+        if received.reply_topic:
+            self._results.append((received.reply_topic, text, received.correlation))
+        self._has_output.set()
+
+
+def check_root(root: str) -> str:
+    """Return a topic without its slash at the end.
+
+    Raises:
+        InvalidConfig: it has wildcards or empty levels.
+    """
+    bare = root.removesuffix("/")
+    if not bare or any(char in bare for char in "+#\0") or "" in bare.split("/"):
+        raise InvalidConfig(f"topic {root!r}: expected levels without wildcards, for example buildings/office")
+    return bare

@@ -1,0 +1,114 @@
+"""`zenostat gateway mqtt`: a node on an MQTT broker."""
+
+from __future__ import annotations
+
+import os
+import re
+from ipaddress import ip_address
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cli.console import err
+from cli.gateway import serve
+from cli.options import CertificateName, Connect, Keys
+from topics.errors import InvalidConfig
+from topics.extras import requires_extra
+
+_FORM = re.compile(r"(?P<host>\[[0-9A-Fa-f:.]+\]|[^\s:/\[\]]+)(:(?P<port>\d{1,5}))?")
+
+
+def mqtt(
+    node: Annotated[str, typer.Argument(help="Name of the node.")],
+    broker: Annotated[str, typer.Option(help="HOST:PORT of the broker; port 1883, with --tls 8883, by default.")] = (
+        "127.0.0.1:1883"
+    ),
+    topic: Annotated[
+        str | None, typer.Option(help="Topic below which all topics of the node are. [default: zenostat/NODE]")
+    ] = None,
+    priority: Annotated[
+        int, typer.Option(min=1, max=16, metavar="1-16", help="Priority of commands that name none; 1 is the highest.")
+    ] = 8,
+    source: Annotated[str, typer.Option(help="Name of the writer of commands that name none.")] = "mqtt",
+    home_assistant: Annotated[
+        bool, typer.Option("--home-assistant", help="Publish discovery messages of Home Assistant.")
+    ] = False,
+    discovery_prefix: Annotated[str, typer.Option(help="Home Assistant's discovery prefix.")] = "homeassistant",
+    username: Annotated[str | None, typer.Option(help="User name for the broker.")] = None,
+    password_file: Annotated[
+        Path | None, typer.Option(help="File with the password; or the variable MQTT_PASSWORD.")
+    ] = None,
+    tls: Annotated[bool, typer.Option("--tls", help="Encrypt the connection to the broker.")] = False,
+    ca: Annotated[Path | None, typer.Option(help="CA certificate of the broker (PEM). Default: the system's.")] = None,
+    broker_certificate: Annotated[Path | None, typer.Option(help="Certificate to present to the broker (PEM).")] = None,
+    broker_key: Annotated[Path | None, typer.Option(help="Private key of --broker-certificate (PEM).")] = None,
+    mqtt_version: Annotated[str, typer.Option(metavar="5|3.1.1", help="Version of the protocol.")] = "5",
+    connect: Connect = None,
+    keys: Keys = None,
+    certificate: CertificateName = None,
+    expose: Annotated[bool, typer.Option("--expose", help="Allow a broker on another machine without --tls.")] = False,
+) -> None:
+    """Run an MQTT gateway of a node until Ctrl-C. With keys, it uses the controller role.
+
+    Example: `zenostat gateway mqtt office --broker 127.0.0.1:1883 --home-assistant`
+    """
+    with requires_extra("mqtt", "the MQTT gateway", "aiomqtt"):
+        import aiomqtt
+    from bridge.gateways.mqtt.gateway import Broker, MqttGateway, check_root
+
+    versions = {"5": 5, "3.1.1": 3}
+    if mqtt_version not in versions:
+        raise InvalidConfig(f"--mqtt-version {mqtt_version}: expected 5 or 3.1.1")
+    host, port = _address(broker, default_port=8883 if tls else 1883)
+    if not (tls or expose or _is_loopback(host)):
+        raise InvalidConfig(
+            f"--broker {broker}: the connection to another machine would not be encrypted; use --tls, or allow it with "
+            "--expose"
+        )
+    files = {"--ca": ca, "--broker-certificate": broker_certificate, "--broker-key": broker_key}
+    for option, file in files.items():
+        if file is not None and not tls:
+            raise InvalidConfig(f"{option} needs --tls")
+        if file is not None and not file.is_file():
+            raise InvalidConfig(f"{option} {file}: no such file")
+    ca_file, certificate_file, key_file = (str(file) if file is not None else None for file in files.values())
+    parameters = aiomqtt.TLSParameters(ca_certs=ca_file, certfile=certificate_file, keyfile=key_file) if tls else None
+    at = Broker(host, port, username, _password(username, password_file), parameters, versions[mqtt_version])
+    root = None if topic is None else check_root(topic)
+    prefix = check_root(discovery_prefix) if home_assistant else None
+    serve(
+        node,
+        lambda client: MqttGateway(
+            client, at, root=root, priority=priority, home_assistant=prefix,
+            notify=lambda text: err.print(text, markup=False, soft_wrap=True),
+        ),
+        source=source, connect=connect, keys=keys, certificate=certificate,
+    )  # fmt: skip
+
+
+def _address(text: str, default_port: int) -> tuple[str, int]:
+    match = _FORM.fullmatch(text)
+    if match is None or not 0 < int(match["port"] or default_port) < 65536:
+        raise InvalidConfig(f"--broker {text}: expected HOST:PORT, for example 127.0.0.1:{default_port}")
+    return match["host"].strip("[]"), int(match["port"] or default_port)
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def _password(username: str | None, file: Path | None) -> str | None:
+    if file is None:
+        password = os.environ.get("MQTT_PASSWORD")
+    else:
+        try:
+            password = file.read_text(encoding="utf-8").rstrip("\r\n")
+        except (OSError, UnicodeDecodeError) as error:
+            raise InvalidConfig(f"--password-file {file}: {error}") from None
+    if file is not None and username is None:
+        raise InvalidConfig("--password-file needs --username")
+    return password if username is not None else None

@@ -1,0 +1,387 @@
+"""The MQTT gateway of a real node on a real broker (mosquitto), with mosquitto's own clients."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.nodes import NodeProgram, begin_new_episode, free_port, until
+from support.run_cli import ZENOSTAT, run_in_process
+
+import agent_sdk
+from agent_sdk import Bus
+
+MOSQUITTO = shutil.which("mosquitto", path=f"{os.environ['PATH']}:/usr/sbin")
+pytestmark = pytest.mark.skipif(
+    MOSQUITTO is None or shutil.which("mosquitto_pub") is None,
+    reason="mosquitto is not installed; on Debian: apt install mosquitto mosquitto-clients",
+)
+COOLING, TEMPERATURE = "core_zn_cooling_setpoint", "core_zn_air_temperature"
+
+
+class Broker:
+    """A mosquitto of one test module, on loopback."""
+
+    def __init__(self, folder: Path, *lines: str) -> None:
+        self.port = free_port()
+        self._file = folder / "mosquitto.conf"
+        self._file.write_text(
+            "\n".join(
+                [f"listener {self.port} 127.0.0.1", "max_queued_messages 0", *(lines or ["allow_anonymous true"])]
+            )
+        )
+        self.options = ["-h", "127.0.0.1", "-p", str(self.port)]
+        self.start()
+
+    def start(self) -> None:
+        self.process = subprocess.Popen(
+            [MOSQUITTO or "", "-c", str(self._file)], stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL
+        )
+
+    def __enter__(self) -> Broker:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def stop(self) -> None:
+        self.process.send_signal(signal.SIGKILL)
+        self.process.wait()
+
+    def is_up(self) -> bool:
+        command = ["mosquitto_pub", *self.options, "-q", "1", "-t", "up", "-m", "1"]
+        return subprocess.run(command, capture_output=True, timeout=30).returncode == 0
+
+    def publish(self, topic: str, payload: str, *options: str) -> None:
+        command = ["mosquitto_pub", *self.options, "-q", "1", "-t", topic, "-m", payload, *options]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=30)
+        assert done.returncode == 0, done.stderr
+
+    def retained(self, topic: str, *options: str) -> str | None:
+        """The retained message of a topic; None without one."""
+        command = ["mosquitto_sub", *self.options, "-t", topic, "-C", "1", "-W", "3", "--retained-only", *options]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=30)
+        return done.stdout.rstrip("\n") if done.returncode == 0 else None
+
+    @contextmanager
+    def subscribed(self, topic: str, folder: Path) -> Iterator[Path]:
+        """All messages of a topic go to a file, as lines `TOPIC PAYLOAD`, once this has been entered."""
+        file = folder / f"{topic.replace('/', '_').replace('+', 'x').replace('#', 'all')}.txt"
+        command = ["mosquitto_sub", *self.options, "-q", "1", "-t", topic, "-t", f"ready/{file.name}", "-v"]
+        with file.open("w") as out, subprocess.Popen(command, stdout=out) as program:
+            try:
+
+                def is_subscribed() -> bool:
+                    self.publish(f"ready/{file.name}", "yes")
+                    return "yes" in file.read_text()
+
+                until(is_subscribed, "the client has subscribed")
+                yield file
+            finally:
+                program.terminate()
+
+
+def lines(file: Path, topic: str) -> list[str]:
+    """Payloads of a topic in a file of `Broker.subscribed`."""
+    return [line.partition(" ")[2] for line in file.read_text().splitlines() if line.partition(" ")[0] == topic]
+
+
+@contextmanager
+def gateway(endpoint: str, broker: Broker, *options: str) -> Iterator[subprocess.Popen[str]]:
+    """A running gateway of the node `office`; it must end without an error."""
+    address = ["--connect", endpoint, "--broker", f"127.0.0.1:{broker.port}"]
+    command = [*ZENOSTAT, "gateway", "mqtt", "office", *address, *options]
+    program = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        line = program.stdout.readline()
+        assert line.startswith("ready: "), line + program.stderr.read()
+        yield program
+    finally:
+        program.terminate()
+        out, err = program.communicate(timeout=60)
+    assert program.returncode == 0, err
+    assert "samples published" in out
+    assert "Traceback" not in err
+
+
+@pytest.fixture(scope="module")
+def broker(module_folder: Path) -> Iterator[Broker]:
+    with Broker(module_folder) as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def served(shared_node: NodeProgram, broker: Broker) -> Iterator[subprocess.Popen[str]]:
+    with gateway(shared_node.endpoint, broker, "--home-assistant") as program:
+        yield program
+
+
+@pytest.fixture
+def bus(shared_node: NodeProgram) -> Iterator[Bus]:
+    """The bus of the node, which is paused at the first sample of an episode and steps on command."""
+    with agent_sdk.connect(shared_node.endpoint, affinity="off") as connected:
+        begin_new_episode(connected)
+        connected.pause("office")
+        connected.pace("office", mode="free")
+        yield connected
+        connected.pace("office", mode="lockstep")
+
+
+def result(file: Path, count: int, actuator: str = COOLING) -> dict[str, Any]:
+    """The `count`-th result of an actuator's commands, once it is there."""
+    topic = f"zenostat/office/actuator/{actuator}/result"
+    until(lambda: len(lines(file, topic)) >= count, "the command has a result")
+    return json.loads(lines(file, topic)[count - 1])
+
+
+def test_samples_and_points_are_those_of_the_bus(
+    bus: Bus, served: subprocess.Popen[str], broker: Broker, tmp_path: Path
+) -> None:
+    assert broker.retained("zenostat/office/status") == "online"
+    with broker.subscribed("zenostat/office/sample", tmp_path) as file:
+        expected = []
+        for _ in range(5):
+            bus.step("office")
+            step = len(expected) + 1
+            until(lambda step=step: bus.latest("office").step == [step], "the step is done")
+            expected.append(bus.read("office"))
+        until(lambda: len(lines(file, "zenostat/office/sample")) >= 5, "all samples have come")
+    samples = [json.loads(line) for line in lines(file, "zenostat/office/sample")][-5:]
+    manifest = expected[0].manifest
+    scale = {p.name: 1 / manifest.step_s if p.unit == "J" else 1.0 for p in manifest.points}  # energy as mean power
+    for sample, view in zip(samples, expected, strict=True):
+        assert sample["values"] == {name: value * scale[name] for name, value in view.as_dict().items()}
+        assert (sample["episode"], sample["step"], sample["last"]) == (view.episode, view.step, False)
+        assert sample["time"] == view.time.isoformat()
+        assert sample["effective"] == dict(zip([a.name for a in manifest.actuators], view.effective, strict=True))
+    last = expected[-1]
+    latest = str(last[TEMPERATURE])
+    until(lambda: broker.retained(f"zenostat/office/sensor/{TEMPERATURE}") == latest, "the retained value is the last")
+    described = json.loads(broker.retained("zenostat/office/manifest") or "")
+    assert [reading["name"] for reading in described["readings"]] == list(manifest.names)
+
+
+def test_commands_are_answered_and_carried_out(
+    bus: Bus, served: subprocess.Popen[str], broker: Broker, tmp_path: Path
+) -> None:
+    topic = f"zenostat/office/actuator/{COOLING}/set"
+    with broker.subscribed("zenostat/office/actuator/+/result", tmp_path) as file:
+        broker.publish(topic, "26.5")
+        assert result(file, 1) | {"message": ""} == {
+            "accepted": True, "value": 26.5, "message": "", "episode": bus.latest("office").episode[0], "step": 0,
+        }  # fmt: skip
+        assert bus.priorities("office")[COOLING][7] == (26.5, "mqtt")
+        broker.publish(topic, json.dumps({"value": 25.0, "priority": 3, "duration_s": 900, "source": "node-red"}))
+        assert result(file, 2)["accepted"]
+        assert bus.priorities("office")[COOLING][2] == (25.0, "node-red")
+        bus.step("office")
+        until(lambda: broker.retained(f"zenostat/office/actuator/{COOLING}") == "25.0", "it is in effect")
+        broker.publish(
+            topic,
+            "",
+        )
+        assert result(file, 3)["value"] is None
+        assert bus.priorities("office")[COOLING][7] == (None, None)
+        until(lambda: bus.step("office") or bus.priorities("office")[COOLING][2].value is None, "it expired")
+
+
+@pytest.mark.parametrize(
+    ("payload", "error", "text"),
+    [
+        ("99", "RequestRejected", "its bounds are"),
+        ("warm", "BadMessage", "neither a number nor JSON"),
+        ("NaN", "BadMessage", "value"),
+        ("Infinity", "BadMessage", "value"),
+        ("1e999", "BadMessage", "value"),
+        ("true", "BadMessage", "value"),
+        ('"26"', "BadMessage", "value"),
+        ("[26]", "BadMessage", "value"),
+        ("{}", "BadMessage", "value"),
+        ('{"value": 26, "priority": 0}', "BadMessage", "priority"),
+        ('{"value": 26, "priority": 8.5}', "BadMessage", "priority"),
+        ('{"value": 26, "duration_s": -1}', "BadMessage", "duration_s"),
+        ('{"value": 26, "valu": 1}', "BadMessage", "valu"),
+        ("[" * 3000, "BadMessage", "neither"),
+        ("1" * 5000, "BadMessage", "at most 4096"),
+    ],
+)
+def test_invalid_commands_are_answered_and_move_nothing(
+    bus: Bus, served: subprocess.Popen[str], broker: Broker, tmp_path: Path, payload: str, error: str, text: str
+) -> None:
+    with broker.subscribed("zenostat/office/actuator/+/result", tmp_path) as file:
+        broker.publish(f"zenostat/office/actuator/{COOLING}/set", payload)
+        answer = result(file, 1)
+        assert (answer["accepted"], answer["error"]) == (False, error)
+        assert text in answer["message"]
+    assert all(entry.value is None for array in bus.priorities("office").values() for entry in array)
+
+
+def test_an_unknown_actuator_is_answered_with_similar_names(
+    bus: Bus, served: subprocess.Popen[str], broker: Broker, tmp_path: Path
+) -> None:
+    with broker.subscribed("zenostat/office/actuator/+/result", tmp_path) as file:
+        broker.publish("zenostat/office/actuator/core_zn_coolin_setpoint/set", "26")
+        assert "did you mean" in result(file, 1, "core_zn_coolin_setpoint")["message"]
+
+
+def test_a_retained_command_is_not_carried_out(
+    bus: Bus, shared_node: NodeProgram, broker: Broker, tmp_path: Path
+) -> None:
+    endpoint = shared_node.endpoint
+    topic = f"second/actuator/{COOLING}/set"
+    broker.publish(topic, "26.5", "-r")
+    options = ["--topic", "second", "--mqtt-version", "3.1.1"]
+    with broker.subscribed("second/actuator/+/result", tmp_path) as file, gateway(endpoint, broker, *options):
+        until(lambda: lines(file, f"second/actuator/{COOLING}/result"), "it is answered")
+        assert "retained" in lines(file, f"second/actuator/{COOLING}/result")[0]
+        assert bus.priorities("office")[COOLING][7].value is None
+        broker.publish(topic, "", "-r")  # and with the retained message gone, the topic commands again
+        broker.publish(topic, "25.5")
+        until(lambda: bus.priorities("office")[COOLING][7].value == 25.5, "the command is carried out")
+    assert broker.retained("second/status") == "offline"
+
+
+def test_an_mqtt_5_client_gets_the_result_where_it_wants_it(
+    bus: Bus, served: subprocess.Popen[str], broker: Broker
+) -> None:
+    command = [
+        "mosquitto_rr", *broker.options, "-V", "5", "-q", "1", "-W", "20", "-t",
+        f"zenostat/office/actuator/{COOLING}/set", "-e", "answers/7", "-m", "26.0",
+    ]  # fmt: skip
+    done = subprocess.run(command, capture_output=True, text=True, timeout=30)
+    assert json.loads(done.stdout)["accepted"], done.stderr
+
+
+def test_home_assistant_finds_each_point(bus: Bus, served: subprocess.Popen[str], broker: Broker) -> None:
+    manifest = bus.manifest("office")
+    sensor = json.loads(broker.retained(f"homeassistant/sensor/zenostat_office_{TEMPERATURE}/config") or "")
+    assert (sensor["unit_of_measurement"], sensor["device_class"]) == ("°C", "temperature")
+    assert sensor["state_topic"] == f"zenostat/office/sensor/{TEMPERATURE}"
+    actuator = next(a for a in manifest.actuators if a.name == COOLING)
+    number = json.loads(broker.retained(f"homeassistant/number/zenostat_office_{COOLING}/config") or "")
+    assert (number["min"], number["max"]) == (actuator.low, actuator.high)
+    assert number["command_topic"] == f"zenostat/office/actuator/{COOLING}/set"
+    climate = json.loads(broker.retained(f"homeassistant/climate/zenostat_office_climate_{TEMPERATURE}/config") or "")
+    assert climate["temperature_high_command_topic"] == number["command_topic"]
+    assert climate["current_temperature_topic"] == sensor["state_topic"]
+
+
+def test_a_flood_of_commands_is_answered_one_by_one(
+    bus: Bus, served: subprocess.Popen[str], broker: Broker, tmp_path: Path
+) -> None:
+    """Values out of the bounds among valid ones: none of them arrives, and the last valid one is in effect."""
+    topic = f"zenostat/office/actuator/{COOLING}"
+    payloads = [str(24.0 + 0.001 * i) if i % 3 else "1000" for i in range(1500)]
+    with broker.subscribed("zenostat/office/actuator/+/result", tmp_path) as file:
+        command = ["mosquitto_pub", *broker.options, "-q", "1", "-t", f"{topic}/set", "-l"]
+        subprocess.run(command, input="\n".join(payloads) + "\n", text=True, check=True, timeout=60)
+        until(lambda: len(lines(file, f"{topic}/result")) >= 1500, "each has a result")
+        answers = [json.loads(line) for line in lines(file, f"{topic}/result")]
+        done = [answer["value"] for answer in answers if answer["accepted"]]
+        assert len(answers) == 1500
+        valid = iter([float(p) for p in payloads if p != "1000"])
+        assert all(value in valid for value in done)  # in order; others were told that too many are waiting
+        assert len(done) >= 600
+        assert bus.priorities("office")[COOLING][7].value == done[-1]
+
+
+def test_a_broker_that_returns_has_everything_again_and_no_result_is_lost(
+    bus: Bus, shared_node: NodeProgram, tmp_path: Path
+) -> None:
+    topic = f"zenostat/office/actuator/{COOLING}"
+    with Broker(tmp_path) as broker, gateway(shared_node.endpoint, broker):
+        until(lambda: broker.retained("zenostat/office/status") == "online", "it is online")
+        broker.stop()
+        bus.step("office")
+        broker.start()
+        until(lambda: broker.retained("zenostat/office/status") == "online", "it is online again")
+        with broker.subscribed("zenostat/office/actuator/+/result", tmp_path) as file:
+            broker.publish(f"{topic}/set", "26.5")
+            assert result(file, 1)["accepted"]
+        latest = str(bus.read("office")[TEMPERATURE])
+        until(lambda: broker.retained(f"zenostat/office/sensor/{TEMPERATURE}") == latest, "values are there again")
+
+
+def test_the_example_sets_back_at_night(bus: Bus, served: subprocess.Popen[str], broker: Broker) -> None:
+    example = Path(__file__).parents[2] / "examples" / "mqtt_client.py"
+    command = [sys.executable, "-u", str(example), "--port", str(broker.port)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as program:
+        until(lambda: bus.step("office") or bus.priorities("office")[COOLING][7] == (28.0, "night setback"), "at night")
+        bus.resume("office")
+        out, _ = program.communicate(timeout=60)
+    assert program.returncode == 0
+    times = [line.split(": ") for line in out.splitlines() if "2" in line[:1]]
+    assert [(time[11:16], what) for time, what in times[1:]] == [("06:00", "day"), ("20:00", "night")]
+
+
+def test_a_killed_gateway_is_offline_by_its_last_will(bus: Bus, shared_node: NodeProgram, broker: Broker) -> None:
+    command = [
+        *ZENOSTAT, "gateway", "mqtt", "office", "--connect", shared_node.endpoint, "--topic", "third",
+        "--broker", f"127.0.0.1:{broker.port}",
+    ]  # fmt: skip
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as program:
+        assert program.stdout.readline().startswith("ready: ")
+        until(lambda: broker.retained("third/status") == "online", "it is online")
+        program.kill()
+    until(lambda: broker.retained("third/status") == "offline", "the broker has published the last will")
+
+
+def test_tls_and_password(bus: Bus, shared_node: NodeProgram, tmp_path: Path) -> None:
+    def openssl(*words: str) -> None:
+        subprocess.run(["openssl", *words], cwd=tmp_path, check=True, capture_output=True)
+
+    openssl(
+        "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes", "-keyout", "key.pem",
+        "-out", "cert.pem", "-days", "2", "-subj", "/CN=localhost", "-addext", "subjectAltName=IP:127.0.0.1",
+    )  # fmt: skip
+    subprocess.run(["mosquitto_passwd", "-b", "-c", str(tmp_path / "users"), "gateway", "secret"], check=True)
+    (tmp_path / "users").chmod(0o644)
+    (tmp_path / "key.pem").chmod(0o644)
+    tmp_path.chmod(0o755)
+    lines_of_tls = (
+        "allow_anonymous false", f"password_file {tmp_path}/users", f"certfile {tmp_path}/cert.pem",
+        f"keyfile {tmp_path}/key.pem", "user root",
+    )  # fmt: skip
+    (tmp_path / "password").write_text("secret\n")
+    secured = ["--tls", "--ca", str(tmp_path / "cert.pem"), "--username", "gateway"]
+    secured += ["--password-file", str(tmp_path / "password")]
+    with Broker(tmp_path, *lines_of_tls) as broker:
+        broker.options += ["--cafile", str(tmp_path / "cert.pem"), "-u", "gateway", "-P", "secret"]
+        until(broker.is_up, "the broker runs")
+        with gateway(shared_node.endpoint, broker, *secured):
+            until(lambda: broker.retained("zenostat/office/status") == "online", "it is online")
+        (tmp_path / "password").write_text("wrong")
+        address = ["--connect", shared_node.endpoint, "--broker", f"127.0.0.1:{broker.port}"]
+        done = run_in_process("gateway", "mqtt", "office", *address, *secured)
+    assert done.returncode != 0
+    assert "Not authorized" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        (("--broker", "127.0.0.1:1"), "no connection to the MQTT broker 127.0.0.1:1"),
+        (("--broker", "broker.example"), "--tls"),
+        (("--broker", "127.0.0.1:x"), "expected HOST:PORT"),
+        (("--topic", "a/+/b"), "without wildcards"),
+        (("--ca", "nothing.pem"), "--ca needs --tls"),
+        (("--tls", "--ca", "nothing.pem"), "no such file"),
+        (("--password-file", "/dev/null"), "--password-file needs --username"),
+        (("--mqtt-version", "4"), "expected 5 or 3.1.1"),
+    ],
+)
+def test_bad_settings_have_one_error(shared_node: NodeProgram, options: tuple[str, ...], text: str) -> None:
+    done = run_in_process("gateway", "mqtt", "office", "--connect", shared_node.endpoint, *options)
+    assert done.returncode != 0
+    assert text in done.stderr
+    assert len(done.stderr.splitlines()) == 1
