@@ -9,6 +9,7 @@ import typer
 import typer.core
 
 from cli import (
+    alarms,
     asyncapi,
     buildings,
     data_packs,
@@ -24,6 +25,7 @@ from cli import (
     monitor,
     node,
     pace,
+    plot,
     points,
     priorities,
     probe,
@@ -47,10 +49,13 @@ for _command in (gateway_modbus.modbus, gateway_mqtt.mqtt):
 
 _GROUPS: dict[str, tuple[Callable[..., None] | typer.Typer, ...]] = {
     "Simulate and control": (demo.demo, node.node, run.run, evaluate.evaluate, probe.probe),
-    "Watch a bus": (status.status, monitor.monitor, view.view, watch.watch, read.read, priorities.priorities),
+    "Watch a bus": (
+        status.status, monitor.monitor, view.view, watch.watch, read.read, plot.plot, alarms.alarms,
+        priorities.priorities,
+    ),
     "Operate a running node": (
         write.write, write.relinquish, lifecycle.reset, pace.pause, pace.resume, pace.step, pace.pace, pace.faults,
-        lifecycle.stop,
+        alarms.acknowledge, lifecycle.stop,
     ),
     "Record and verify": (record.record, verify.verify, replay.replay, export.export, log.log),
     "Choose what to simulate": (scenarios, buildings.buildings, weathers.weathers, points.points, data_packs.app),

@@ -22,7 +22,7 @@ def log(
     rejected: Annotated[bool, typer.Option("--rejected", help="Only what the node did not accept.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the log as JSON.")] = False,
 ) -> None:
-    """List the writes, commands and requests of a recording, with their senders, times and results.
+    """List the writes, commands, requests and alarms of a recording, with senders, times and results.
 
     Consecutive accepted commands of a controller are one row.
 

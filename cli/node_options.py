@@ -34,6 +34,7 @@ Mode = Annotated[
 ]
 Speed = Annotated[float | None, typer.Option(help="Simulated seconds per second in paced mode. Default: 1.")]
 Faults = Annotated[Path | None, argument("faults")]
+Alarms = Annotated[Path | None, argument("alarms")]
 Policy = Annotated[
     messages.Policy,
     typer.Option(help="If a required controller is missing: wait, hold or relinquish its commands, or abort."),
@@ -67,6 +68,10 @@ NoShrinkCaches = Annotated[bool, argument("shrink_caches", "--no-shrink-caches",
 Record = Annotated[Path | None, argument("record")]
 RecordOnFull = Annotated[messages.OnFull, argument("record_on_full")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the file of --record if it is a recording.")]
+HistoryMB = Annotated[
+    float,
+    typer.Option("--history-mb", min=0, max=4096, help="Memory for the history of the episode, in MB; 0: none."),
+]
 OutputDir = Annotated[Path | None, argument("output_dir")]
 KeepLast = Annotated[int | None, argument("keep_last", min=1, note=" Default: all.")]
 Affinity = Annotated[affinity.Affinity, typer.Option(help="Assignment to CPU cores; see docs/architecture.md.")]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from bridge.alarms.rules import point_alarms, read_rules
 from bridge.faults import read_plan
 from bridge.node.fault_injection import FaultInjection
 from bridge.node.plant import PlantDescription, Provenance, RunPeriod
@@ -87,6 +88,8 @@ def plan(config: NodeConfig) -> Plan:
         task = errors.collect(lambda: task_of(scenario, chosen))
     file = config.faults
     injected = errors.collect(lambda: read_plan(file)) if file is not None else None
+    rules_file = config.alarms
+    rules = errors.collect(lambda: read_rules(rules_file)) if rules_file is not None else None
     errors.raise_if_any()
     assert model is not None
     assert period is not None
@@ -103,6 +106,8 @@ def plan(config: NodeConfig) -> Plan:
         FaultInjection(
             injected, describe(planned), config.slots
         )  # so that its errors are reported before anything starts
+    if rules is not None:
+        point_alarms(rules, describe(planned))
     return planned
 
 

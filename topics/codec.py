@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from topics.errors import BadMessage, did_you_mean
-from topics.messages import SCHEMA_VERSION, Batch, Claim, Geometry, Manifest, Message, Sample, Status
+from topics.messages import SCHEMA_VERSION, AlarmList, Batch, Claim, Geometry, Manifest, Message, Sample, Status
 
 M = TypeVar("M", bound=Message)
 
@@ -28,7 +28,15 @@ MAX_BYTES = 8 * 1024 * 1024
 MAX_ENTRIES = 4_000
 """Largest number of entries in all lists and maps of a message; messages with more are rejected before validation."""
 
-MAX_ITEMS = {Batch: 100_000, Claim: 20_000, Geometry: 100_000, Manifest: 1_000_000, Sample: 100_000, Status: 100_000}
+MAX_ITEMS = {
+    AlarmList: 100_000,
+    Batch: 100_000,
+    Claim: 20_000,
+    Geometry: 100_000,
+    Manifest: 1_000_000,
+    Sample: 100_000,
+    Status: 100_000,
+}
 """Larger limits of entries, for messages that list points, zones or many slots."""
 
 _MAX_ERRORS = 10

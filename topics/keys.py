@@ -14,6 +14,9 @@ from topics.fault_plan import FaultPlan
 from topics.messages import (
     SCHEMA_VERSION,
     Ack,
+    Acknowledge,
+    AlarmList,
+    AlarmQuery,
     Batch,
     BranchCreated,
     Claim,
@@ -22,6 +25,8 @@ from topics.messages import (
     DropSnapshot,
     Event,
     Geometry,
+    HistoryQuery,
+    HistorySeries,
     Manifest,
     Message,
     Pause,
@@ -110,6 +115,9 @@ STOP_RECORDING = Topic("rpc/stop_recording", Role.CONTROLLER, StopRecording, Del
 STATUS = Topic("rpc/status", Role.ANYONE, Query, Delivery.QUERY, reply=Status)
 SCENARIO = Topic("rpc/scenario", Role.ANYONE, Query, Delivery.QUERY, reply=ScenarioText)
 WEATHER = Topic("rpc/weather", Role.ANYONE, WeatherQuery, Delivery.QUERY, reply=WeatherSeries)
+ALARMS = Topic("rpc/alarms", Role.ANYONE, AlarmQuery, Delivery.QUERY, reply=AlarmList)
+ACKNOWLEDGE = Topic("rpc/acknowledge", Role.CONTROLLER, Acknowledge, Delivery.QUERY, reply=Ack)
+HISTORY = Topic("rpc/history", Role.ANYONE, HistoryQuery, Delivery.QUERY, reply=HistorySeries)
 GEOMETRY = Topic("rpc/geometry", Role.ANYONE, Query, Delivery.QUERY, reply=Geometry)
 PRIORITIES = Topic("rpc/priorities", Role.ANYONE, Query, Delivery.QUERY, reply=PriorityArrays)
 NODE_TOKEN = Topic("@live/node/{name}", Role.NODE, None, Delivery.TOKEN)
@@ -142,6 +150,9 @@ TOPICS = (
     STATUS,
     SCENARIO,
     WEATHER,
+    HISTORY,
+    ALARMS,
+    ACKNOWLEDGE,
     GEOMETRY,
     PRIORITIES,
     NODE_TOKEN,

@@ -152,6 +152,7 @@ class ScenarioArguments(TypedDict, total=False):
         Doc("If the disk is slower than the node: `wait` for it, or `stop` the recording; by default wait."),
     ]
     faults: Annotated[str | Path | None, Doc("Plan of faults to inject (YAML); see docs/faults.md.")]
+    alarms: Annotated[str | Path | None, Doc("Alarm rules of sensors and meters (YAML); see docs/alarms.md.")]
 
 
 class PlantArguments(TypedDict, total=False):

@@ -12,11 +12,15 @@ import os
 import re
 import stat
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeVar
 
 import yaml
+from pydantic import BaseModel, ValidationError
 
+from topics.codec import describe_validation_errors
 from topics.errors import InvalidConfig
+
+M = TypeVar("M", bound=BaseModel)
 
 _Base: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _MERGE = "tag:yaml.org,2002:merge"
@@ -180,6 +184,22 @@ def parse(text: str, what: str) -> dict[str, Any]:
     if not isinstance(mapping, dict) or not all(isinstance(key, str) for key in mapping):
         raise InvalidConfig(f"{what} should contain names and values, such as `building: office-small`")
     return mapping
+
+
+def read_model(path: Path, model: type[M]) -> M:
+    """Read a file into a pydantic model.
+
+    Raises:
+        InvalidConfig: the file cannot be read, or is not valid; the text lists all errors.
+    """
+    try:
+        text = read_text(path.expanduser())
+    except (OSError, RuntimeError, UnicodeDecodeError) as error:
+        raise InvalidConfig(f"{path} cannot be read: {error}") from None
+    try:
+        return model.model_validate(parse(text, str(path)))
+    except ValidationError as error:
+        raise InvalidConfig(f"{path}: {describe_validation_errors(error, model.model_fields)}") from None
 
 
 def dump(plain: dict[str, Any]) -> str:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
 from typing import Any, cast
@@ -19,6 +19,7 @@ from pydantic import ValidationError
 from zenoh import QueryTarget
 
 from agent_sdk.bus import fork_guard
+from agent_sdk.bus.alarm_requests import AlarmRequests
 from agent_sdk.bus.controller_link import ControllerLink
 from agent_sdk.bus.listener import listen
 from agent_sdk.bus.pace_requests import PaceRequests
@@ -26,6 +27,7 @@ from agent_sdk.bus.priorities import PriorityRequests
 from agent_sdk.bus.recording_requests import RecordingRequests
 from agent_sdk.bus.requests import M, build
 from agent_sdk.bus.sample import SampleView
+from agent_sdk.bus.series_requests import SeriesRequests
 from bridge.runtime import affinity
 from bridge.runtime.affinity import Affinity
 from bridge.transport.access_control import Permission, may
@@ -62,8 +64,6 @@ from topics.messages import (
     Status,
     Stop,
     TakeSnapshot,
-    WeatherQuery,
-    WeatherSeries,
     Write,
 )
 from topics.points import actuator_index, value_index
@@ -103,7 +103,7 @@ def connect(
     return Bus(endpoint, session, Affinity(affinity), role if keys else None)
 
 
-class Bus(PaceRequests, PriorityRequests, RecordingRequests):
+class Bus(PaceRequests, PriorityRequests, RecordingRequests, SeriesRequests, AlarmRequests):
     """A connection to all nodes that are reachable through one endpoint.
 
     Attributes:
@@ -221,10 +221,6 @@ class Bus(PaceRequests, PriorityRequests, RecordingRequests):
             RequestRejected, ForkFailed: As for `snapshot`; a branch cannot have branches.
         """
         return self._ask(keys.BRANCH, node, branch, BranchCreated).node
-
-    def weather(self, node: str, columns: Sequence[str], slot: int = 0) -> WeatherSeries:
-        """Return weather of a slot's current episode, noise included; `UnknownName` lists the columns."""
-        return self._ask(keys.WEATHER, node, WeatherQuery(columns=list(columns), slot=slot), WeatherSeries)
 
     def geometry(self, node: str) -> Geometry:
         """Return a node's zones and surfaces; `bridge.display.surfaces` decodes them.

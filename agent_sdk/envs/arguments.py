@@ -61,9 +61,10 @@ def for_node(arguments: Mapping[str, Any], name: str, slots: int = 1) -> dict[st
     if "file" in settings:
         settings["scenario"] = settings.pop("file")
     # Relative paths refer to the caller's working directory, which may differ from the node's.
-    for key in ("building", "config", "faults", "output_dir", "record", "scenario", "weather"):
+    files = ("alarms", "config", "faults", "output_dir", "record")
+    for key in (*files, "building", "scenario", "weather"):
         if key in settings:
-            settings[key] = _absolute(settings[key], always=key in ("config", "faults", "output_dir", "record"))
+            settings[key] = _absolute(settings[key], always=key in files)
     if "plant_arguments" in settings and "plant" not in settings:
         raise InvalidConfig("plant_arguments needs a class: plant='FILE.py:CLASS'")
     if "plant" in settings:

@@ -52,7 +52,7 @@ def load(path: str | Path) -> Recording:
                 elif item.schema == "Event":
                     event = codec.decode(Event, item.payload)
                     events.append((datetime.fromtimestamp(item.time_ns / 1e9, UTC), event))
-                    log.add_event(event)
+                    log.add_event(event, item.time_ns)
                 else:
                     log.add(item, samples.time)
             episodes = samples.episodes(starts)

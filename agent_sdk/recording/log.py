@@ -11,14 +11,14 @@ import msgpack
 
 from topics import codec, keys
 from topics.errors import BadMessage
-from topics.messages import ANONYMOUS, REJECTIONS, ErrorReply, Event, EventKind
+from topics.messages import ANONYMOUS, REJECTIONS, AlarmTransition, ErrorReply, Event, EventKind
 from topics.recording import RecordedMessage, RecordedRequest
 
 if TYPE_CHECKING:
     from bridge.recording.reader import RecordedItem
 
 _COMMAND, _ACTUATOR = (topic.key.removesuffix("{name}") for topic in (keys.COMMAND, keys.ACTUATOR))
-_ACCEPTED = "accepted"
+_ACCEPTED, _ALARM = "accepted", "alarm"
 _OUTCOMES = (*REJECTIONS, EventKind.WRITTEN, EventKind.ACCEPTED_LATE)
 _HIDDEN = ("controller", "source", "values", "operations", "episode")
 _ERROR = codec.encoding(ErrorReply)
@@ -26,15 +26,15 @@ _ERROR = codec.encoding(ErrorReply)
 
 @dataclass(slots=True)
 class LogEntry:
-    """A command, a write or a request, and its result.
+    """A command, a write or a request, and its result; or a transition of an alarm.
 
     Attributes:
         time: UTC at which the node received it.
         simulated: Simulated time of the node's latest sample; empty before the first one.
         source: Name of the sender; empty if the message has none.
-        kind: `command`, `write`, or the request: `claim`, `reset`, `pause`.
-        subject: The point that was written, or what was requested.
-        result: `accepted`, or the reason why not.
+        kind: `command`, `write`, or the request: `claim`, `reset`, `pause`; or `alarm`.
+        subject: The point that was written, what was requested, or what the alarm reports.
+        result: `accepted`, or the reason why not; of an alarm, its new state.
         count: Number of consecutive accepted commands that the entry stands for.
     """
 
@@ -48,8 +48,8 @@ class LogEntry:
 
     @property
     def is_accepted(self) -> bool:
-        """Whether the node accepted it."""
-        return self.result.startswith(_ACCEPTED)
+        """Whether the node accepted it; an alarm is nothing that it could reject."""
+        return self.kind == _ALARM or self.result.startswith(_ACCEPTED)
 
 
 class LogBuilder:
@@ -65,8 +65,12 @@ class LogBuilder:
         self._commands: dict[str, LogEntry] = {}
         self._latest: dict[str, LogEntry] = {}
 
-    def add_event(self, event: Event) -> None:
-        """Take the result of the latest message from an event."""
+    def add_event(self, event: Event, time_ns: int) -> None:
+        """Take the result of the latest message from an event, or add the transition of an alarm."""
+        if event.alarm is not None and event.alarm.transition is not AlarmTransition.ACKNOWLEDGE:  # that is a request
+            alarm = event.alarm
+            self._entries.append(LogEntry(_utc(time_ns), alarm.time, "", _ALARM, event.text, str(alarm.state)))
+            return
         entry, self._awaiting = self._awaiting, None
         if entry is None or event.kind not in _OUTCOMES or (event.source and event.source != entry.source):
             return

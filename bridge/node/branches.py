@@ -16,6 +16,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic
+from typing import TYPE_CHECKING
 
 from bridge.exchange.actuator_commands import CommandSnapshot
 from bridge.exchange.step_exchange import StepExchange
@@ -40,6 +41,9 @@ from topics.messages import (
     TakeSnapshot,
 )
 
+if TYPE_CHECKING:
+    from bridge.alarms.monitor import AlarmSnapshot
+
 _NODE_REQUESTS = (
     (keys.RESET, Reset),
     (keys.SNAPSHOT, TakeSnapshot),
@@ -53,7 +57,7 @@ _NO_EPISODE = "there is nothing to fork: the episode is {}; reset it first"
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """State of a node at one sample: a copy of its plant, the commands in effect, and the injected faults."""
+    """State of a node at one sample: a copy of its plant, the commands in effect, the injected faults, and alarms."""
 
     name: str
     owner: str
@@ -62,6 +66,7 @@ class Snapshot:
     plant: RunningPlant
     commands: CommandSnapshot
     faults: FaultState | None
+    alarms: AlarmSnapshot | None
     folder: Path
 
     @classmethod
@@ -76,6 +81,7 @@ class Snapshot:
             server.plant.fork(range(exchange.slots), folder, baseline=True),
             exchange.capture(),
             injection.state() if injection is not None else None,
+            server.alarms.capture() if server.alarms is not None else None,
             folder,
         )
 
@@ -221,6 +227,8 @@ class BranchManager:
                 **site_fields(plant.site(0)),
                 "baseline": False,
                 "warnings": (),
+                "history_samples": 0,
+                "history_bytes": 0,
                 "mode": Mode.LOCKSTEP,
                 "policy": Policy.WAIT,
                 "grace_s": 0.0,

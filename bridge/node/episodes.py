@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from time import monotonic
+from typing import TYPE_CHECKING
 
 from bridge.exchange.actuator_commands import CommandSnapshot
 from bridge.exchange.step_exchange import StepExchange
@@ -26,6 +27,9 @@ from topics.messages import (
     State,
     TakeSnapshot,
 )
+
+if TYPE_CHECKING:
+    from bridge.alarms.monitor import AlarmSnapshot
 
 
 class EpisodeManager:
@@ -106,6 +110,7 @@ class EpisodeManager:
         faults: FaultState | None = None,
         commands: CommandSnapshot | None = None,
         snapshot: str = "",
+        alarms: AlarmSnapshot | None = None,
     ) -> None:
         """Begin episodes whose first samples the plant has reached, and publish these.
 
@@ -116,6 +121,7 @@ class EpisodeManager:
             faults: those of a snapshot.
             commands: those of a snapshot.
             snapshot: its name.
+            alarms: those of a snapshot.
         """
         server = self._server
         server.exchange.ready(monotonic(), steps, commands)
@@ -125,6 +131,8 @@ class EpisodeManager:
             server.inject(faults[0])
             if server.injection is not None:
                 server.injection.restore(faults)
+        if alarms is not None and server.alarms is not None:
+            server.alarms.restore(alarms)
         server.failure = server.failure_error = ""
         site = self._plant.site(0)
         if previous.weather != site.weather:
@@ -170,7 +178,9 @@ class EpisodeManager:
         exchange.reset()
         steps = dict(enumerate(snapshot.step))
         faults = snapshot.faults or NO_FAULTS
-        self._begin(steps, reset.controller, [None] * len(slots), faults, snapshot.commands, snapshot.name)
+        seeds: list[int | None] = [None] * len(slots)
+        commands, alarms = snapshot.commands, snapshot.alarms
+        self._begin(steps, reset.controller, seeds, faults, commands, snapshot.name, alarms)
         self._plant.clean_up()
         return Ack(episode=exchange.episode, episode_starts=starts)
 

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 from typing import Any
 
+from bridge.node.history import History
 from bridge.node.plant import Plant, Site
 from bridge.node.settings import NodeSettings
 from bridge.runtime import affinity
 from topics.messages import Manifest
 
 
-def node_manifest(settings: NodeSettings, plant: Plant, *, instance: str, cpu: int | None) -> Manifest:
+def node_manifest(
+    settings: NodeSettings, plant: Plant, history: History | None, *, instance: str, cpu: int | None
+) -> Manifest:
     """Describe a node.
 
     Args:
         settings: of the node.
         plant: at its first sample.
+        history: of the present episode; None if it keeps none.
         instance: the id of its Zenoh session.
         cpu: the core on which it runs; None if it is not placed.
     """
@@ -39,6 +43,8 @@ def node_manifest(settings: NodeSettings, plant: Plant, *, instance: str, cpu: i
         policy=settings.policy,
         grace_s=settings.grace_s,
         deadline_s=settings.deadline_s,
+        history_samples=history.samples if history is not None else 0,
+        history_bytes=history.size_bytes if history is not None else 0,
         sensors=description.sensors,
         meters=description.meters,
         actuators=description.actuators,

@@ -9,12 +9,14 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from types import FrameType
+from typing import TYPE_CHECKING
 
 from bridge.engine.registry import EngineRegistry
 from bridge.exchange.step_exchange import StepExchange
 from bridge.faults import read_plan
 from bridge.node.branches import BranchManager
 from bridge.node.episodes import EpisodeManager
+from bridge.node.history import History
 from bridge.node.manifest import node_manifest
 from bridge.node.names import check_name_is_free, instances
 from bridge.node.plant import PlantContext, PlantFactory, SlotPlacement
@@ -28,6 +30,9 @@ from bridge.runtime.signals import TERMINATION_SIGNALS, override_signals
 from bridge.transport.session import open_session
 from topics import codec, keys
 from topics.messages import EventKind, Manifest, Query, RecordingStatus
+
+if TYPE_CHECKING:
+    from bridge.alarms.monitor import AlarmMonitor
 
 
 class Node:
@@ -185,8 +190,10 @@ class Node:
             deadline_s=settings.deadline_s,
         )
         plant.start(range(settings.slots))
-        manifest = node_manifest(settings, plant, instance=self.instance, cpu=self.cpu)
-        self.server = NodeServer(self.session, plant, manifest, exchange, self._observer)
+        history = History(plant.description, settings.slots, int(settings.history_mb * 1e6))
+        kept = history if history.samples else None
+        manifest = node_manifest(settings, plant, kept, instance=self.instance, cpu=self.cpu)
+        self.server = NodeServer(self.session, plant, manifest, exchange, self._observer, kept, self._alarms())
         self.server.on_stop = self._on_stop_request
         self._recordings = RecordingManager(self.server, plant, cpus=self._cpus)
         self._close.callback(self._recordings.close)
@@ -199,6 +206,15 @@ class Node:
         self._close.callback(self.branches.close)
         self._has_server = True
         self._episodes = EpisodeManager(self.server, plant, self.branches, self._recordings)
+
+    def _alarms(self) -> AlarmMonitor | None:
+        settings = self.settings
+        if settings.alarms is None:
+            return None
+        from bridge.alarms.monitor import AlarmMonitor  # few nodes have alarms
+        from bridge.alarms.rules import read_rules
+
+        return AlarmMonitor(read_rules(settings.alarms), self.plant.description, settings.slots)
 
     def _announce(self) -> None:
         """Put the node on the bus: first what answers requests, its presence last."""

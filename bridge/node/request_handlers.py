@@ -13,17 +13,21 @@ import psutil
 from bridge.exchange.step_exchange import MAX_MESSAGES_PER_STEP, MAX_SOURCE_NAME
 from bridge.node.subscriptions import Request
 from topics import codec, keys
-from topics.errors import BadMessage, BusError, RequestRejected
+from topics.errors import BadMessage, BusError, RequestRejected, UnknownName
 from topics.fault_plan import FaultPlan
 from topics.messages import (
     ANONYMOUS,
     REJECTIONS,
     Ack,
+    Acknowledge,
+    AlarmList,
+    AlarmQuery,
     Claim,
     Command,
     Event,
     EventKind,
     Geometry,
+    HistoryQuery,
     Manifest,
     Message,
     PriorityArrays,
@@ -66,6 +70,9 @@ class RequestHandlers:
         subscriptions.request_undecoded(keys.WRITE_REQUEST, self._request_write)
         subscriptions.request(keys.WEATHER, WeatherQuery, self._weather)
         subscriptions.request(keys.PRIORITIES, Query, self._priorities)
+        subscriptions.request(keys.HISTORY, HistoryQuery, self._history)
+        subscriptions.request(keys.ALARMS, AlarmQuery, self._alarms)
+        subscriptions.request(keys.ACKNOWLEDGE, Acknowledge, self._acknowledge)
         subscriptions.request(keys.STOP, Stop, self._stop, on_receipt=server.on_stop)
         subscriptions.request(keys.FAULTS, FaultPlan, self._set_faults)
 
@@ -168,6 +175,36 @@ class RequestHandlers:
             source_index=source_index.astype("<u2").tobytes(),
             sources=exchange.source_names,
         )
+
+    def _history(self, query: HistoryQuery) -> Message:
+        server = self._server
+        server.check_slot(query.slot)
+        if server.history is None:
+            raise RequestRejected(
+                f"branches keep no history; ask {server.manifest.branch_of!r}"
+                if server.manifest.branch_of
+                else "the node keeps no history (history_mb=0, or less than a sample takes)"
+            )
+        return server.history.answer(query)
+
+    def _alarms(self, query: AlarmQuery) -> Message:
+        server, exchange = self._server, self._server.exchange
+        server.check_slot(query.slot)
+        if server.alarms is not None:
+            return server.alarms.status(query.slot)
+        episode, step = exchange.episode[query.slot], exchange.step[query.slot]
+        time = server.plant.description.run_period.time(step).isoformat()
+        return AlarmList(slot=query.slot, episode=episode, step=step, time=time, alarms=[])
+
+    def _acknowledge(self, request: Acknowledge) -> Message:
+        server = self._server
+        if request.slot is not None:
+            server.check_slot(request.slot)
+        if server.alarms is None:
+            raise UnknownName(f"no alarm {request.alarm!r}; node {server.manifest.node!r} has none")
+        events = server.alarms.acknowledge(request)
+        server.publish_events(events)
+        return Ack(episode=server.exchange.episode, text="\n".join(event.text for event in events))
 
     def _stop(self, _: Stop) -> Message:
         self._server.subscriptions.post(self._server.stop_serving)

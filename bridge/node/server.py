@@ -19,6 +19,7 @@ import zenoh
 from bridge.exchange.latency import LatencyWindow
 from bridge.exchange.step_exchange import StepExchange, Trigger
 from bridge.node.fault_injection import FaultInjection
+from bridge.node.history import History
 from bridge.node.pacing import Pacing
 from bridge.node.plant import RunningPlant
 from bridge.node.publications import Publications
@@ -32,6 +33,7 @@ from topics.fault_plan import FaultPlan
 from topics.messages import Event, EventKind, Flag, Manifest, Mode, Query, State, Statistics
 
 if TYPE_CHECKING:
+    from bridge.alarms.monitor import AlarmMonitor
     from bridge.recording.recorder import Recorder
 
 _NO_FLAG, _FIRST, _TRUNCATED = int(Flag.NONE), int(Flag.FIRST), int(Flag.TRUNCATED)
@@ -55,6 +57,8 @@ class NodeServer:
         manifest: the description to publish.
         exchange: at the plant's samples.
         observer: called after each sample and event.
+        history: keeps each published sample; None keeps none.
+        alarms: evaluated at each sample; None has none.
 
     Attributes:
         stopping: whether the server is about to end; errors of engines are then expected.
@@ -69,9 +73,11 @@ class NodeServer:
         manifest: Manifest,
         exchange: StepExchange,
         observer: Observer | None = None,
+        history: History | None = None,
+        alarms: AlarmMonitor | None = None,
     ) -> None:
         self.session, self.plant, self.manifest = session, plant, manifest
-        self.exchange = exchange
+        self.exchange, self.history, self.alarms = exchange, history, alarms
         self._observer = observer
         self._close = ExitStack()
         self.timer = Timer()
@@ -233,7 +239,8 @@ class NodeServer:
             ]
         else:
             flags = [fallback] * len(steps)
-        values, fault_free_values, injection = plant.values(), b"", self.injection
+        values, effective, fault_free_values = plant.values(), plant.effective, b""
+        injection = self.injection
         if injection is not None:
             fault_free_values, values = values, injection.apply_to_sensors(values, exchange.step)
         self.latest_sample = codec.pack(
@@ -243,7 +250,7 @@ class NodeServer:
             elapsed_s=elapsed_s,
             flags=flags,
             values=values,
-            effective=plant.effective,
+            effective=effective,
             commanded=exchange.commanded,
             source_index=exchange.source_index,
             sources=exchange.source_names,
@@ -259,6 +266,10 @@ class NodeServer:
             self._publish_with_faults(injection)
         if self._recorder is not None:
             self._recorder.add(SAMPLES, self.latest_sample)
+        if self.history is not None:
+            self.history.add(values, effective, exchange.episode, steps)
+        if self.alarms is not None:
+            self.publish_events(self.alarms.update(values, exchange.episode, steps))
         now_s = monotonic()
         if self._sampled_s:
             self._cycle.add(now_s - self._sampled_s)
@@ -302,6 +313,8 @@ class NodeServer:
         """Begin episodes in some slots, and the step schedule, at the sample that is published next."""
         if self.injection is not None:
             self.injection.begin(slots, seeds)
+        if self.alarms is not None:
+            self.alarms.reset(slots)
         self.exchange.fallback_active = False
         self._last_commands, self._sampled_s = b"", 0.0
         self.pacing.begin()

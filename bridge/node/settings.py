@@ -18,11 +18,13 @@ class NodeSettings(BaseModel):
 
     Attributes:
         check: only check the settings; start nothing.
+        alarms: a file with alarm rules.
         faults: a file with a fault plan.
         listen: endpoints; empty for a node that only connects to a router or another node.
         keys: a folder created by `zenostat keys init`; `certificate` names another certificate than `node`.
         monitoring: also measure what pictures and reports need; a Python plant measures all its points anyway.
         record: a file (`.mcap`) or a folder for recordings; `record_on_full` and `record_overwrite` are options of it.
+        history_mb: memory for the history of the present episode, in MB; 0 keeps none.
         unresponsive_s: time after which an engine that neither answers nor uses processor time is killed.
         folder: for temporary files; None uses the system's.
         cpu: the core of the node, and `engine_cpu` that of its engine; None lets `affinity` choose.
@@ -38,6 +40,7 @@ class NodeSettings(BaseModel):
     grace_s: Annotated[float, Field(ge=0, le=1e9)] = 0.0
     deadline_s: Annotated[float, Field(gt=0, le=1e9)] | None = None
     faults: Path | None = None
+    alarms: Path | None = None
     listen: list[str] = Field(default_factory=lambda: [DEFAULT_ENDPOINT])
     connect: list[str] = Field(default_factory=list)
     expose: bool = False
@@ -50,6 +53,7 @@ class NodeSettings(BaseModel):
     record: Path | None = None
     record_on_full: OnFull = OnFull.WAIT
     record_overwrite: bool = False
+    history_mb: Annotated[float, Field(ge=0, le=4096)] = 16.0
     unresponsive_s: Annotated[float, Field(gt=0, le=1e9)] = UNRESPONSIVE_S
     folder: Path | None = None
     affinity: Affinity = Affinity.SEPARATE_CORES

@@ -8,6 +8,7 @@ from typing import Any
 
 from pydantic import Field, ValidationError
 
+from bridge.alarms.rules import point_alarms, read_rules
 from bridge.faults import read_plan
 from bridge.node.fault_injection import FaultInjection
 from bridge.node.node import Node
@@ -68,6 +69,8 @@ def plant_node(settings: PlantSettings, observer: Observer | None = None, *, pro
         plan = plan_class(settings.plant, settings.plant_arguments, settings.unresponsive_s)
         if settings.faults is not None:  # so that its errors are reported before anything starts
             FaultInjection(read_plan(settings.faults), plan.description, settings.slots)
+        if settings.alarms is not None:
+            point_alarms(read_rules(settings.alarms), plan.description)
         return partial(PythonPlant, plan)
 
     return Node(settings, prepare, observer, program=program)

@@ -17,7 +17,7 @@ from bridge.rerun.recording import SIMULATED, STEP, entity_path
 from bridge.rerun.samples import ComfortFactory, RewardFactory
 from bridge.rerun.summary import NodeNumbers, NodeStatus
 from topics.errors import BadMessage, InvalidConfig
-from topics.messages import Event, EventKind, Geometry, Manifest, Sample
+from topics.messages import AlarmState, Event, EventKind, Geometry, Manifest, Sample
 
 _WARNINGS = (
     EventKind.FAILED, EventKind.REJECTED, EventKind.LATE, EventKind.ACCEPTED_LATE, EventKind.WARNING, EventKind.FAULT,
@@ -168,7 +168,8 @@ class NodeStream:
         """Log an event at its step and simulated time."""
         if event.kind == EventKind.FAULT:
             self._on_fault(event.text)
-        level = "WARN" if event.kind in _WARNINGS else "INFO"
+        is_alarm = event.alarm is not None and event.alarm.state is AlarmState.ACTIVE
+        level = "WARN" if is_alarm or event.kind in _WARNINGS else "INFO"
         text = f"{event.kind.replace('_', ' ')}: {event.text}" + (f" ({event.source})" if event.source else "")
         manifest = self.model.manifest
         moment = datetime.fromisoformat(manifest.begin) + event.step * timedelta(seconds=manifest.step_s)

@@ -11,6 +11,7 @@ import pytest
 
 from agent_sdk.envs.arguments import check_agent_settings
 from agent_sdk.wrappers import restore_wrappers
+from bridge.alarms.rules import read_rules
 from bridge.faults import read_plan
 from bridge.runtime.affinity import Affinity
 from models.scenario.schema import load_scenario, read_scenario
@@ -72,6 +73,7 @@ def _reward(path: Path) -> object:
 READERS: dict[str, Callable[[Path], object]] = {
     "scenario": load_scenario,
     "faults": read_plan,
+    "alarms": read_rules,
     "configuration": scenarios_of,
     "wrappers": lambda path: restore_wrappers(None, path),
 }

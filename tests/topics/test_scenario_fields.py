@@ -94,14 +94,14 @@ def test_each_option_sets_its_argument(monkeypatch: pytest.MonkeyPatch) -> None:
     values = {
         "scenario": "mine.yaml", "building": "b", "weather": "w", "begin": "07-01", "end": "07-02",
         "steps_per_hour": 6, "output_dir": "/o", "keep_last": 2, "monitoring": False, "baseline": True, "branches": 3,
-        "unresponsive_s": 4.5, "shrink_caches": False, "faults": "f.yaml", "plant": "tank.py:Tank",
+        "unresponsive_s": 4.5, "shrink_caches": False, "faults": "f.yaml", "alarms": "a.yaml", "plant": "tank.py:Tank",
         "record": "runs", "record_on_full": "stop",
     }  # fmt: skip
     flags = {name: option for name, option in options().items() if name in NODE_ARGUMENTS}
     assert flags.keys() == values.keys()
     words = [[flags[name]] if isinstance(value, bool) else [flags[name], str(value)] for name, value in values.items()]
     settings = _settings(monkeypatch, *(word for pair in words for word in pair))
-    paths = {name: Path(values[name]) for name in ("output_dir", "faults", "record")}
+    paths = {name: Path(values[name]) for name in ("output_dir", "faults", "alarms", "record")}
     expected = {**values, "weather": ["w"], **paths}
     assert {name: settings[name] for name in values} == expected
 

@@ -7,6 +7,18 @@ with the shape `(slots, points)` and in the manifest's order. `Geometry` and `Pr
 
 from __future__ import annotations
 
+from topics.messages.alarms import (
+    Acknowledge,
+    AlarmChange,
+    AlarmList,
+    AlarmPriority,
+    AlarmQuery,
+    AlarmState,
+    AlarmStatus,
+    AlarmTransition,
+    EventState,
+    NotifyType,
+)
 from topics.messages.base import (
     ANONYMOUS,
     SCHEMA_VERSION,
@@ -40,6 +52,10 @@ from topics.messages.geometry import (
     Geometry,
     SurfaceKind,
     ZoneGeometry,
+)
+from topics.messages.history import (
+    HistoryQuery,
+    HistorySeries,
 )
 from topics.messages.manifest import (
     Action,
@@ -102,9 +118,17 @@ __all__ = [
     "REJECTIONS",
     "SCHEMA_VERSION",
     "Ack",
+    "Acknowledge",
     "Action",
     "Actuator",
     "Aggregation",
+    "AlarmChange",
+    "AlarmList",
+    "AlarmPriority",
+    "AlarmQuery",
+    "AlarmState",
+    "AlarmStatus",
+    "AlarmTransition",
     "Batch",
     "BranchCreated",
     "Claim",
@@ -121,15 +145,19 @@ __all__ = [
     "ErrorReply",
     "Event",
     "EventKind",
+    "EventState",
     "Finite",
     "Flag",
     "ForkStatus",
     "Geometry",
+    "HistoryQuery",
+    "HistorySeries",
     "LatencySummary",
     "Manifest",
     "Message",
     "Meter",
     "Mode",
+    "NotifyType",
     "OnFull",
     "Pause",
     "PointValue",

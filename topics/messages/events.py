@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from enum import StrEnum
 
+from topics.messages.alarms import AlarmChange
 from topics.messages.base import Count, Message
 
 
@@ -33,6 +34,7 @@ class EventKind(StrEnum):
     SNAPSHOT = "snapshot"
     BRANCH_CREATED = "branch_created"
     RECORDING = "recording"
+    ALARM = "alarm"
 
 
 REJECTIONS = (EventKind.REJECTED, EventKind.LATE, EventKind.DUPLICATE)
@@ -43,7 +45,7 @@ class Event(Message):
     """Something that happened on a node; `source` is the controller or device concerned.
 
     `late_s`, in seconds of wall time: how long after the end of its step's intake a `late` command arrived, or how long
-    after the deadline an `accepted_late` command arrived.
+    after the deadline an `accepted_late` command arrived. `alarm`: of an event of kind `alarm`, the transition.
     """
 
     kind: EventKind
@@ -53,3 +55,4 @@ class Event(Message):
     episode: Count = 0
     step: Count = 0
     late_s: float | None = None
+    alarm: AlarmChange | None = None

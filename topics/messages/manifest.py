@@ -121,7 +121,9 @@ class Manifest(Message):
     one branched from. `baseline`: whether samples include the building under baseline control. `speed`: simulated
     seconds per second of wall time, in paced mode. `grace_s`: how long a controller may be disconnected before the
     fallback policy applies. `deadline_s`: how long each step waits for commands. `faults_injected`: whether samples
-    contain injected faults. `statistics`: only in replies to queries.
+    contain injected faults. `history_samples`: how many of the latest samples of the present episode the node keeps for
+    `rpc/history`, in `history_bytes` bytes of memory; a slot that does not step with the others has fewer of its own.
+    `statistics`: only in replies to queries.
     """
 
     node: SafeName
@@ -146,6 +148,8 @@ class Manifest(Message):
     grace_s: Annotated[float, Field(ge=0)] = 0.0
     deadline_s: Annotated[float, Field(gt=0)] | None = None
     faults_injected: bool = False
+    history_samples: Count = 0
+    history_bytes: Count = 0
     sensors: tuple[Sensor, ...]
     meters: tuple[Meter, ...]
     actuators: tuple[Actuator, ...]

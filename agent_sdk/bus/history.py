@@ -1,0 +1,94 @@
+"""The history of a node's present episode in arrays, by name."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from datetime import datetime, timedelta
+from math import ceil, floor
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topics.calendar import parse_moment
+from topics.errors import InvalidConfig, UnknownName, did_you_mean
+from topics.messages import Manifest
+
+_ROUNDING = 1e-6
+"""Part of a timestep by which a time may miss a sample: decimal fractions of seconds are not exact."""
+
+
+@dataclass(frozen=True, slots=True)
+class History:
+    """Values of the present episode of a slot; `history["core_zn_air_temperature"]` is a column.
+
+    Attributes:
+        manifest: Of the node.
+        episode: Number of the episode.
+        slot: Number of the slot.
+        points: Names of the columns of `values`.
+        units: Their units.
+        stride: 1 if all samples are there; else each row stands for itself and the `stride - 1` samples before it.
+        oldest_step: The earliest sample that the node keeps.
+        step: Steps, shape (samples,).
+        values: As published: with injected faults, and NaN where there is no value; shape (samples, points).
+        lows, highs: The smallest and the largest of the values that each row stands for, shape (samples, points); None
+            unless they were requested.
+    """
+
+    manifest: Manifest = field(repr=False)
+    episode: int
+    slot: int
+    points: tuple[str, ...]
+    units: tuple[str, ...]
+    stride: int
+    oldest_step: int
+    step: NDArray[np.int64] = field(repr=False)
+    values: NDArray[np.float64] = field(repr=False)
+    lows: NDArray[np.float64] | None = field(default=None, repr=False)
+    highs: NDArray[np.float64] | None = field(default=None, repr=False)
+
+    def __len__(self) -> int:
+        """Return the number of samples."""
+        return len(self.step)
+
+    def __getitem__(self, name: str) -> NDArray[np.float64]:
+        """Return the values of a point, shape (samples,); `UnknownName` lists similar names."""
+        if name not in self.points:
+            raise UnknownName(f"no point {name!r} in this history; {did_you_mean(name, self.points)}")
+        return self.values[:, self.points.index(name)]
+
+    @property
+    def time(self) -> NDArray[np.datetime64]:
+        """Simulated local standard time at the end of each timestep, shape (samples,), in microseconds."""
+        step_us = round(self.manifest.step_s * 1e6)
+        return np.datetime64(self.manifest.begin, "us") + self.step * np.timedelta64(step_us, "us")
+
+
+def first_step(manifest: Manifest, start: datetime | str | None) -> int | None:
+    """Return the first step at or after a simulated time; None if there is none given."""
+    return None if start is None else max(0, ceil(_steps(manifest, start, "start") - _ROUNDING))
+
+
+def last_step(manifest: Manifest, end: datetime | str | None) -> int | None:
+    """Return the last step at or before a simulated time; None if there is none given.
+
+    Raises:
+        InvalidConfig: The time is before the episode, or has another form.
+    """
+    if end is None:
+        return None
+    steps = floor(_steps(manifest, end, "end") + _ROUNDING)
+    if steps < 0:
+        raise InvalidConfig(f"end {end} is before the episode, which begins at {manifest.begin}")
+    return steps
+
+
+def _steps(manifest: Manifest, moment: datetime | str, what: str) -> float:
+    """Return the timesteps from the begin of the episode to a time, not rounded."""
+    begin = datetime.fromisoformat(manifest.begin)
+    if isinstance(moment, str):
+        try:
+            moment = parse_moment(moment, begin.year)
+        except ValueError as error:
+            raise InvalidConfig(f"{what} {moment!r}: {error}") from None
+    return (moment - begin) / timedelta(seconds=manifest.step_s)

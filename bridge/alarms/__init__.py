@@ -1,0 +1,4 @@
+"""Alarms: limits of points, evaluated at each sample in simulated time.
+
+`state_machine` has the states as tables, `rules` applies rules to the points of a plant, and `monitor` runs them all.
+"""

@@ -1,0 +1,279 @@
+"""All alarms of a node: rules applied to points, samples in, events out."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bridge.alarms.monitor import AlarmMonitor
+from bridge.alarms.rules import applies_at, point_alarms, read_rules
+from bridge.alarms.state_machine import Alarm
+from bridge.node.plant import PlantDescription, RunPeriod
+from topics.alarm_rules import AlarmRules
+from topics.energyplus_names import OCCUPANTS
+from topics.errors import InvalidConfig, RequestRejected, UnknownName
+from topics.messages import (
+    Acknowledge,
+    AlarmState,
+    AlarmTransition,
+    EventKind,
+    EventState,
+    Meter,
+    NotifyType,
+    Sensor,
+    Versions,
+)
+
+STEP_S = 900.0
+MONDAY = datetime(2017, 7, 3)
+
+
+def plant(step_s: float = STEP_S, begin: datetime = MONDAY) -> PlantDescription:
+    """Points: temperatures of a core and a north zone, occupants of the core, electricity."""
+    air = "Zone Mean Air Temperature"
+    return PlantDescription(
+        "x",
+        RunPeriod(begin, step_s, 1000),
+        (
+            Sensor(name="core_air", variable=air, key="Core", unit="degC"),
+            Sensor(name="north_air", variable=air, key="North", unit="degC"),
+            Sensor(name="core_people", variable=OCCUPANTS, key="CORE", unit="1", observed=False),
+        ),
+        (Meter(name="electricity", unit="J"),),
+        (),
+        Versions(zenostat="1"),
+    )
+
+
+class Node:
+    """Feeds samples of one or more slots to a monitor, one step after the other."""
+
+    def __init__(self, *rules: dict[str, Any], slots: int = 1, **period: Any) -> None:
+        self.slots, self.step = slots, -1
+        parsed = AlarmRules.model_validate({"alarms": list(rules)})
+        self.monitor = AlarmMonitor(parsed, plant(**period), slots)
+
+    def sample(self, core: float = 22.0, north: float = 22.0, people: float = 1.0, joules: float = 0.0) -> list[Any]:
+        self.step += 1
+        values = np.array([[core, north, people, joules]] * self.slots)
+        return self.monitor.update(values.tobytes(), [0] * self.slots, [self.step] * self.slots)
+
+    def state(self, slot: int = 0) -> dict[str, str]:
+        return {alarm.alarm: str(alarm.state) for alarm in self.monitor.status(slot).alarms}
+
+
+WARM = {"name": "warm", "points": "core_air", "high": 26.0, "unit": "degC"}
+
+
+def test_an_event__reports_the_transition() -> None:
+    node = Node(WARM)
+    assert node.sample(26.0) == []
+    (event,) = node.sample(26.5)
+    assert (event.kind, event.step, event.text) == (EventKind.ALARM, 1, "warm: core_air is above 26 degC: 26.5")
+    change = event.alarm
+    assert (change.alarm, change.point, change.value, change.limit, change.unit) == (
+        "warm",
+        "core_air",
+        26.5,
+        26.0,
+        "degC",
+    )
+    assert (change.transition, change.event_state) == (AlarmTransition.TO_OFFNORMAL, EventState.HIGH_LIMIT)
+    assert (change.state, change.time) == (AlarmState.ACTIVE, "2017-07-03T00:15:00")
+    assert node.sample(27.0) == []  # it is known
+    (event,) = node.sample(25.9)
+    assert event.text == "warm: core_air is normal again: 25.9 degC"
+    assert event.alarm.state is AlarmState.RETURNED
+
+
+def test_a_missing_value__is_a_fault() -> None:
+    node = Node(WARM)
+    (event,) = node.sample(float("nan"))
+    assert event.text == "warm: core_air has no value"
+    assert (event.alarm.value, event.alarm.transition) == (None, AlarmTransition.TO_FAULT)
+    assert node.sample(float("nan")) == []
+
+
+@pytest.mark.parametrize(("delay_s", "step_s", "raised_at"), [(0, 900, 0), (1, 900, 1), (900, 900, 1), (901, 900, 2)])
+def test_a_delay__is_in_simulated_time(delay_s: float, step_s: float, raised_at: int) -> None:
+    node = Node(WARM | {"delay_s": float(delay_s)}, step_s=float(step_s))
+    assert [bool(node.sample(27.0)) for _ in range(4)] == [step == raised_at for step in range(4)]
+
+
+def test_a_delay_of_whole_timesteps__is_not_lengthened_by_rounding() -> None:
+    node = Node(WARM | {"delay_s": 0.3}, step_s=0.1)  # 0.3 / 0.1 is 2.9999999999999996 or 3.0000000000000004
+    assert [bool(node.sample(27.0)) for _ in range(4)] == [False, False, False, True]
+
+
+def test_several_points__have_an_alarm_each() -> None:
+    node = Node(WARM | {"points": "*_air"})
+    assert list(node.state()) == ["warm/core_air", "warm/north_air"]
+    node.sample(22.0, 27.0)
+    assert node.state() == {"warm/core_air": "normal", "warm/north_air": "active"}
+
+
+def test_occupied__is_by_the_zone_of_the_point() -> None:
+    node = Node(WARM | {"occupied": True, "deadband": 0.5})
+    assert node.sample(27.0, people=0.0) == []
+    assert node.monitor.status(0).alarms[0].inhibited
+    assert len(node.sample(27.0, people=2.0)) == 1
+    (event,) = node.sample(27.0, people=0.0)
+    assert "the rule does not apply now" in event.text
+    assert len(node.sample(27.0, people=float("nan"))) == 1  # unknown counts as occupied
+
+
+def test_hours_and_weekdays() -> None:
+    node = Node(WARM | {"hours": [8, 18], "weekdays": ["mon"]}, step_s=3600.0)
+    active = [step for step in range(48) if (node.sample(27.0), node.state()["warm"] == "active")[1]]
+    assert active == list(range(8, 18))  # Monday from 8:00, and not on Tuesday
+
+
+def test_an_acknowledgment__is_kept_with_its_source_and_comment() -> None:
+    node = Node(WARM, WARM | {"name": "info", "high": 25.0, "notify": "event"})
+    node.sample(27.0)
+    (event,) = node.monitor.acknowledge(Acknowledge(alarm="warm", source="ann", comment="a fan"))
+    assert (event.source, event.text) == ("ann", "warm: core_air is acknowledged by ann: a fan")
+    assert event.alarm.transition is AlarmTransition.ACKNOWLEDGE
+    assert node.state() == {"warm": "acknowledged", "info": "acknowledged"}
+    row = node.monitor.status(0).alarms[0]
+    assert (row.acknowledged_by, row.comment, row.times_raised) == ("ann", "a fan", 1)
+    with pytest.raises(RequestRejected, match="warm was acknowledged by ann at 2017-07-03T00:00:00"):
+        node.monitor.acknowledge(Acknowledge(alarm="warm"))
+    with pytest.raises(RequestRejected, match="info needs no acknowledgment"):
+        node.monitor.acknowledge(Acknowledge(alarm="info"))
+    node.sample(22.0)
+    with pytest.raises(RequestRejected, match="warm is normal"):
+        node.monitor.acknowledge(Acknowledge(alarm="warm"))
+    with pytest.raises(UnknownName, match="no alarm 'wram'; did you mean 'warm'"):
+        node.monitor.acknowledge(Acknowledge(alarm="wram"))
+    node.sample(27.0)
+    assert node.monitor.status(0).alarms[0].acknowledged_by == ""  # it is a new occurrence
+
+
+@pytest.mark.parametrize(("name", "count"), [("warm", 2), ("warm/north_air", 1), ("*core*", 1), ("*", 2)])
+def test_an_acknowledgment__is_of_an_alarm_a_rule_or_a_pattern(name: str, count: int) -> None:
+    node = Node(WARM | {"points": ["core_air", "north_air"]})
+    node.sample(27.0, 27.0)
+    assert len(node.monitor.acknowledge(Acknowledge(alarm=name))) == count
+
+
+def test_slots__have_alarms_of_their_own() -> None:
+    node = Node(WARM | {"delay_s": STEP_S}, slots=2)
+
+    def update(cores: list[float], steps: list[int]) -> list[tuple[int, str]]:
+        values = np.array([[core, 22.0, 1.0, 0.0] for core in cores])
+        return [(e.alarm.slot, e.text) for e in node.monitor.update(values.tobytes(), [0, 0], steps)]
+
+    assert update([27.0, 27.0], [0, 0]) == []
+    # Only the first slot steps: the sample of the other one is published again, which is no passing of its time.
+    assert update([27.0, 27.0], [1, 0]) == [(0, "slot 0: warm: core_air is above 26 degC: 27")]
+    assert update([27.0, 27.0], [1, 1]) == [(1, "slot 1: warm: core_air is above 26 degC: 27")]
+    node.monitor.acknowledge(Acknowledge(alarm="warm", slot=1))
+    assert (node.state(0), node.state(1)) == ({"warm": "active"}, {"warm": "acknowledged"})
+    node.monitor.reset([1])
+    assert (node.state(0), node.state(1)) == ({"warm": "active"}, {"warm": "normal"})
+
+
+RULES = (
+    {"name": "range", "points": "*_air", "low": 18.0, "high": 26.0, "deadband": 0.5, "delay_s": 1800.0},
+    {"name": "occupied", "points": "core_air", "high": 25.0, "occupied": True, "return_delay_s": 900.0},
+    {"name": "night", "points": "core_air", "low": 20.0, "hours": [22, 6], "notify": "event"},
+)
+SAMPLES = st.lists(
+    st.tuples(st.sampled_from([17.0, 18.2, 19.0, 22.0, 25.2, 25.7, 27.0, float("nan")]), st.sampled_from([0.0, 1.0])),
+    min_size=1,
+    max_size=50,
+)
+
+
+@settings(max_examples=50)
+@given(SAMPLES)
+def test_the_screening__misses_nothing(samples: list[tuple[float, float]]) -> None:
+    """Each alarm has the states of a state machine that gets every value."""
+    node = Node(*RULES)
+    points = point_alarms(AlarmRules.model_validate({"alarms": list(RULES)}), plant())
+    machines = [Alarm(point.limits, point.rule.notify is NotifyType.ALARM) for point in points]
+    for step, (core, people) in enumerate(samples):
+        events = node.sample(core, 22.0, people)
+        moment, transitions = plant().run_period.time(step), []
+        for point, machine in zip(points, machines, strict=True):
+            inhibited = not applies_at(point.rule, moment) or (point.occupants is not None and people <= 0)
+            value = (core, 22.0)[point.column]
+            if machine.update(value, step, inhibited=inhibited) is not None:
+                transitions.append((point.name, machine.event_state, machine.state))
+        assert [(e.alarm.alarm, e.alarm.event_state, e.alarm.state) for e in events] == transitions
+
+
+@settings(max_examples=50)
+@given(SAMPLES, SAMPLES)
+def test_a_snapshot__continues_with_the_same_events(
+    first: list[tuple[float, float]], second: list[tuple[float, float]]
+) -> None:
+    node = Node(*RULES)
+    for core, people in first:
+        node.sample(core, 22.0, people)
+    saved, step = node.monitor.capture(), node.step
+    expected = [[e.text for e in node.sample(core, 22.0, people)] for core, people in second]
+    node.monitor.reset([0])
+    node.monitor.restore(saved)
+    node.step = step - 1
+    assert node.sample(first[-1][0], 22.0, first[-1][1]) == []  # the snapshot's own sample is published again
+    assert [[e.text for e in node.sample(core, 22.0, people)] for core, people in second] == expected
+
+
+@pytest.mark.parametrize(
+    ("rule", "text"),
+    [
+        ({"points": "core_ear"}, "warm: no sensor or meter 'core_ear'; did you mean 'core_air'"),
+        ({"points": "*_earth"}, "warm: no sensor or meter matches '*_earth'"),
+        ({"points": "*_people"}, "no sensor or meter matches '*_people'"),  # it is there only for pictures
+        ({"unit": "K"}, "warm: core_air is in degC, not in K"),
+        ({"points": "*", "unit": None}, "different units, for which one limit is not right: "),
+        ({"points": "north_air", "occupied": True}, "the occupants of the zone of north_air are not measured"),
+        ({"occupied": "people"}, "occupied: no sensor 'people'; did you mean 'core_people'"),
+    ],
+)
+def test_rules_that_do_not_fit_the_plant__are_named(rule: dict[str, Any], text: str) -> None:
+    with pytest.raises(InvalidConfig) as raised:
+        Node(WARM | rule)
+    assert text in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("alarms: [{name: a, points: x, hihg: 3}]", ["alarms.0: there is no field 'hihg'; did you mean 'high'"]),
+        ("alarms: [{name: a, points: x}]", ["a rule needs a limit: high, low or both"]),
+        ("alarms: [{name: a, points: x, low: 5, high: 4}]", ["low 5 is not below high 4"]),
+        ("alarms: [{name: a, points: x, low: 4, high: 5, deadband: 1}]", ["deadband 1 leaves no normal values"]),
+        ("alarms: [{name: a b, points: x, low: 5}]", ["alarms.0.name", "such as zone_too_warm"]),
+        ("alarms: [{name: a, points: x, low: 5}, {name: a, points: y, low: 5}]", ["used more than once: 'a'"]),
+        ("alarms: [{name: a, points: x, low: 5, delay_s: -1}]", ["alarms.0.delay_s"]),
+        ("alarms: [{name: a, points: x, low: 5, weekdays: [monday]}]", ["alarms.0.weekdays.0"]),
+        ("alarms: []", ["expected 1 to 1000 rules, got 0"]),
+        ("alarm: []", ["alarms: it is missing", "did you mean 'alarms'"]),
+    ],
+)
+def test_a_file_with_errors__is_named_with_each_of_them(folder: Path, text: str, words: list[str]) -> None:
+    path = folder / "alarms.yaml"
+    path.write_text(text)
+    with pytest.raises(InvalidConfig, match=r"alarms\.yaml") as raised:
+        read_rules(path)
+    for word in words:
+        assert word in str(raised.value)
+
+
+def test_a_file_that_is_not_there_is_named(folder: Path) -> None:
+    with pytest.raises(InvalidConfig, match=r"nowhere.yaml cannot be read"):
+        read_rules(folder / "nowhere.yaml")
+
+
+def test_the_page_shows_the_example() -> None:
+    root = Path(__file__).parents[2]
+    assert (root / "examples/alarms.yaml").read_text() in (root / "docs/alarms.md").read_text()

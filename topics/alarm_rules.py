@@ -1,0 +1,129 @@
+"""Alarm rules: limits of a node's sensors and meters, as a file.
+
+Numbers without a unit in their name are in the unit of the point. `docs/alarms.md` describes their effect.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, field_validator, model_validator
+
+from topics.calendar import Weekday, check_hours
+from topics.errors import did_you_mean
+from topics.messages import AlarmPriority, Finite, Message, NotifyType, SafeName
+from topics.points import check_order
+
+Hours = Annotated[tuple[Finite, Finite], AfterValidator(check_hours)]
+NotNegative = Annotated[float, Field(ge=0, strict=True)]
+Pattern = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.\-*]{1,128}$")]
+Names = Annotated[
+    tuple[Pattern, ...],
+    BeforeValidator(
+        lambda value: (value,) if isinstance(value, str) else value, json_schema_input_type=str | list[str]
+    ),
+    Field(min_length=1),
+]
+"""One or several names; `*` matches any characters."""
+
+
+MAX_RULES = 1000
+"""Largest number of rules of a node."""
+
+_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.\-]{0,127}")
+
+
+class _Part(Message):
+    """A part of the rules; its validator is built when it is first used, since most programs use none."""
+
+    model_config = ConfigDict(defer_build=True)
+
+
+class AlarmRule(_Part):
+    """Limits of one or several points; each point has an alarm of its own.
+
+    Attributes:
+        name: its name, without spaces.
+        points: names of sensors and meters.
+        high, low: limits, in the unit of the points; a value beyond them is off-normal.
+        unit: unit of the limits; it must be that of the points. None: not checked.
+        deadband: how far a value must be within the limit again to be normal.
+        delay_s: simulated time for which a value must be beyond the limit without interruption.
+        return_delay_s: simulated time for which it must be normal again; None: as `delay_s`.
+        occupied: whether the rule applies only while the point's zone is occupied; a name is that of the sensor that
+            counts occupants.
+        hours: start and end as hours of the day in which it applies; (22, 6) spans midnight.
+        weekdays: days of the week on which it applies.
+        priority: for operators.
+        notify: whether its alarms have to be acknowledged.
+        text: for operators.
+    """
+
+    name: SafeName
+    points: Names
+    high: Finite | None = None
+    low: Finite | None = None
+    unit: Annotated[str, Field(max_length=64)] | None = None
+    deadband: NotNegative = 0.0
+    delay_s: NotNegative = 0.0
+    return_delay_s: NotNegative | None = None
+    occupied: Annotated[bool, Field(strict=True)] | SafeName = False
+    hours: Hours | None = None
+    weekdays: Annotated[tuple[Weekday, ...], Field(min_length=1)] | None = None
+    priority: AlarmPriority = AlarmPriority.MEDIUM
+    notify: NotifyType = NotifyType.ALARM
+    text: Annotated[str, Field(max_length=500)] = ""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _check_fields(cls, value: Any) -> Any:
+        if not isinstance(value, dict):
+            return value
+        unknown = [name for name in value if name not in cls.model_fields]
+        if unknown:
+            raise ValueError(
+                "; ".join(
+                    f"there is no field {name!r}; {did_you_mean(str(name), cls.model_fields)}" for name in unknown
+                )
+            )
+        return value
+
+    @field_validator("name", mode="before")
+    @classmethod
+    def _check_name(cls, name: Any) -> Any:
+        if isinstance(name, str) and not _NAME.fullmatch(name):
+            raise ValueError("a name has up to 128 letters, digits, '_', '.' and '-', such as zone_too_warm")
+        return name
+
+    @model_validator(mode="after")
+    def _check_limits(self) -> AlarmRule:
+        if self.low is None and self.high is None:
+            raise ValueError("a rule needs a limit: high, low or both")
+        check_order(self)
+        if self.low is not None and self.high is not None and self.deadband >= self.high - self.low:
+            raise ValueError(
+                f"deadband {self.deadband:g} leaves no normal values between low {self.low:g} and high {self.high:g}"
+            )
+        return self
+
+
+class AlarmRules(_Part):
+    """The alarm rules of a node.
+
+    Attributes:
+        alarms: the rules.
+    """
+
+    alarms: tuple[AlarmRule, ...]
+
+    @field_validator("alarms")
+    @classmethod
+    def _check_names(cls, alarms: tuple[AlarmRule, ...]) -> tuple[AlarmRule, ...]:
+        if not 1 <= len(alarms) <= MAX_RULES:
+            raise ValueError(f"expected 1 to {MAX_RULES} rules, got {len(alarms)}")
+        names = [rule.name for rule in alarms]
+        repeated = sorted({name for name in names if names.count(name) > 1})
+        if repeated:
+            raise ValueError(f"each rule needs a unique name; used more than once: {', '.join(map(repr, repeated))}")
+        return alarms
