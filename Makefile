@@ -59,8 +59,9 @@ check: $(READY)-dev  ## Format, lint, types
 bench: $(READY)-dev  ## What a step costs, as ratios within one run; results in bench/results/
 	$(BIN)/python -m bench
 
-chaos: $(READY)-dev  ## A building troubled at random for SECONDS; SEED=… has the same again, TABLE=… puts the table into a page
+chaos: $(READY)-dev  ## A building troubled at random for SECONDS, then recorded nodes killed as long; SEED=… has the same again, TABLE=… puts the table into a page
 	PYTHONPATH=.:tests $(BIN)/python -P -m chaos --seconds $(SECONDS) $(if $(SEED),--seed $(SEED)) $(if $(TABLE),--table $(TABLE))
+	PYTHONPATH=.:tests $(BIN)/python -P -m chaos.recordings --seconds $(SECONDS) $(if $(SEED),--seed $(SEED))
 
 docs: $(READY)-dev  ## The documentation as a web site, in site/; any warning is an error
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict

@@ -1,4 +1,4 @@
-"""Measure the costs of steps (wall and processor time), resets, branches, vector steps and monitors.
+"""Measure the costs of steps (wall and processor time), resets, branches, vector steps, monitors and recordings.
 
 The results are printed as tables and written as JSON to `bench/results/`.
 
@@ -22,7 +22,7 @@ from typing import Any
 
 from rich.console import Console
 
-from bench import branches, growth, monitors, plants, processor, resets, steps, vector
+from bench import branches, growth, monitors, plants, processor, recording, resets, steps, vector
 from topics import VERSION
 
 PARTS: Mapping[str, Any] = {
@@ -33,6 +33,7 @@ PARTS: Mapping[str, Any] = {
     "branches": branches,
     "vector": vector,
     "monitors": monitors,
+    "recording": recording,
     "growth": growth,
 }
 IMPORT = """

@@ -32,6 +32,7 @@ from cli import (
     read,
     record,
     replay,
+    report,
     router,
     run,
     status,
@@ -57,7 +58,7 @@ _GROUPS: dict[str, tuple[Callable[..., None] | typer.Typer, ...]] = {
         write.write, write.relinquish, lifecycle.reset, pace.pause, pace.resume, pace.step, pace.pace, pace.faults,
         alarms.acknowledge, lifecycle.stop,
     ),
-    "Record and verify": (record.record, verify.verify, replay.replay, export.export, log.log),
+    "Record and verify": (record.record, verify.verify, replay.replay, report.report, export.export, log.log),
     "Choose what to simulate": (scenarios, buildings.buildings, weathers.weathers, points.points, data_packs.app),
     "Connect other programs": (keys.app, router.router, gateway.app, asyncapi.asyncapi),
 }  # fmt: skip

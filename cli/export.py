@@ -1,4 +1,4 @@
-"""`zenostat export`: write a recording as a table."""
+"""`zenostat export`: write a recording in the format of another program."""
 
 from __future__ import annotations
 
@@ -15,33 +15,81 @@ from topics.errors import InvalidConfig
 
 
 class Format(StrEnum):
-    """Format of a table."""
+    """Format of an export."""
 
     PARQUET = "parquet"
     CSV = "csv"
+    RRD = "rrd"
+    MCAP = "mcap"
+
+
+_SUFFIXES = {Format.MCAP: ".plot.mcap"}  # not that of the recording itself
 
 
 def export(
     file: File,
-    to: Annotated[Format, typer.Option("--to", help="Format of the table.")] = Format.PARQUET,
+    to: Annotated[
+        Format,
+        typer.Option(
+            "--to",
+            help="A table (`parquet`, `csv`), what the monitor saves (`rrd`, for `zenostat view`), or protobuf "
+            "messages for Foxglove and PlotJuggler (`mcap`).",
+        ),
+    ] = Format.PARQUET,
     target: Annotated[
         Path | None, typer.Option("--out", help="File to write. Default: that of the recording, with another suffix.")
     ] = None,
 ) -> None:
-    """Write all samples of a recording to a table: a row for each sample and slot.
+    """Write all samples of a recording in the format of another program.
 
     Example: `zenostat export run.mcap --to csv --out run.csv`
-    """
-    from agent_sdk import recording
 
-    path = target or file.with_suffix(f".{to}")
+    Example: `zenostat export run.mcap --to rrd`
+    """
+    path = target or file.with_suffix(_SUFFIXES.get(to, f".{to}"))
     if not path.absolute().parent.is_dir():
         raise InvalidConfig(f"--out {path}: there is no folder {path.absolute().parent}")
+    if path.suffix != f".{to}":
+        raise InvalidConfig(f"--out {path}: expected a .{to} file")
+    if path.resolve() == file.resolve():
+        raise InvalidConfig(f"--out {path}: that is the recording itself; choose another name")
+    if to is Format.RRD:
+        text = f"{_write_rrd(file, path):,} samples; open it with: zenostat view {path}"
+    else:
+        text = f"{_write_table(file, to, path):,} {'samples' if to is Format.MCAP else 'rows'}"
+    out.print(f"{path}: {text}", markup=False, soft_wrap=True)
+
+
+def _write_rrd(file: Path, path: Path) -> int:
+    from topics.extras import requires_extra
+
+    with requires_extra("recording", "a recording", "mcap and zstandard"):
+        from bridge.recording.reader import RecordingReader
+    from agent_sdk.evaluation.comfort import display_comfort
+    from bridge.rerun.from_recording import write_rrd
+    from cli.monitor_stream import reward_terms
+
+    with RecordingReader(file) as reader:
+        count = write_rrd(reader, path, comfort=display_comfort, reward=reward_terms)
+        if reader.end.text:
+            err.print(f"{file}: {reader.end.text}", markup=False, soft_wrap=True)
+        if reader.manifest.slots > 1:
+            err.print("slot 0 is shown, as in the monitor", markup=False, soft_wrap=True)
+    return count
+
+
+def _write_table(file: Path, to: Format, path: Path) -> int:
+    from agent_sdk import recording
+
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         loaded = recording.load(file)
     for warning in caught:
         err.print(str(warning.message), markup=False, soft_wrap=True)
-    (recording.write_parquet if to is Format.PARQUET else recording.write_csv)(loaded, path)
-    rows = sum(len(episode) for episode in loaded.episodes)
-    out.print(f"{path}: {rows:,} rows", markup=False, soft_wrap=True)
+    writers = {
+        Format.PARQUET: recording.write_parquet,
+        Format.CSV: recording.write_csv,
+        Format.MCAP: recording.write_mcap,
+    }
+    writers[to](loaded, path)
+    return sum(len(episode) for episode in loaded.episodes)

@@ -1,9 +1,10 @@
-"""`zenostat replay`: publish a recording under its node's keys."""
+"""`zenostat replay`: publish a recording under its node's keys, or command another node with it."""
 
 from __future__ import annotations
 
 from contextlib import ExitStack
 from datetime import datetime
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -29,7 +30,17 @@ def replay(
     end: Annotated[
         str | None, typer.Option("--to", metavar="TIME", help="Simulated time of the last sample, 07-03T18:00.")
     ] = None,
-    name: Annotated[str | None, typer.Option(help="Name on the bus. Default: that of the recorded node.")] = None,
+    name: Annotated[
+        str | None,
+        typer.Option(help="Name on the bus. Default: that of the recorded node, or `replay` as a controller."),
+    ] = None,
+    only_commands: Annotated[
+        bool, typer.Option("--only-commands", help="Command the node of `--node` as the recorded one was commanded.")
+    ] = False,
+    node: Annotated[str | None, typer.Option(help="Node to command, in lockstep.")] = None,
+    priority: Annotated[
+        int | None, typer.Option(min=1, max=16, metavar="1-16", help="Priority of the commands. Default: 10.")
+    ] = None,
     listen: Listen = None,
     connect: Peers = None,
     no_listen: NoListen = False,
@@ -39,10 +50,30 @@ def replay(
 ) -> None:
     """Publish a recording under its node's keys, so that monitors and gateways see the building again.
 
-    The node on the bus takes no commands and no requests. Ctrl-C ends the replay.
+    The node on the bus takes no commands and no requests. Ctrl-C ends the replay. With `--only-commands`, nothing is
+    published: a controller commands another node as the recorded one was commanded.
 
     Example: `zenostat replay run.mcap --speed 600 --from 07-03T06:00`
+
+    Example: `zenostat replay run.mcap --only-commands --node twin`
     """
+    if speed is not None and not 0.0 < speed < float("inf"):
+        raise InvalidConfig(f"--speed {speed:g}: expected a finite number above 0")
+    if only_commands:
+        if node is None:
+            raise InvalidConfig("--only-commands needs the node to command: --node NAME")
+        others = {"--from": begin, "--to": end, "--listen": listen, "--no-listen": no_listen, "--expose": expose}
+        refused = [option for option, value in others.items() if value]
+        if refused or len(connect or ()) > 1:
+            raise InvalidConfig(
+                f"{', '.join(refused) or 'several --connect'}: --only-commands connects to one bus, as a controller, "
+                "and replays whole episodes"
+            )
+        endpoint = connect[0] if connect else default_endpoint(keys)
+        _drive(file, node, endpoint, name or "replay", priority, speed, keys, certificate)
+        return
+    if node is not None or priority is not None:
+        raise InvalidConfig("--node and --priority need --only-commands")
     from topics.extras import requires_extra
 
     with requires_extra("recording", "a recording", "mcap and zstandard"):
@@ -53,8 +84,6 @@ def replay(
 
     if no_listen and (listen or not connect):
         raise InvalidConfig("--no-listen needs --connect, and no --listen")
-    if speed is not None and not 0.0 < speed < float("inf"):
-        raise InvalidConfig(f"--speed {speed:g}: expected a finite number above 0")
     with ExitStack() as stack:
         stop = stack.enter_context(until_signal())
         reader = stack.enter_context(RecordingReader(file))
@@ -74,6 +103,32 @@ def replay(
         task = bars.add_task(f"replaying {file.name} as {replayed.manifest.node}", total=reader.manifest.steps, rate="")
         count = replayed.run(stop, lambda time, step: bars.update(task, completed=step, rate=time))
     out.print(f"{replayed.manifest.node}: replayed {count:,} samples", markup=False, soft_wrap=True)
+
+
+def _drive(
+    file: Path,
+    node: str,
+    endpoint: str,
+    name: str,
+    priority: int | None,
+    speed: float | None,
+    keys: Path | None,
+    certificate: str | None,
+) -> None:
+    from agent_sdk import connect as connect_bus
+    from agent_sdk.recording import drive
+    from cli.console import err
+
+    with connect_bus(endpoint, keys=keys, certificate=certificate) as bus, progress() as bars:
+        task = bars.add_task(f"{node}: commands of {file.name}", total=None, rate="")
+        result = drive(
+            file, bus, node, name=name, priority=priority or 10, speed=speed,
+            progress=lambda time, step: bars.update(task, completed=step, rate=time),
+        )  # fmt: skip
+    for text in result.skipped:
+        err.print(f"not replayed: {text}", markup=False, soft_wrap=True)
+    episodes = f"{result.episodes} episode{'' if result.episodes == 1 else 's'}"
+    out.print(f"{node}: {result.steps:,} steps of {episodes} commanded", markup=False, soft_wrap=True)
 
 
 def _moment(text: str | None, option: str, year: int) -> datetime | None:

@@ -24,9 +24,13 @@ ABOUT, SUMMARY = "zenostat", "zenostat.summary"
 """Names of the metadata records: at the beginning of the file, and at its end if the recording was completed."""
 
 MANIFEST, SCENARIO, PROVENANCE = "manifest.json", "scenario.yaml", "provenance.json"
-"""Names of the attachments."""
+GEOMETRY = "geometry.msgpack"
+"""Names of the attachments; only the recording of a plant with a geometry has it, as the bus has it."""
 
-ORDERS, EPISODES, SNAPSHOTS, OTHERS = "orders", "episodes", "snapshots", "others"
+WEATHER_COLUMNS = ("dry_bulb_temperature", "global_horizontal_radiation")
+"""Columns of the weather that are recorded with an episode, in degC and Wh/m2 in the interval."""
+
+ORDERS, EPISODES, SNAPSHOTS, OTHERS, WEATHER = "orders", "episodes", "snapshots", "others", "weather"
 """Channels, below the node's root, of the records that are not on the bus."""
 
 
@@ -45,6 +49,21 @@ class RecordedEpisode(Message):
     inputs: list[dict[str, Any]] = Field(default_factory=list)
     snapshot: str = ""
     source: SourceName = ""
+
+
+class RecordedWeather(Message):
+    """The weather of an episode in one slot, noise included; not recorded for a plant without weather.
+
+    `step_s`: length of an interval in seconds. `values`: raw float64 of shape (intervals, columns), NaN where missing,
+    each at the end of its interval, from the begin of the run period.
+    """
+
+    slot: Count
+    episode: Count
+    columns: list[str]
+    units: list[str]
+    step_s: float
+    values: Raw
 
 
 class RecordedOrder(Message):

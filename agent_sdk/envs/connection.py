@@ -19,6 +19,7 @@ from agent_sdk.bus.snapshot import require_node
 from agent_sdk.envs import arguments
 from agent_sdk.envs.space_names import SpaceNames
 from agent_sdk.rewards import AnyReward, Reward, read_reward
+from bridge.recording.file import next_recording
 from bridge.runtime.affinity import Affinity
 from topics.errors import BusError, EpisodeChanged, InvalidConfig
 from topics.messages import Manifest
@@ -113,6 +114,7 @@ class NodeConnection:
         if reward != arguments.FROM_SCENARIO:
             settings["own_reward"] = True
         arguments.check_agent_settings(reward, settings, placement)
+        self._settings = settings
         self._start(settings, node, priority, placement)
 
     def _connect(
@@ -133,7 +135,7 @@ class NodeConnection:
         local_node = LocalNode(settings, placement)
         self._close.callback(local_node.close)
         assert local_node.manifest is not None
-        self.local_node, self.manifest, self._settings = local_node, local_node.manifest, settings
+        self.local_node, self.manifest = local_node, local_node.manifest
         self._target = _Target(local_node.endpoint, node, priority, placement, local_node.core)
 
     def reset(self, *, seed: int | None) -> SampleView:
@@ -168,12 +170,17 @@ class NodeConnection:
         cause, target = local_node.end, self._target
         self._close.close()
         self._link = self._bus = None
-        self._start(self._settings, target.node, target.priority, target.placement)
+        settings = self._settings
+        recorded = ""
+        if (record := settings.get("record")) is not None:
+            settings = {**settings, "record": str(next_recording(Path(record)))}  # that of the former node is kept
+            recorded = f"; it records to {settings['record']}"
+        self._start(settings, target.node, target.priority, target.placement)
         if self._has_monitor:
             self.open_monitor()
         warnings.warn(
-            f"the environment's own node had ended ({cause}), and another one was started; its snapshots are lost, and "
-            "without a seed its weather is drawn anew",
+            f"the environment's own node had ended ({cause}), and another one was started{recorded}; its snapshots are "
+            "lost, and without a seed its weather is drawn anew",
             stacklevel=4,
         )
         return True

@@ -16,9 +16,7 @@ from agent_sdk.rewards import Reward
 from topics import codec
 from topics.errors import UsageError, ZenostatError
 from topics.messages import Manifest, WeatherSeries
-
-WEATHER_COLUMNS = ("dry_bulb_temperature", "global_horizontal_radiation")
-"""Columns of the weather that are recorded with an episode, in degC and Wh/m2 in the hour."""
+from topics.recording import WEATHER_COLUMNS
 
 
 @dataclass(frozen=True, slots=True, eq=False)

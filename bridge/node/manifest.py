@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from bridge.node.history import History
-from bridge.node.plant import Plant, Site
+from bridge.node.plant import Plant, RunningPlant, Site
 from bridge.node.settings import NodeSettings
 from bridge.runtime import affinity
-from topics.messages import Manifest
+from topics.messages import Geometry, Manifest
 
 
 def node_manifest(
@@ -64,3 +64,12 @@ def site_fields(site: Site) -> dict[str, Any]:
         "latitude_deg": site.latitude_deg,
         "longitude_deg": site.longitude_deg,
     }
+
+
+def located_geometry(plant: RunningPlant) -> Geometry | None:
+    """Return the geometry at the place of the present episode of slot 0; None for a plant without. Thread-safe."""
+    geometry, site = plant.description.geometry, plant.site(0)
+    if geometry is None:
+        return None
+    place = {name: getattr(site, name) for name in ("latitude_deg", "longitude_deg", "time_zone_h")}
+    return geometry.model_copy(update={name: value for name, value in place.items() if value is not None})

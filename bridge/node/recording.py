@@ -6,10 +6,13 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bridge.node.plant import Plant, RepeatablePlant
-from bridge.recording.channels import EPISODES, MANIFESTS, SNAPSHOTS
+import numpy as np
+
+from bridge.node.manifest import located_geometry
+from bridge.node.plant import Plant, RepeatablePlant, WeatherTable
+from bridge.recording.channels import EPISODES, MANIFESTS, SNAPSHOTS, WEATHER
 from topics import keys
-from topics.errors import InvalidConfig, RequestRejected
+from topics.errors import InvalidConfig, RequestRejected, ZenostatError
 from topics.messages import (
     EventKind,
     Message,
@@ -19,7 +22,7 @@ from topics.messages import (
     StartRecording,
     StopRecording,
 )
-from topics.recording import RecordedEpisode, RecordedSnapshot
+from topics.recording import WEATHER_COLUMNS, RecordedEpisode, RecordedSnapshot, RecordedWeather
 
 if TYPE_CHECKING:
     from bridge.node.server import NodeServer
@@ -41,6 +44,7 @@ class RecordingManager:
         self._created: Recorder | None = None
         self._status: Callable[[], RecordingStatus] | None = None
         self._armed: StartRecording | None = None
+        self._weather: tuple[str, WeatherTable] | None = None
 
     def declare(self) -> None:
         """Answer requests about recordings."""
@@ -65,12 +69,12 @@ class RecordingManager:
         from bridge.recording.recorder import Recorder, attachments
 
         server, description = self._server, self._plant.description
-        manifest = server.manifest
+        manifest, geometry = server.manifest, located_geometry(self._plant)
         recorder = Recorder(
             open_recording(path, overwrite=overwrite),
             path,
             manifest.node,
-            lambda: attachments(manifest, description),
+            lambda: attachments(manifest, description, geometry),
             on_full=on_full,
             on_stopped=lambda reason: server.subscriptions.post(lambda: self._on_stopped(recorder, reason)),
             cpus=self._cpus,
@@ -169,6 +173,33 @@ class RecordingManager:
                 inputs=[plant.episode_inputs(slot) for slot in slots] if isinstance(plant, RepeatablePlant) else [],
                 snapshot=snapshot,
                 source=source,
+            ),
+        )
+        for slot in slots:
+            self._record_weather(slot)
+
+    def _record_weather(self, slot: int) -> None:
+        """Record the weather of an episode; reading its file takes 0.1 s, so the same weather is read once."""
+        plant, recorder = self._plant, self._recorder
+        inputs = f"{plant.episode_inputs(slot)}" if isinstance(plant, RepeatablePlant) else ""
+        if not inputs or self._weather is None or self._weather[0] != inputs:
+            try:
+                self._weather = inputs, plant.weather(slot, WEATHER_COLUMNS)
+            except ZenostatError:  # the plant has no weather, or other columns
+                return
+        columns, units, step_s, values = self._weather[1]
+        run_period = plant.description.run_period
+        rows = max(round(run_period.steps * run_period.step_s / step_s), 1)
+        assert recorder is not None
+        recorder.record(
+            WEATHER,
+            RecordedWeather(
+                slot=slot,
+                episode=self._server.exchange.episode[slot],
+                columns=columns,
+                units=units,
+                step_s=step_s,
+                values=np.ascontiguousarray(values[:rows], "<f8").tobytes(),
             ),
         )
 

@@ -11,6 +11,7 @@ import numpy as np
 import psutil
 
 from bridge.exchange.step_exchange import MAX_MESSAGES_PER_STEP, MAX_SOURCE_NAME
+from bridge.node.manifest import located_geometry
 from bridge.node.subscriptions import Request
 from topics import codec, keys
 from topics.errors import BadMessage, BusError, RequestRejected, UnknownName
@@ -213,11 +214,10 @@ class RequestHandlers:
     def _geometry(self) -> Geometry:
         """Return the geometry at the place of the present episode of slot 0; thread-safe."""
         plant = self._server.plant
-        geometry, site = plant.description.geometry, plant.site(0)
+        geometry = located_geometry(plant)
         if geometry is None:
             raise RequestRejected(plant.description.without_geometry)
-        place = {name: getattr(site, name) for name in ("latitude_deg", "longitude_deg", "time_zone_h")}
-        return geometry.model_copy(update={name: value for name, value in place.items() if value is not None})
+        return geometry
 
     def _manifest(self) -> Manifest:
         return self._server.manifest.model_copy(update={"statistics": self._server.statistics()})

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from topics import keys, recording
 from topics.messages import Event, Manifest, Message, Sample
-from topics.recording import RecordedEpisode, RecordedMessage, RecordedOrder, RecordedSnapshot
+from topics.recording import RecordedEpisode, RecordedMessage, RecordedOrder, RecordedSnapshot, RecordedWeather
 
-SAMPLES, EVENTS, MANIFESTS, ORDERS, EPISODES, SNAPSHOTS, OTHERS = range(7)
+SAMPLES, EVENTS, MANIFESTS, ORDERS, EPISODES, SNAPSHOTS, OTHERS, WEATHER = range(8)
 """Numbers of the channels."""
 
 CHANNELS: tuple[tuple[str, type[Message]], ...] = (
@@ -17,5 +17,6 @@ CHANNELS: tuple[tuple[str, type[Message]], ...] = (
     (recording.EPISODES, RecordedEpisode),
     (recording.SNAPSHOTS, RecordedSnapshot),
     (recording.OTHERS, RecordedMessage),
+    (recording.WEATHER, RecordedWeather),
 )
 """Topic below the node's root and class of each fixed channel, by its number."""

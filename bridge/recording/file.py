@@ -6,6 +6,7 @@ import errno
 import fcntl
 import hashlib
 import importlib
+import itertools
 import os
 from datetime import UTC, datetime
 from pathlib import Path
@@ -47,6 +48,17 @@ def recording_path(record: Path, node: str) -> Path:
     stem = f"{node}-{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{os.getpid()}"
     names = [f"{stem}{SUFFIX}", *(f"{stem}-{number}{SUFFIX}" for number in range(2, 1000))]
     return next(path for name in names if not (path := record.absolute() / name).exists())
+
+
+def next_recording(record: Path) -> Path:
+    """Return the file for the recording of a node that follows another one: `run-2.mcap` after `run.mcap`.
+
+    A folder is returned as it is, since each run has a file of its own in it.
+    """
+    if record.suffix != SUFFIX or record.is_dir():
+        return record
+    numbered = (record.with_stem(f"{record.stem}-{number}") for number in itertools.count(2))
+    return next(path for path in numbered if not path.exists())
 
 
 def check_path(path: Path, *, overwrite: bool = False) -> None:
@@ -102,4 +114,7 @@ def _exists(path: Path) -> str:
         return f"another node is recording to {path}; choose another name"
     except OSError:
         pass
-    return f"{path} exists; choose another name, or replace it (--overwrite, overwrite=True)"
+    return (
+        f"{path} exists; choose another name, or a folder, in which each run has a file of its own, or replace it "
+        "(--overwrite, Bus.record(..., overwrite=True))"
+    )

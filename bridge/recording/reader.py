@@ -22,9 +22,9 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Header, Metadata, Schema
 
 from bridge.recording.file import MAGIC
-from topics import recording
-from topics.errors import InvalidRecording
-from topics.messages import SCHEMA_VERSION, Manifest
+from topics import codec, recording
+from topics.errors import BadMessage, InvalidRecording
+from topics.messages import SCHEMA_VERSION, Geometry, Manifest
 
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
@@ -77,6 +77,7 @@ class RecordingReader:
         root: the root of the node's keys.
         manifest: at the begin of the recording.
         scenario: the text of the scenario; empty if the plant has none.
+        geometry: of the building; None if the plant has none.
         provenance: how to create the plant, and the digests of its files.
         end: how the recording ends; set by `messages`.
 
@@ -132,7 +133,9 @@ class RecordingReader:
             self.manifest = Manifest.model_validate_json(attached[recording.MANIFEST])
             self.scenario = attached[recording.SCENARIO].decode()
             self.provenance: dict[str, Any] = json.loads(attached[recording.PROVENANCE])
-        except (KeyError, ValueError) as error:
+            geometry = attached.get(recording.GEOMETRY)
+            self.geometry = None if geometry is None else codec.decode(Geometry, geometry)
+        except (BadMessage, KeyError, ValueError) as error:
             raise InvalidRecording(f"{self.path} is damaged: its attachments cannot be read ({error})") from None
 
     def _read_head_record(self, opcode: int, body: bytes, attached: dict[str, bytes]) -> None:

@@ -21,7 +21,7 @@ from bridge.recording.chunk_writer import ChunkWriter
 from bridge.recording.file import file_digest
 from bridge.runtime.affinity import supported
 from topics import VERSION, codec, keys, recording
-from topics.messages import SCHEMA_VERSION, Manifest, Message, OnFull, RecordingState, RecordingStatus
+from topics.messages import SCHEMA_VERSION, Geometry, Manifest, Message, OnFull, RecordingState, RecordingStatus
 from topics.recording import RecordedMessage, RecordedRequest
 
 BUFFER_BYTES = 64 << 20
@@ -274,10 +274,12 @@ class Recorder:
 
 
 def _media_type(name: str) -> str:
-    return "application/yaml" if name.endswith((".yaml", ".yml")) else "application/json"
+    return {"yaml": "application/yaml", "msgpack": "application/msgpack"}.get(
+        name.rpartition(".")[2], "application/json"
+    )
 
 
-def attachments(manifest: Manifest, plant: PlantDescription) -> dict[str, bytes]:
+def attachments(manifest: Manifest, plant: PlantDescription, geometry: Geometry | None = None) -> dict[str, bytes]:
     """Return the attachments of a recording; hashes the files of the plant, which takes a moment."""
     provenance = {
         "kind": plant.provenance.kind,
@@ -287,8 +289,11 @@ def attachments(manifest: Manifest, plant: PlantDescription) -> dict[str, bytes]
             role: {"path": str(path), "sha256": file_digest(path)} for role, path in plant.provenance.files.items()
         },
     }
-    return {
+    contents = {
         recording.MANIFEST: manifest.model_dump_json(indent=1).encode(),
         recording.SCENARIO: plant.scenario.encode(),
         recording.PROVENANCE: json.dumps(provenance, indent=1).encode(),
     }
+    if geometry is not None:
+        contents[recording.GEOMETRY] = codec.encode(geometry)
+    return contents

@@ -23,6 +23,7 @@ from topics.errors import InvalidConfig, RequestRejected
 from topics.messages import (
     ErrorReply,
     Event,
+    Geometry,
     Manifest,
     Message,
     Mode,
@@ -132,6 +133,8 @@ class Replay:
             return Status, codec.encode(self._status())
         if key == keys.SCENARIO.at(self._name):
             return ScenarioText, codec.encode(ScenarioText(text=self._reader.scenario))
+        if key == keys.GEOMETRY.at(self._name) and self._reader.geometry is not None:
+            return Geometry, codec.encode(self._reader.geometry)
         raise RequestRejected(f"{self._name} is the replay of a recording and takes no requests")
 
     def _status(self) -> Status:

@@ -12,6 +12,7 @@ from support.nodes import programs_of, remains, until
 from chaos import journal
 from chaos.account import Account, Episode
 from chaos.disturbances import Disturbance
+from chaos.recordings import recording_faults
 from chaos.replay import differences
 from chaos.run import LEVELS, Outcome
 from topics.messages import Event, EventKind, Flag, Sample
@@ -73,6 +74,9 @@ def judge(outcome: Outcome) -> Verdict:
         "samples are contiguous": _contiguous(known, outcome.manifest.steps),
         "each applied command belongs to the step that it answered": account.faults,
         "the trajectory is that of a quiet run, to the bit": differences(outcome.folder / "quiet", known),
+        "the node's recording is complete, and verifies to the bit": recording_faults(
+            outcome.recording, journal.recorded(outcome.record)
+        ),
         "every refusal is counted and named": counted + _written(outcome, events),
         "memory is flat": _flat(outcome),
         "nothing is left": _left(outcome),

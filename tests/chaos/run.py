@@ -80,6 +80,11 @@ class Outcome:
         return self.folder / _RECORD
 
     @property
+    def recording(self) -> Path:
+        """What the node recorded."""
+        return self.folder / "recording.mcap"
+
+    @property
     def floods(self) -> Path:
         """What the flooder sent."""
         return self.folder / _FLOODS
@@ -112,7 +117,7 @@ class Chaos:
 
     def _open(self) -> None:
         folder, enter = self.outcome.folder, self._close.enter_context
-        self.node = enter(NodeProgram(folder / "node", **NODE))
+        self.node = enter(NodeProgram(folder / "node", **NODE, record=str(self.outcome.recording)))
         self._close.callback(self._thaw_all)
         self._bus = enter(agent_sdk.connect(self.node.endpoint, affinity=Affinity.OFF))
         self.outcome.manifest = self._bus.manifest(self.node.name)

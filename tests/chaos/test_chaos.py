@@ -45,6 +45,21 @@ def test_a_run_with_this_seed_holds(seconds: int, seed: int, scratch: Path) -> N
     assert seconds < 45 or not re.search(r"│ +0 │", done.stdout), "every disturbance occurs"
 
 
+@pytest.mark.slow
+@pytest.mark.timeout(400)
+def test_recordings_of_killed_nodes_verify_up_to_their_ends(scratch: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-P", "-m", "chaos.recordings", "--seconds", "20", "--seed", "3"],
+        env=environment(),
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=380,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert re.search(r"[1-9]\d* nodes were killed; [1-9][\d,]* steps", done.stdout)
+
+
 @pytest.mark.parametrize(
     ("seconds", "grown_mb", "flat"),
     [(900.0, 64.0, False), (900.0, 6.0, True), (180.0, 64.0, False), (180.0, 10.0, True)],

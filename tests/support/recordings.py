@@ -20,6 +20,7 @@ from bridge.recording.file import open_recording
 from bridge.recording.reader import RecordedItem, RecordingReader
 from bridge.recording.recorder import Recorder, attachments
 from topics import recording
+from topics.messages import Manifest
 
 
 def unchanged(_: int, item: RecordedItem) -> bytes:
@@ -35,6 +36,7 @@ def rewrite(
     profile: str = recording.PROFILE,
     about: Mapping[str, str] | None = None,
     provenance: Mapping[str, Any] | None = None,
+    manifest: Manifest | None = None,
 ) -> Path:
     """Copy a recording, with messages or descriptions changed.
 
@@ -44,11 +46,12 @@ def rewrite(
         profile: of the file's header.
         about: replaces fields of the versions.
         provenance: replaces the provenance.
+        manifest: replaces the manifest.
     """
     with RecordingReader(source) as reader, target.open("wb") as file:
         writer = ChunkWriter(file.fileno(), profile=profile, library="test")
         writer.add_metadata(recording.ABOUT, {**reader.about, **(about or {})})
-        writer.add_attachment(recording.MANIFEST, "", reader.manifest.model_dump_json().encode(), 0)
+        writer.add_attachment(recording.MANIFEST, "", (manifest or reader.manifest).model_dump_json().encode(), 0)
         writer.add_attachment(recording.SCENARIO, "", reader.scenario.encode(), 0)
         writer.add_attachment(
             recording.PROVENANCE, "", json.dumps(reader.provenance if provenance is None else provenance).encode(), 0

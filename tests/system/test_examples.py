@@ -34,6 +34,16 @@ def test_gymnasium_environment(scratch):
     assert "{'heating': 20.0, 'cooling': 25.0}" in said
 
 
+def test_recording(scratch):
+    said = _run("recording.py", "--out", str(scratch / "run.mcap"))
+    assert "identical: 144 steps" in said
+    assert "episode 1, seed 1, USA_CO_Denver: 145 samples" in said
+    assert re.search(r"setpoint [\d.]+ degC, set by env-", said)
+    assert re.search(r"env-\S+: command answers step \[0\] of episode \[1\], 144 times, accepted", said)
+    with (scratch / "run.csv").open() as table:
+        assert len(table.readlines()) == 1 + 1 + 145  # with the sample of the episode that the reset replaced
+
+
 def test_own_plant_controller():
     """A cooler tank has a lower lift, so a higher COP; both keep the room warm, so both need the same heat."""
     said = _run("own_plant_controller.py")

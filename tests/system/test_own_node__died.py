@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import re
+from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import psutil
 import pytest
-from support.nodes import SMALL
+from support.nodes import SMALL, until
 
 import agent_sdk  # noqa: F401  # registers the environments
-from topics.errors import EpisodeChanged, InvalidConfig, NodeLost, NodeNotFound
+from bridge.recording.reader import RecordingReader
+from eplus_node.verification import verify
+from topics.errors import EpisodeChanged, InvalidConfig, InvalidRecording, NodeLost, NodeNotFound
 
 pytestmark = pytest.mark.usefixtures("scratch")
 
@@ -45,6 +50,35 @@ def test_a_single_environment() -> None:
     assert np.array_equal(first, again)
     assert np.array_equal(env.step(action)[0], stepped)
     env.close()
+
+
+def test_each_of_its_nodes_has_a_recording(scratch: Path) -> None:
+    """The recording of the node that died is kept, and verifies up to its end."""
+    paths = [scratch / name for name in ("run.mcap", "run-3.mcap", "run-4.mcap")]
+    (scratch / "run-2.mcap").write_text("not mine")
+    env = gym.make("zenostat/Building-v1", **SMALL, affinity="off", record=paths[0])
+    for number, path in enumerate(paths):
+        if number:
+            psutil.Process(env.unwrapped.local_node.pid).kill()
+            with pytest.warns(UserWarning, match=rf"another one was started; it records to {re.escape(str(path))};"):
+                env.reset(seed=number)
+        else:
+            env.reset(seed=number)
+        for _ in range(5):
+            env.step(env.action_space.sample())
+        until(lambda path=path: samples_in(path) >= 6, "the chunk is written")
+    env.close()
+    assert (scratch / "run-2.mcap").read_text() == "not mine"
+    for path in paths:
+        result = verify(path)
+        assert result.passed, str(result)
+        assert result.steps == 5
+
+
+def samples_in(path: Path) -> int:
+    with suppress(InvalidRecording), RecordingReader(path) as reader:
+        return sum(1 for _ in reader.messages({"Sample"}))
+    return 0
 
 
 def test_it_dies_again_and_again() -> None:

@@ -26,9 +26,11 @@ from agent_sdk import recording
 from bridge.recording.reader import RecordingReader
 from bridge.recording.replay import Replay, ReplayRange
 from bridge.transport.session import open_session
+from models.catalog import find_weather
 from topics import codec, keys
 from topics.errors import InvalidConfig, NameInUse, RequestRejected, UnknownName
 from topics.messages import Claim, Command, Sample, Write
+from topics.recording import RecordedWeather
 
 SETPOINT, CORE = "core_zn_cooling_setpoint", "core_zn_air_temperature"
 
@@ -48,7 +50,7 @@ def seen(module_scratch: Path) -> Any:
         agent_sdk.connect(program.endpoint, affinity="off") as bus,
         bus.controller("office", name="rbc") as link,
     ):
-        name = link.name
+        name, geometry = link.name, bus.geometry("office")
         for seed, steps in ((1, 30), (2, 5)):
             sample = link.reset(seed=seed)
             for step in range(steps):
@@ -69,7 +71,7 @@ def seen(module_scratch: Path) -> Any:
                 sample = link.receive()
             samples.append(sample.message)
             sources.append(sample.value_source[SETPOINT])
-    return SimpleNamespace(path=path, samples=samples, sources=sources, name=name)
+    return SimpleNamespace(path=path, samples=samples, sources=sources, name=name, geometry=geometry)
 
 
 def test_the_arrays_are_what_the_client_saw(seen: Any) -> None:
@@ -104,6 +106,20 @@ def test_the_arrays_are_what_the_client_saw(seen: Any) -> None:
         day.value_source(CORE)
     assert loaded.scenario.startswith("building: ref-small-office")
     assert {"model", "weather 1", "engine"} <= set(loaded.provenance["files"])
+
+
+def test_the_weather_of_each_episode_is_recorded(seen: Any) -> None:
+    """Once for each start of an episode, as the file has it: Denver on 3 July, in 24 hours."""
+    with RecordingReader(seen.path) as reader:
+        weathers = [codec.decode(RecordedWeather, item.payload) for item in reader.messages({"RecordedWeather"})]
+    lines = find_weather(SMALL["weather"]).path.read_text(encoding="latin-1").splitlines()[8:]
+    rows = [line.split(",") for line in lines if line.split(",")[1:3] == ["7", "3"]]
+    expected = np.array([[float(row[6]), float(row[13])] for row in rows])  # columns of the format EPW
+    assert [(weather.episode, weather.slot) for weather in weathers] == [(0, 0), (1, 0), (2, 0)]
+    for weather in weathers:
+        assert weather.columns == ["dry_bulb_temperature", "global_horizontal_radiation"]
+        assert weather.step_s == 3600.0
+        assert np.array_equal(np.frombuffer(weather.values).reshape(24, 2), expected)
 
 
 def test_the_log_has_senders_times_and_results(seen: Any) -> None:
@@ -221,6 +237,7 @@ def test_a_replay_is_the_node_again(seen: Any, session: tuple[zenoh.Session, str
         assert bus.status("office").step == [5]
         assert bus.latest("office") == received[-1]
         assert bus.scenario("office") == reader.scenario
+        assert bus.geometry("office") == seen.geometry
         with pytest.raises(RequestRejected, match="is the replay of a recording and takes no requests"):
             bus.claim("office", Claim(controller="rbc"))
         with pytest.raises(NameInUse, match="'office' is on this bus already"):

@@ -10,15 +10,17 @@ import numpy as np
 import psutil
 import pytest
 from support.nodes import SMALL, NodeProgram, until
+from support.recordings import rewrite
 from support.run_cli import run_in_process as run
 
 import agent_sdk
+from agent_sdk.recording import load
 from bridge.recording.reader import RecordingReader
 from eplus_node.verification import verify
 from models.catalog import find_building
 from topics import codec
 from topics.errors import InvalidConfig, InvalidRecording, RequestRejected
-from topics.messages import Event, EventKind, RecordingState
+from topics.messages import Event, EventKind, Flag, RecordingState
 
 TWO = {"weather": ["USA_CO_Denver", "USA_FL_Miami"]}
 NOISE = {"weather_noise": {"dry_bulb_temperature": {"sigma": 3.0, "mu": 0.0, "tau_h": 5.0}}}
@@ -92,6 +94,73 @@ def test_slots_noise_faults_writes_snapshots_and_partial_resets_verify_to_the_bi
     assert not result.skipped
     assert result.steps == sum(map(len, orders))
     assert result.episodes == 3 + 3 + 3 + 1  # at the start, reset, return to the snapshot, reset of one slot
+
+
+def test_noise_from_the_third_day_two_controllers_and_a_fallback_policy_verify_to_the_bit(scratch: Path) -> None:
+    """One of the controllers stops answering, and what it commanded is relinquished; each episode is a fork."""
+    path, rng = scratch / "policies.mcap", np.random.default_rng(2)
+    settings = {**SMALL, **NOISE, "noise_start": "third_day", "end": "07-06", "record": str(path)}
+    policy = {"policy": "relinquish", "deadline_s": 0.5}
+    zones = {"core": ["core_zn_heating_setpoint", SETPOINT], "north": ["perimeter_zn_3_cooling_setpoint"]}
+    with (
+        NodeProgram(scratch / "policies", **settings, **policy) as program,
+        agent_sdk.connect(program.endpoint, affinity="off") as bus,
+        bus.controller("office", name="core", actuators=zones["core"]) as core,
+    ):
+
+        def steps(count: int, *others: Any) -> None:
+            for _ in range(count):
+                core.send({zones["core"][0]: rng.uniform(15, 20), SETPOINT: rng.uniform(24, 28)})
+                for other in others:
+                    other.send({zones["north"][0]: rng.uniform(24, 28)})
+                for link in (core, *others):
+                    link.receive()
+
+        with bus.controller("office", name="north", actuators=zones["north"], priority=11) as north:
+            core.reset(seed=1)
+            while north.current().episode != 1:
+                pass
+            steps(5, north)
+            steps(2)
+        steps(4 * 96 - 7)
+        core.reset(seed=2)
+        steps(2 * 96 + 20)
+    result = verify(path)
+    assert result.passed, str(result)
+    assert result.steps == 4 * 96 + 2 * 96 + 20
+    first, second = (e for e in load(path).episodes if len(e) > 1)
+    assert {name.partition("-")[0] for name in first.sources} == {"", "core", "north"}
+    fallbacks = np.flatnonzero(first.flags & Flag.FALLBACK)
+    assert {6, 7} <= {*first.step[fallbacks].tolist()}
+    outdoors = [episode["outdoor_temperature"] for episode in (first, second)]
+    assert np.array_equal(outdoors[0][: 2 * 96], outdoors[1][: 2 * 96])
+    assert not np.array_equal(outdoors[0][2 * 96 : 2 * 96 + 20], outdoors[1][2 * 96 : 2 * 96 + 20])
+
+
+def test_what_is_not_here_is_named_before_anything_is_simulated(eventful: Path, scratch: Path) -> None:
+    with RecordingReader(eventful) as reader:
+        provenance = reader.provenance
+    files, settings = provenance["files"], provenance["settings"]
+    other = {"path": files["engine"]["path"], "sha256": "0" * 64}
+    cases = {
+        "the engine .* has changed; a tolerance compares it nevertheless": {"files": {**files, "engine": other}},
+        "the weather 2 .* has changed": {"files": {**files, "weather 2": {**files["weather 2"], "sha256": "1" * 64}}},
+        "cannot be simulated here: no weather file at /nowhere/a.epw": {
+            "settings": {**settings, "weather": ["/nowhere/a.epw", "USA_FL_Miami"]}
+        },
+        "cannot be simulated here: no building file at /nowhere/a.idf": {
+            "settings": {**settings, "building": "/nowhere/a.idf"}
+        },
+    }
+    for number, (text, changes) in enumerate(cases.items()):
+        path = rewrite(eventful, scratch / f"{number}.mcap", provenance={**provenance, **changes})
+        with pytest.raises(InvalidRecording, match=text):
+            verify(path)
+        said = run("verify", str(path), columns=500)
+        assert said.returncode != 0
+        assert "Traceback" not in said.stderr
+        assert len(said.stderr.strip().splitlines()) == 1
+        assert len(load(path).episodes) == len(load(eventful).episodes)  # what can be read is read
 
 
 def test_a_changed_model_is_a_regression_test(scratch: Path) -> None:

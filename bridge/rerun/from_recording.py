@@ -1,0 +1,77 @@
+"""Write a node's recording as a Rerun recording: what the live monitor would have saved."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import rerun as rr
+
+from bridge.display.comfort import default_comfort
+from bridge.recording.reader import RecordingReader
+from bridge.rerun.layout import blueprint
+from bridge.rerun.node_stream import NodeStream
+from bridge.rerun.samples import ComfortFactory, RewardFactory
+from bridge.rerun.stream import ROWS
+from topics import codec
+from topics.atomic_file import atomic_file
+from topics.errors import BadMessage, InvalidRecording
+from topics.messages import Event, EventKind, Manifest, Sample
+
+_SCHEMAS = frozenset(("Sample", "Event", "Manifest"))
+
+
+def write_rrd(
+    reader: RecordingReader,
+    path: Path,
+    *,
+    comfort: ComfortFactory = default_comfort,
+    reward: RewardFactory | None = None,
+) -> int:
+    """Write the samples and events of a recording to an .rrd file; return the number of samples.
+
+    Args:
+        reader: of the recording.
+        path: of the file.
+        comfort: as of `bridge.rerun.stream.RerunStream`.
+        reward: as of `bridge.rerun.stream.RerunStream`.
+
+    Raises:
+        InvalidRecording: the recording has no samples, or is damaged.
+    """
+    with atomic_file(path) as temporary:
+        stream = rr.RecordingStream("zenostat")
+        stream.set_sinks(rr.FileSink(str(temporary)))
+        try:
+            count = _log(reader, stream, comfort, reward)
+            stream.flush()
+        finally:
+            stream.disconnect()
+        if not count:
+            raise InvalidRecording(f"{reader.path} has no samples")
+    return count
+
+
+def _log(
+    reader: RecordingReader, stream: rr.RecordingStream, comfort: ComfortFactory, reward: RewardFactory | None
+) -> int:
+    node, count = NodeStream(stream, reader.manifest, reader.geometry, comfort, reward), 0
+    for item in reader.messages(_SCHEMAS):
+        try:
+            if item.schema == "Sample":
+                count += node.add_sample(codec.decode(Sample, item.payload))
+            elif item.schema == "Event":
+                event = codec.decode(Event, item.payload)
+                node.add_event(event)
+                if event.kind in (EventKind.CONNECTED, EventKind.DISCONNECTED):
+                    node.set_controller(event.source, is_connected=event.kind is EventKind.CONNECTED)
+            else:
+                node.set_manifest(codec.decode(Manifest, item.payload))
+        except BadMessage as error:
+            raise InvalidRecording(f"{reader.path} is damaged: {item.topic}: {error}") from None
+        if len(node.samples) >= ROWS:
+            node.flush()
+    node.flush()
+    node.draw()
+    if node.view is not None:
+        stream.send_blueprint(blueprint([(node.model, node.view)]))
+    return count
