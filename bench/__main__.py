@@ -22,7 +22,7 @@ from typing import Any
 
 from rich.console import Console
 
-from bench import branches, growth, monitors, plants, processor, recording, resets, steps, vector
+from bench import branches, growth, monitors, plans, plants, processor, recording, resets, steps, vector
 from topics import VERSION
 
 PARTS: Mapping[str, Any] = {
@@ -31,6 +31,7 @@ PARTS: Mapping[str, Any] = {
     "plants": plants,
     "resets": resets,
     "branches": branches,
+    "plans": plans,
     "vector": vector,
     "monitors": monitors,
     "recording": recording,

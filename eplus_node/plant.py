@@ -9,8 +9,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from bridge.engine.client import EngineClient, start_all
+from bridge.engine.client import EngineClient
 from bridge.engine.group import EngineGroup
+from bridge.engine.lists import close_all, start_all
+from bridge.engine.spec import EngineSpec
 from bridge.node.plant import PlantContext, PlantDescription, RunningPlant, Site, WeatherTable
 from eplus_node.engine.episode_folders import create_fork_folder, link_weather
 from eplus_node.engine.pool import EnginePool, EpisodeWeather
@@ -67,10 +69,19 @@ class EnergyPlusEngines(EngineGroup):
 
     def fork(self, slots: Sequence[int], folder: Path, *, baseline: bool = False) -> EnergyPlusFork:
         """Fork the engines of some slots; see `RunningPlant.fork`."""
+        return self._copy(slots, folder, self.members(slots, baseline=baseline), ())
+
+    def fork_with_error(self, slots: Sequence[int], folder: Path, forecast_error: Sequence[float]) -> EnergyPlusFork:
+        """Fork the engines of some slots into a forecast with errors; see `ForecastPlant.fork_with_error`."""
+        return self._copy(slots, folder, self.members(slots, baseline=False), forecast_error)
+
+    def _copy(
+        self, slots: Sequence[int], folder: Path, members: Sequence[EngineClient], forecast_error: Sequence[float]
+    ) -> EnergyPlusFork:
         create_fork_folder(folder)
         # Linked before the fork: a failure after it would leave engines behind.
         links = {slot: self._link(self.weather_of(slot), folder / f"slot-{slot}.epw") for slot in set(slots)}
-        forks = start_all(self.members(slots, baseline=baseline), lambda client: self._fork(client, folder))
+        forks = self._fork_all(members, folder, forecast_error)
         copy = EnergyPlusFork(self._plan, self.description, self._fork_cpus, [links[slot] for slot in slots])
         copy.adopt(forks, self, slots)
         return copy
@@ -83,24 +94,35 @@ class EnergyPlusEngines(EngineGroup):
         return EpisodeWeather(weather.draw, link_weather(weather.files, path))
 
     def _fork(self, client: EngineClient, folder: Path) -> EngineClient:
-        subfolder = create_fork_folder(folder / str(next(self._numbers)))
-        child = client.fork(
-            replace(
-                client.spec,
-                folder=subfolder,
-                keep_output=False,
-                cpus=self._fork_cpus,
-                poll=False,
-                branch=True,
-                replaced_file=None,
-            )
-        )
-        try:
-            child.receive()
-        except BaseException:
-            child.close()
-            raise
+        (child,) = self._fork_all([client], folder)
         return child
+
+    def _fork_all(
+        self, clients: Sequence[EngineClient], folder: Path, forecast_error: Sequence[float] = ()
+    ) -> list[EngineClient]:
+        """Fork each engine as often as it is listed."""
+        forks: list[EngineClient] = []
+        try:
+            for client, group in itertools.groupby(clients):
+                forks += client.fork_all([self._fork_spec(client, folder, forecast_error) for _ in group])
+            for fork in forks:
+                fork.receive()
+        except BaseException:
+            close_all(forks)
+            raise
+        return forks
+
+    def _fork_spec(self, client: EngineClient, folder: Path, forecast_error: Sequence[float]) -> EngineSpec:
+        return replace(
+            client.spec,
+            folder=create_fork_folder(folder / str(next(self._numbers))),
+            keep_output=False,
+            cpus=self._fork_cpus,
+            poll=False,
+            branch=True,
+            replaced_file=None,
+            forecast_error=tuple(forecast_error),
+        )
 
 
 class EnergyPlusFork(EnergyPlusEngines):

@@ -30,6 +30,7 @@ from topics.messages import (
     Manifest,
     Message,
     Pause,
+    PlanSimulated,
     PointValue,
     PriorityArrays,
     Query,
@@ -39,6 +40,7 @@ from topics.messages import (
     Sample,
     ScenarioText,
     SetPace,
+    SimulatePlan,
     SnapshotTaken,
     StartRecording,
     Status,
@@ -102,6 +104,7 @@ RESET = Topic("rpc/reset", Role.CONTROLLER, Reset, Delivery.QUERY, reply=Ack)
 SNAPSHOT = Topic("rpc/snapshot", Role.CONTROLLER, TakeSnapshot, Delivery.QUERY, reply=SnapshotTaken)
 DROP = Topic("rpc/drop", Role.CONTROLLER, DropSnapshot, Delivery.QUERY, reply=Ack)
 BRANCH = Topic("rpc/branch", Role.CONTROLLER, CreateBranch, Delivery.QUERY, reply=BranchCreated)
+PLAN = Topic("rpc/plan", Role.CONTROLLER, SimulatePlan, Delivery.QUERY, reply=PlanSimulated)
 STOP = Topic("rpc/stop", Role.CONTROLLER, Stop, Delivery.QUERY, reply=Ack)
 PACE = Topic("rpc/pace", Role.CONTROLLER, SetPace, Delivery.QUERY, reply=Ack)
 PAUSE = Topic("rpc/pause", Role.CONTROLLER, Pause, Delivery.QUERY, reply=Ack)
@@ -137,6 +140,7 @@ TOPICS = (
     SNAPSHOT,
     DROP,
     BRANCH,
+    PLAN,
     STOP,
     PACE,
     PAUSE,

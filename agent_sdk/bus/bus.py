@@ -20,6 +20,7 @@ from zenoh import QueryTarget
 
 from agent_sdk.bus import fork_guard
 from agent_sdk.bus.alarm_requests import AlarmRequests
+from agent_sdk.bus.branch_requests import BranchRequests
 from agent_sdk.bus.controller_link import ControllerLink
 from agent_sdk.bus.listener import listen
 from agent_sdk.bus.pace_requests import PaceRequests
@@ -49,10 +50,7 @@ from topics.keys import Role
 from topics.messages import (
     ANONYMOUS,
     Ack,
-    BranchCreated,
     Claim,
-    CreateBranch,
-    DropSnapshot,
     Geometry,
     Manifest,
     Message,
@@ -60,10 +58,8 @@ from topics.messages import (
     Reset,
     Sample,
     ScenarioText,
-    SnapshotTaken,
     Status,
     Stop,
-    TakeSnapshot,
     Write,
 )
 from topics.points import actuator_index, value_index
@@ -103,7 +99,7 @@ def connect(
     return Bus(endpoint, session, Affinity(affinity), role if keys else None)
 
 
-class Bus(PaceRequests, PriorityRequests, RecordingRequests, SeriesRequests, AlarmRequests):
+class Bus(BranchRequests, PaceRequests, PriorityRequests, RecordingRequests, SeriesRequests, AlarmRequests):
     """A connection to all nodes that are reachable through one endpoint.
 
     Attributes:
@@ -200,27 +196,6 @@ class Bus(PaceRequests, PriorityRequests, RecordingRequests, SeriesRequests, Ala
     def reset(self, node: str, reset: Reset) -> Ack:
         """Start a new episode of a node."""
         return self._ask(keys.RESET, node, reset, Ack)
-
-    def snapshot(self, node: str, controller: str = "") -> SnapshotTaken:
-        """Take a snapshot of a node, to return to with a `Reset`; the node drops it when `controller` disconnects.
-
-        Raises:
-            RequestRejected: No episode is running, or the node has its maximum of snapshots and branches.
-            ForkFailed: The system cannot fork the engine.
-        """
-        return self._ask(keys.SNAPSHOT, node, TakeSnapshot(controller=controller), SnapshotTaken)
-
-    def drop(self, node: str, snapshot: str) -> None:
-        """Drop a snapshot and free its memory; `RequestRejected` if the node has none of that name."""
-        self._ask(keys.DROP, node, DropSnapshot(snapshot=snapshot), Ack)
-
-    def branch(self, node: str, branch: CreateBranch) -> str:
-        """Create a branch of a node and return the branch's name; a branch is a node like any other.
-
-        Raises:
-            RequestRejected, ForkFailed: As for `snapshot`; a branch cannot have branches.
-        """
-        return self._ask(keys.BRANCH, node, branch, BranchCreated).node
 
     def geometry(self, node: str) -> Geometry:
         """Return a node's zones and surfaces; `bridge.display.surfaces` decodes them.

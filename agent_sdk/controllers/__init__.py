@@ -5,6 +5,7 @@ from agent_sdk.controllers.base import BaselineController, Controller, Controlle
 from agent_sdk.controllers.fixed import FixedSetpoints
 from agent_sdk.controllers.incremental import IncrementalRules
 from agent_sdk.controllers.loader import CONTROLLERS, load_controller
+from agent_sdk.controllers.oracle import OracleController
 from agent_sdk.controllers.parameters import make_controller
 from agent_sdk.controllers.pid import PIDController
 from agent_sdk.controllers.random_control import RandomController
@@ -19,6 +20,7 @@ __all__ = [
     "ControllerProtocol",
     "FixedSetpoints",
     "IncrementalRules",
+    "OracleController",
     "PIDController",
     "RandomController",
     "RuleBasedController",

@@ -9,10 +9,10 @@ import numpy as np
 
 from agent_sdk.bus.sample import SampleView
 from agent_sdk.controllers.action_roles import SETPOINTS, role_of
-from agent_sdk.controllers.base import ControllerProtocol, Values
-from topics.errors import InvalidAction, did_you_mean
+from agent_sdk.controllers.base import ControllerProtocol, Planner, PlanningController, Values
+from topics.errors import InvalidAction, InvalidConfig, did_you_mean
 from topics.messages import Action, DiscreteAction, Manifest
-from topics.points import contains, describe_violation
+from topics.points import bounds, contains, describe_violation
 
 
 class Agent:
@@ -25,10 +25,21 @@ class Agent:
     Args:
         controller: a `Controller`, or anything that has `act(sample)`; its `begin(sample)`, if any, is called at the
             start of each episode.
+        planner: the environment that the controller acts in; only a controller that plans, such as `oracle`, needs it.
+
+    Raises:
+        InvalidConfig: the controller plans, and there is no planner.
     """
 
-    def __init__(self, controller: ControllerProtocol) -> None:
+    def __init__(self, controller: ControllerProtocol, planner: Planner | None = None) -> None:
         self.controller = controller
+        if isinstance(controller, PlanningController):
+            if planner is None:
+                raise InvalidConfig(
+                    f"{type(controller).__name__} plans in branches of an environment, which is not there: use it in "
+                    "zenostat evaluate, or as Agent(controller, env.unwrapped)"
+                )
+            controller.attach(planner)
         self._episode: int | None = None
         self._commanded: Values = {}
 
@@ -101,3 +112,16 @@ def _nearest_row(choice: DiscreteAction, targets: Mapping[str, float], setpoints
     comfort = distance[:, is_setpoint].sum(axis=1).round(9)
     others = (distance / np.where(span > 0.0, span, 1.0) ** 2)[:, ~is_setpoint].sum(axis=1)
     return int(np.lexsort((others, comfort))[0])
+
+
+def values_of(manifest: Manifest, action: Any) -> Values:
+    """Convert an action of the task's space to values by actuator; the inverse of `action_of`."""
+    numbers = np.atleast_1d(np.asarray(action))
+    by_action: dict[str, float] = {}
+    if manifest.task.discrete_actions:
+        for choice, index in zip(manifest.task.discrete_actions, numbers.tolist(), strict=True):
+            by_action |= dict(zip(choice.actions, choice.values[int(index)], strict=True))
+    else:
+        by_action = dict(zip((entry.name for entry in manifest.task.actions), numbers.tolist(), strict=True))
+    clipped = {a.name: min(max(by_action[a.name], bounds(a)[0]), bounds(a)[1]) for a in manifest.task.actions}
+    return {name: clipped[entry.name] for entry in manifest.task.actions for name in entry.actuators}

@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Protocol
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from agent_sdk.bus.sample import SampleView
 from topics.messages import Manifest
@@ -17,6 +22,37 @@ class ControllerProtocol(Protocol):
 
     def act(self, sample: SampleView) -> Values:
         """Return the commands for the timestep that begins at `sample.time`."""
+
+
+class PlanBranch(Protocol):
+    """A copy of the running episode, to be stepped."""
+
+    @property
+    def sample(self) -> SampleView:
+        """The copy's latest sample."""
+
+    def step(self, action: ArrayLike) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Simulate one timestep, as an environment does."""
+
+
+class Planner(Protocol):
+    """What a planning controller needs of its environment; a `BuildingEnv` has it."""
+
+    action_space: Any
+
+    def plan(self, actions: ArrayLike, *, forecast_error: Sequence[float] = ()) -> NDArray[np.float64]:
+        """Return the reward of each timestep of several action sequences; see `BuildingEnv.plan`."""
+
+    def branch(self, *, forecast_error: Sequence[float] = ()) -> AbstractContextManager[PlanBranch]:
+        """Create a copy that continues from the present sample; see `BuildingEnv.branch`."""
+
+
+@runtime_checkable
+class PlanningController(ControllerProtocol, Protocol):
+    """A controller that simulates its plans in branches of the environment that it controls."""
+
+    def attach(self, planner: Planner) -> None:
+        """Use this environment for the plans of the samples that follow."""
 
 
 class Controller(ABC):

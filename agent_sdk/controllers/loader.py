@@ -17,6 +17,7 @@ from types import ModuleType
 from agent_sdk.controllers.base import BaselineController, Controller, ControllerProtocol
 from agent_sdk.controllers.fixed import FixedSetpoints
 from agent_sdk.controllers.incremental import IncrementalRules
+from agent_sdk.controllers.oracle import OracleController
 from agent_sdk.controllers.pid import PIDController
 from agent_sdk.controllers.random_control import RandomController
 from agent_sdk.controllers.rule_based import RuleBasedController
@@ -31,6 +32,7 @@ CONTROLLERS: dict[str, type[Controller]] = {
     "setback": ScheduledSetback,
     "incremental": IncrementalRules,
     "pid": PIDController,
+    "oracle": OracleController,
 }
 """Controllers by short name, as for `zenostat run --controller`."""
 

@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from datetime import datetime
 from pathlib import Path
-from typing import Any, Unpack
+from typing import Any, Unpack, overload
 
 import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from zenoh import ZError
 
-from agent_sdk.bus.bus import Bus
 from agent_sdk.bus.controller_link import ControllerLink
 from agent_sdk.bus.sample import SampleView
 from agent_sdk.bus.snapshot import Snapshot, from_options, take
 from agent_sdk.envs import arguments, spaces
-from agent_sdk.envs.actions import Actions
+from agent_sdk.envs.actions import Actions, as_array
+from agent_sdk.envs.branch_env import BranchVectorEnv, branch_request, open_branch
 from agent_sdk.envs.connection import BUSY, RENDER_MODES, ConnectedEnv, NodeConnection
 from agent_sdk.envs.episode_state import EpisodeState
 from agent_sdk.envs.infos import SampleInfos
@@ -31,17 +30,12 @@ from agent_sdk.envs.vector_sample import Link
 from agent_sdk.rewards import AnyReward, Reward
 from bridge.runtime.affinity import Affinity
 from topics.errors import BusError, EpisodeChanged, InvalidConfig, UsageError
-from topics.messages import CreateBranch, WeatherSeries
+from topics.messages import WeatherSeries
 from topics.points import observed_indices
 from topics.scenario_fields import OtherArguments, expand_arguments
 from topics.seeds import check_seed
 
 Observation = NDArray[np.float32]
-
-
-def _stop(bus: Bus, node: str) -> None:
-    with suppress(BusError, ZError):  # it has ended with its parent, or the bus is closed
-        bus.stop(node)
 
 
 class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
@@ -219,32 +213,69 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
         """
         return take(self._forkable_link(), self._running_sample(), self._state)
 
-    def branch(self, *, snapshot: Snapshot | None = None, relinquished: bool = False) -> BuildingEnv:
+    @overload
+    def branch(
+        self, *, snapshot: Snapshot | None = None, relinquished: bool = False, forecast_error: Sequence[float] = ()
+    ) -> BuildingEnv: ...
+
+    @overload
+    def branch(
+        self, *, slots: int, snapshot: Snapshot | None = None, relinquished: bool = False,
+        forecast_error: Sequence[float] = (),
+    ) -> BranchVectorEnv: ...  # fmt: skip
+
+    def branch(
+        self, *, slots: int | None = None, snapshot: Snapshot | None = None, relinquished: bool = False,
+        forecast_error: Sequence[float] = (),
+    ) -> BuildingEnv | BranchVectorEnv:  # fmt: skip
         """Create an environment that continues from the current sample independently of this one.
 
         The branch is a node of its own on the bus and ends with `close()`, or with this environment. It has a single
         episode: it cannot be reset. `with env.unwrapped.branch() as b: b.step(action)`.
 
         Args:
+            slots: Number of copies, 1 to 256, which step together as a vector environment with `plan`; None: one copy,
+                as a single environment.
             snapshot: Continue from this snapshot instead.
             relinquished: Drop all commands so far; the baseline control is in effect until a step commands.
+            forecast_error: Added to the outdoor temperature in the branch's timesteps, K, -50 to 50; the last one
+                stays. The other weather is that of the episode.
 
         Raises:
             EpisodeChanged, RequestRejected, ForkFailed: As for `snapshot`.
+            InvalidConfig: A number of slots or an error out of range.
         """
         link, sample = self._forkable_link(), self._running_sample() if snapshot is None else snapshot.sample
         if snapshot is not None:
             snapshot.check(self.manifest)
+        name = snapshot.name if snapshot is not None else ""
+        request = branch_request(link.name, name, slots, forecast_error, relinquished=relinquished)
         with ExitStack() as undo:
-            request = CreateBranch(
-                controller=link.name, snapshot=snapshot.name if snapshot is not None else "", relinquished=relinquished
-            )
-            name = link.bus.branch(link.manifest.node, request)
-            undo.callback(_stop, link.bus, name)
-            branch_link = undo.enter_context(link.bus.controller(name, name="env", priority=self._priority))
+            branch_link = open_branch(link, request, self._priority, undo)
             state = self._state.capture() if snapshot is None else snapshot.env_state
             reward = copy.deepcopy(self.reward)  # a reward of the user's may have a state
+            if slots is not None:
+                return BranchVectorEnv(branch_link, reward, sample, state, self._infos.episode_start, undo)
             return self._continue_at(branch_link, sample, reward, state, self._infos.episode_start, undo)
+
+    def plan(
+        self, actions: ArrayLike, *, snapshot: Snapshot | None = None, forecast_error: Sequence[float] = ()
+    ) -> NDArray[np.float64]:
+        """Simulate sequences of actions in branches, and return the rewards, shape (sequences, timesteps).
+
+        Args:
+            actions: Elements of the action space, shape (sequences, timesteps, *action shape). A sequence ends with its
+                episode: further rewards are 0.
+            snapshot: As for `branch`.
+            forecast_error: As for `branch`.
+
+        Raises:
+            InvalidAction: Wrong shape, or an action that `step` would reject.
+            EpisodeChanged, RequestRejected, ForkFailed, SimulatorError: As for `branch` and `step`.
+        """
+        count = len(as_array(actions, None))
+        with self.branch(slots=count, snapshot=snapshot, forecast_error=forecast_error) as branches:
+            return branches.plan(actions)
 
     @classmethod
     def _continue_at(

@@ -39,6 +39,15 @@ class TerminationLimits:
         for outside_s in self._outside_s:
             outside_s[list(slots)] = 0.0
 
+    def adopt(self, single: TerminationLimits) -> None:
+        """Take over the counts of a single building in all slots."""
+        self._outside_s = [np.broadcast_to(counts, (*self._batch_shape, len(counts))) for counts in single.counts]
+
+    @property
+    def counts(self) -> list[Floats]:
+        """Seconds that each point of each limit has been outside its range."""
+        return self._outside_s
+
     def violated(self, values: Floats) -> str:
         """Describe the limit that a sample violates; empty if it violates none.
 

@@ -84,7 +84,7 @@ class BuildingVectorEnv(ConnectedEnv, VectorEnv[Observations, Any, NDArray[Any]]
         link: VectorLink | None = None,
         **node_arguments: Unpack[NodeArguments],
     ) -> None:
-        self.num_envs, self.autoreset_mode = _check_count(num_envs), _check_mode(autoreset_mode)
+        self.num_envs, self.autoreset_mode = check_count(num_envs), _check_mode(autoreset_mode)
         arguments.check_arguments(node_arguments, BuildingVectorEnv)
         self._connection = NodeConnection(
             {name: value for name, value in node_arguments.items() if value is not None},
@@ -377,9 +377,10 @@ class BuildingVectorEnv(ConnectedEnv, VectorEnv[Observations, Any, NDArray[Any]]
         self._connection.close()
 
 
-def _check_count(count: int) -> int:
+def check_count(count: int, name: str = "num_envs") -> int:
+    """Return a number of slots that is valid; `InvalidConfig` for any other."""
     if not isinstance(count, int) or not 1 <= count <= MAX_SLOTS:
-        raise InvalidConfig(f"num_envs = {count!r}; a number from 1 to {MAX_SLOTS} expected")
+        raise InvalidConfig(f"{name} = {count!r}; a number from 1 to {MAX_SLOTS} expected")
     return count
 
 

@@ -289,7 +289,7 @@ def _run_episodes(
     recorder: TraceRecorder | None,
 ) -> tuple[list[EpisodeRecord], tuple[WeatherTrace | None, ...]]:
     """Run the episodes of a controller; trace the samples of the first one, and the weather of all."""
-    agent, steps = Agent(controller), env.manifest.steps
+    agent, steps = Agent(controller, env), env.manifest.steps
     rows, weathers = [], []
     for number, seed in enumerate(seeds):
         report = None if progress is None else partial(progress, name, number)

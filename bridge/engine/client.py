@@ -10,17 +10,18 @@ import signal
 import socket
 import struct
 import subprocess
-from collections.abc import Callable, Iterable
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from time import monotonic
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import psutil
 from numpy.typing import NDArray
 
 from bridge.engine.forked_process import ForkedProcess, Process
+from bridge.engine.lists import close_all
 from bridge.engine.protocol import PROCESS_ID, FrameKind, OrderKind
 from bridge.engine.registry import EngineRegistry
 from bridge.engine.sockets import SocketPair, fill, read_process_id, send_all, socket_pairs
@@ -32,7 +33,8 @@ from topics.errors import EngineDied, EngineUnresponsive, ForkFailed, SimulatorE
 LOG = "engine.log"
 """Name of the file in the engine's folder that receives its standard error."""
 
-T = TypeVar("T")
+_MAX_ORDERED_FORKS = 8
+"""Forks ordered at a time: their sockets are in transit until the engine receives them."""
 _FINISH_TIMEOUT_S = 30.0
 _EXIT_TIMEOUT_S = 5.0
 _FAILED, _LAST = float(FrameKind.FAILED), float(FrameKind.LAST)
@@ -51,19 +53,6 @@ def _start(spec: EngineSpec) -> tuple[SocketPair, Process]:
             stderr=2 if spec.program.prints else log,
         )
     return ours, process
-
-
-def start_all(items: Iterable[T], start: Callable[[T], EngineClient]) -> list[EngineClient]:
-    """Start an engine for each item; if one cannot be started, close those started so far."""
-    started: list[EngineClient] = []
-    try:
-        for item in items:
-            started.append(start(item))  # noqa: PERF401  # a comprehension would lose those started so far
-    except BaseException:
-        for client in started:
-            client.close()
-        raise
-    return started
 
 
 class EngineClient:
@@ -119,28 +108,61 @@ class EngineClient:
             EngineDied: this engine has ended, or its fork ended at once or does not answer.
             ForkFailed: the system cannot fork the engine, which keeps waiting at its sample.
         """
+        return self.fork_all([spec])[0]
+
+    def fork_all(self, specs: Sequence[EngineSpec]) -> list[EngineClient]:
+        """Fork this engine once for each specification; the forks set themselves up while it forks again.
+
+        Raises:
+            EngineDied, ForkFailed: as `fork` does; the forks so far are closed.
+        """
+        children: list[EngineClient] = []
         try:
-            ours, theirs = socket_pairs()
-        except OSError as error:
-            raise ForkFailed(f"cannot open sockets for a fork: {error.strerror}") from None
+            for first in range(0, len(specs), _MAX_ORDERED_FORKS):
+                self._fork_some(specs[first : first + _MAX_ORDERED_FORKS], children)
+        except BaseException:
+            close_all(children)
+            raise
+        return children
+
+    def _fork_some(self, specs: Sequence[EngineSpec], children: list[EngineClient]) -> None:
+        """Order several forks, then receive them all, so that no reply of this engine remains unread."""
+        with ExitStack() as unused:
+            pairs = []
+            try:
+                for _ in specs:
+                    ours, theirs = socket_pairs()
+                    pairs.append((ours, unused.enter_context(theirs)))
+            except OSError as error:
+                for ours, _ in pairs:
+                    ours.close()
+                raise ForkFailed(f"cannot open sockets for a fork: {error.strerror}") from None
+            for spec, (_, theirs) in zip(specs, pairs, strict=True):
+                self._order_fork(spec, theirs)
+        failure: ForkFailed | None = None
+        for position, (spec, (ours, _)) in enumerate(zip(specs, pairs, strict=True)):
+            try:
+                pid = self._forked_pid(ours.frames)
+            except ForkFailed as error:
+                ours.close()
+                failure = error
+                continue
+            except BaseException:
+                for rest, _ in pairs[position:]:
+                    rest.close()
+                raise
+            children.append(EngineClient(spec, (ours, ForkedProcess(pid)), self.registry))
+            self.receive()
+        if failure is not None:
+            raise failure
+
+    def _order_fork(self, spec: EngineSpec, theirs: SocketPair) -> None:
         # Only the fields that differ: a short text arrives in one piece, with its sockets.
         text = json.dumps(spec.fork_fields()).encode()
         order = struct.pack("=dd", OrderKind.FORK, len(text)) + bytes(self._order_bytes)
-        with theirs, suppress(OSError):  # `_forked_pid` detects that the engine has ended
+        with suppress(OSError):  # `_forked_pid` detects that the engine has ended
             self._orders.sendall(order)
             socket.send_fds(self._orders, [text], theirs.descriptors)
-        try:
-            pid = self._forked_pid(ours.frames)
-        except BaseException:
-            ours.close()
-            raise
-        child = EngineClient(spec, (ours, ForkedProcess(pid)), self.registry)
-        try:
-            self.receive()
-        except BaseException:
-            child.close()
-            raise
-        return child
 
     def send_reset(self, seed: int) -> None:
         """Order another episode; `receive` waits for its sample 0.
@@ -305,6 +327,13 @@ class EngineClient:
                 send_all(self._orders, order[written:], self._watchdog())
         except BlockingIOError:
             send_all(self._orders, order, self._watchdog())
+        except (BrokenPipeError, ConnectionResetError):
+            raise EngineDied(self._exit_report()) from None
+
+    def send_several(self, rows: Iterable[bytes]) -> None:
+        """Order several timesteps; as `send`. The engine must have room for them: see `EngineGroup.run`."""
+        try:
+            send_all(self._orders, b"".join([self._step + row for row in rows]), self._watchdog())
         except (BrokenPipeError, ConnectionResetError):
             raise EngineDied(self._exit_report()) from None
 

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
 from bridge.engine.client import EngineClient
+
+MAX_AHEAD = 32
+"""Largest number of timesteps of a plan that are ordered before their samples are received."""
+ORDER_BYTES = 1 << 16
+"""Largest size of these orders: a socket takes them while the engine waits to send a sample."""
 
 
 class EngineGroup:
@@ -80,6 +85,29 @@ class EngineGroup:
         self.effective = b"".join(effective)
         return [clients[slot].last for slot in active_slots]
 
+    def run(self, commands: Sequence[bytes], active_slots: Sequence[int]) -> Iterator[list[bool]]:
+        """Simulate several timesteps in the active slots, each with its commands; see `PlanningPlant.run`.
+
+        An engine does not wait for the others between timesteps: it has the orders of the next ones already.
+        """
+        ahead = max(1, min(MAX_AHEAD, ORDER_BYTES // (16 + self._row_bytes)))
+        rows, clients = [self._rows(command) for command in commands], self.clients
+        baselines = [self.baselines[slot] for slot in active_slots] if self.baselines else []
+        for number, row in enumerate(rows):
+            if due := rows[:ahead] if number == 0 else rows[number + ahead - 1 : number + ahead]:
+                for slot in active_slots:
+                    clients[slot].send_several([order[slot] for order in due])
+                for baseline in baselines:
+                    baseline.send_several([self._relinquished] * len(due))
+            effective = self._rows(self.effective)
+            for slot in active_slots:
+                clients[slot].receive()
+                effective[slot] = clients[slot].effective_bytes(row[slot])
+            for baseline in baselines:
+                baseline.receive()
+            self.effective = b"".join(effective)
+            yield [clients[slot].last for slot in active_slots]
+
     def _rows(self, raw: bytes) -> list[bytes]:
         width = self._row_bytes
         return [raw[slot * width : (slot + 1) * width] for slot in range(len(self.clients))]
@@ -141,6 +169,9 @@ class EngineGroup:
 
     def end(self, *, failed: bool = False) -> None:
         """End all engines; where output is kept, the simulator may finish its files. Idempotent."""
+        for client in self.all:
+            if client.spec.branch:
+                client.interrupt()  # all at once: a process takes a while to end
         for client in self.all:
             client.end(failed=failed)
 

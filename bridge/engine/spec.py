@@ -46,6 +46,7 @@ class EngineSpec:
         branch: end the process at its last sample, without the simulator's own end of run.
         replaced_file: for a fork that continues to read another file: the file, the other one, and the offset up to
             which they are equal.
+        forecast_error: for a fork that simulates a weather forecast: errors of the outdoor temperature, K.
     """
 
     program: EngineProgram
@@ -59,6 +60,7 @@ class EngineSpec:
     poll: bool = False
     branch: bool = False
     replaced_file: tuple[str, str, int] | None = None
+    forecast_error: tuple[float, ...] = ()
 
     def fields(self) -> dict[str, Any]:
         """Return the fields that the engine reads first."""
@@ -74,4 +76,5 @@ class EngineSpec:
             "poll": self.poll,
             "branch": self.branch,
             "replaced_file": self.replaced_file,
+            "forecast_error": self.forecast_error,
         }

@@ -119,21 +119,37 @@ class ActuatorCommands:
             BadMessage: wrong sizes, a value out of bounds or not finite, or an actuator that the controller has not
                 claimed; nothing is changed.
         """
+        values, operations = self._checked(claimant, command, answered)
+        if operations is None:
+            self.array.put_all(claimant.priority, claimant.source, command.values)
+            return
+        self.array.put(
+            claimant.priority,
+            claimant.source,
+            np.where(operations == CommandOp.SET, values, np.nan),
+            operations != CommandOp.KEEP,
+        )
+
+    def check(self, claimant: ClaimHolder, command: Command) -> None:
+        """Raise `BadMessage` as `put` would for a command that answers all slots; change nothing."""
+        self._checked(claimant, command, range(self._shape[0]))
+
+    def _checked(
+        self, claimant: ClaimHolder, command: Command, answered: Sequence[int]
+    ) -> tuple[NDArray[np.float64], NDArray[np.uint8] | None]:
+        """Return values and operations of a valid command; no operations if it sets all actuators of all slots."""
         values = codec.floats(command.values, self._shape, "values")
         all_slots = len(answered) == self._shape[0]
         if command.operations is None and claimant.covers_all and all_slots:
             self._check(values)
-            self.array.put_all(claimant.priority, claimant.source, command.values)
-            return
+            return values, None
         operations = self._operations(claimant, command)
         if not all_slots:
             is_answered = np.isin(np.arange(self._shape[0]), answered)[:, None]
             operations = np.where(is_answered, operations, np.uint8(CommandOp.KEEP))
         is_set = operations == CommandOp.SET
         self._check(np.where(is_set, values, self._bounds[0].reshape(self._shape)))
-        self.array.put(
-            claimant.priority, claimant.source, np.where(is_set, values, np.nan), operations != CommandOp.KEEP
-        )
+        return values, operations
 
     def _operations(self, claimant: ClaimHolder, command: Command) -> NDArray[np.uint8]:
         if command.operations is None:

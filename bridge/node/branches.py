@@ -22,7 +22,7 @@ from bridge.exchange.actuator_commands import CommandSnapshot
 from bridge.exchange.step_exchange import StepExchange
 from bridge.node.fault_injection import NO_FAULTS, FaultState
 from bridge.node.manifest import site_fields
-from bridge.node.plant import RunningPlant
+from bridge.node.plant import ForecastPlant, RunningPlant
 from bridge.node.server import NodeServer
 from topics import keys
 from topics.errors import ForkFailed, RequestRejected, did_you_mean
@@ -200,7 +200,7 @@ class BranchManager:
             undo.callback(shutil.rmtree, folder, ignore_errors=True)
             full_name = keys.check_name(f"{parent.manifest.node}.{name}", "a branch's name")
             origin = snapshot.plant if snapshot is not None else parent.plant
-            plant = origin.fork([request.slot] * request.slots, folder)
+            plant = _fork(origin, request, folder)
             undo.callback(plant.close)
             server = self._branch_server(full_name, plant, request, snapshot)
             branch = self._start(Branch(server, request.controller, folder, self._cpus, self._on_end))
@@ -332,6 +332,15 @@ class BranchManager:
         snapshots = [(s.name, s.owner, s.step, s.plant) for s in [*self.snapshots.values()]]
         branches = [(b.name, b.owner, b.server.exchange.step, b.server.plant) for b in [*self.branches.values()]]
         return _fork_status(snapshots, memory=memory), _fork_status(branches, memory=memory)
+
+
+def _fork(origin: RunningPlant, request: CreateBranch, folder: Path) -> RunningPlant:
+    slots = [request.slot] * request.slots
+    if not request.forecast_error:
+        return origin.fork(slots, folder)
+    if not isinstance(origin, ForecastPlant):
+        raise RequestRejected("this plant has no outdoor temperature that a forecast error could change")
+    return origin.fork_with_error(slots, folder, request.forecast_error)
 
 
 def _fork_status(forks: Sequence[tuple[str, str, list[int], RunningPlant]], *, memory: bool) -> list[ForkStatus]:

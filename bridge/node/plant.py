@@ -27,7 +27,7 @@ Other threads read `description`, `site`, `simulators` and `memory_bytes` at any
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -313,6 +313,39 @@ class RepeatablePlant(Plant, Protocol):
         Raises:
             InvalidRecording: these are not inputs of this plant.
             SimulatorError: the inputs cannot be prepared.
+        """
+
+
+@runtime_checkable
+class PlanningPlant(RunningPlant, Protocol):
+    """A plant that simulates several timesteps at once faster than by `step`."""
+
+    def run(self, commands: Sequence[bytes], active_slots: Sequence[int]) -> Iterator[list[bool]]:
+        """Simulate several timesteps in the active slots.
+
+        Args:
+            commands: of each timestep, as of `step`.
+            active_slots: as of `step`; none of them is at its last sample before the last of these timesteps.
+
+        Yields:
+            The result of `step` for each timestep, while `values` and `effective` are those of this timestep.
+
+        Raises:
+            SimulatorError: the plant failed; its text names the reason.
+        """
+
+
+@runtime_checkable
+class ForecastPlant(RunningPlant, Protocol):
+    """A plant whose copies can simulate a weather forecast with errors."""
+
+    def fork_with_error(self, slots: Sequence[int], folder: Path, forecast_error: Sequence[float]) -> RunningPlant:
+        """Return a copy, as `fork` does, whose outdoor temperature differs from that of the weather file.
+
+        Args:
+            slots: as of `fork`.
+            folder: as of `fork`.
+            forecast_error: added in each timestep of the copy, K; the last one stays.
         """
 
 

@@ -12,6 +12,7 @@ import psutil
 
 from bridge.exchange.step_exchange import MAX_MESSAGES_PER_STEP, MAX_SOURCE_NAME
 from bridge.node.manifest import located_geometry
+from bridge.node.planning import PlanSimulation
 from bridge.node.subscriptions import Request
 from topics import codec, keys
 from topics.errors import BadMessage, BusError, RequestRejected, UnknownName
@@ -34,6 +35,7 @@ from topics.messages import (
     PriorityArrays,
     Query,
     ScenarioText,
+    SimulatePlan,
     Status,
     Stop,
     WeatherQuery,
@@ -74,6 +76,7 @@ class RequestHandlers:
         subscriptions.request(keys.HISTORY, HistoryQuery, self._history)
         subscriptions.request(keys.ALARMS, AlarmQuery, self._alarms)
         subscriptions.request(keys.ACKNOWLEDGE, Acknowledge, self._acknowledge)
+        subscriptions.request(keys.PLAN, SimulatePlan, PlanSimulation(server).simulate)
         subscriptions.request(keys.STOP, Stop, self._stop, on_receipt=server.on_stop)
         subscriptions.request(keys.FAULTS, FaultPlan, self._set_faults)
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from datetime import datetime, timedelta
+from datetime import timedelta
 from time import monotonic
 from typing import TYPE_CHECKING
 
@@ -34,6 +34,7 @@ from topics.messages import Event, EventKind, Flag, Manifest, Mode, Query, State
 
 if TYPE_CHECKING:
     from bridge.alarms.monitor import AlarmMonitor
+    from bridge.node.planning import SampleHead
     from bridge.recording.recorder import Recorder
 
 _NO_FLAG, _FIRST, _TRUNCATED = int(Flag.NONE), int(Flag.FIRST), int(Flag.TRUNCATED)
@@ -85,7 +86,7 @@ class NodeServer:
         self._recorder: Recorder | None = None
         self.pacing = Pacing(self)
         self.requests = RequestHandlers(self)
-        self._last_commands = b""
+        self.last_commands = b""
         self._step_latency, self._cycle = LatencyWindow(), LatencyWindow()
         self._sampled_s = 0.0
         self.stopping = False
@@ -129,7 +130,7 @@ class NodeServer:
         try:
             while True:
                 if self.exchange.ready_to_step() and self.pacing.may_step():
-                    self._step()
+                    self.step()
                     if self.exchange.fallback_active or self.exchange.mode is not _LOCKSTEP:
                         self._receive_all()  # the next step waits for no command
                 else:
@@ -200,7 +201,7 @@ class NodeServer:
             except SimulatorError as error:
                 self.fail(error)
 
-    def _step(self) -> None:
+    def step(self) -> None:
         """Simulate a timestep: send the commands to the plant, publish the sample."""
         exchange = self.exchange
         self.pacing.step_started()
@@ -210,7 +211,7 @@ class NodeServer:
         commands = exchange.begin_step(began_s)
         if self.injection is not None:
             commands = self.injection.apply_to_commands(commands, exchange.step)
-        self._last_commands = commands
+        self.last_commands = commands
         if self._recorder is not None:
             self._recorder.order(commands, exchange.active_slots)
         try:
@@ -224,42 +225,21 @@ class NodeServer:
         self.publish()
         self._step_latency.add(self._sampled_s - began_s)
         self.pacing.record_sample(self._sampled_s)
-        if exchange.state is _ENDED:
-            self.event(exchange.event(EventKind.ENDED, f"the run period is over after {exchange.step[0]} timesteps"))
+        self.announce_end()
+
+    def announce_end(self) -> None:
+        """Publish the event of the end, once the episodes of all slots are over."""
+        if self.exchange.state is _ENDED:
+            text = f"the run period is over after {self.exchange.step[0]} timesteps"
+            self.event(self.exchange.event(EventKind.ENDED, text))
 
     def publish(self) -> None:
         """Publish the present sample."""
-        exchange, counts, plant = self.exchange, self.exchange.counts, self.plant
-        steps, fallback = exchange.step, _FALLBACK if exchange.fallback_active else _NO_FLAG
-        now, times, elapsed_s = self._clock(steps)
-        if True in exchange.done or 0 in steps:
-            flags = [
-                (_TRUNCATED if done else _NO_FLAG if step else _FIRST) | fallback
-                for done, step in zip(exchange.done, steps, strict=True)
-            ]
-        else:
-            flags = [fallback] * len(steps)
-        values, effective, fault_free_values = plant.values(), plant.effective, b""
-        injection = self.injection
+        exchange, plant, injection = self.exchange, self.plant, self.injection
+        values, fault_free_values = plant.values(), b""
         if injection is not None:
             fault_free_values, values = values, injection.apply_to_sensors(values, exchange.step)
-        self.latest_sample = codec.pack(
-            episode=exchange.episode,
-            step=steps,
-            time=times,
-            elapsed_s=elapsed_s,
-            flags=flags,
-            values=values,
-            effective=effective,
-            commanded=exchange.commanded,
-            source_index=exchange.source_index,
-            sources=exchange.source_names,
-            late=counts.late,
-            rejected=counts.rejected,
-            baseline=plant.baseline_values() if plant.has_baseline else b"",
-            baseline_effective=plant.baseline_effective() if plant.has_baseline else b"",
-            fault_free_values=fault_free_values,
-        )
+        self.latest_sample = self.encode_sample(exchange, values, fault_free_values)
         if injection is None:
             self.publications.sample(self.latest_sample)
         else:
@@ -267,27 +247,57 @@ class NodeServer:
         if self._recorder is not None:
             self._recorder.add(SAMPLES, self.latest_sample)
         if self.history is not None:
-            self.history.add(values, effective, exchange.episode, steps)
+            self.history.add(values, plant.effective, exchange.episode, exchange.step)
         if self.alarms is not None:
-            self.publish_events(self.alarms.update(values, exchange.episode, steps))
+            self.publish_events(self.alarms.update(values, exchange.episode, exchange.step))
         now_s = monotonic()
         if self._sampled_s:
             self._cycle.add(now_s - self._sampled_s)
         self._sampled_s = now_s
         self.pacing.wait(now_s)
-        self.publications.points(values, exchange.episode[0], steps[0], now)
+        step = exchange.step[0]
+        self.publications.points(values, exchange.episode[0], step, self._begin_time + step * self._timestep)
         if self._observer is not None:
             self._observer(self)
 
-    def _clock(self, steps: list[int]) -> tuple[datetime, list[str], list[float]]:
-        """Return the simulated time of slot 0, and of each slot its ISO text and seconds since its episode's begin."""
+    def encode_sample(self, head: SampleHead | StepExchange, values: bytes, fault_free_values: bytes = b"") -> bytes:
+        """Return the payload of a sample of the plant's latest timestep."""
+        plant, counts, steps = self.plant, self.exchange.counts, head.step
+        fallback = _FALLBACK if head.fallback_active else _NO_FLAG
+        if True in head.done or 0 in steps:
+            flags = [
+                (_TRUNCATED if done else _NO_FLAG if step else _FIRST) | fallback
+                for done, step in zip(head.done, steps, strict=True)
+            ]
+        else:
+            flags = [fallback] * len(steps)
+        times, elapsed_s = self._clock(steps)
+        return codec.pack(
+            episode=head.episode,
+            step=steps,
+            time=times,
+            elapsed_s=elapsed_s,
+            flags=flags,
+            values=values,
+            effective=plant.effective,
+            commanded=head.commanded,
+            source_index=head.source_index,
+            sources=head.source_names,
+            late=counts.late,
+            rejected=counts.rejected,
+            baseline=plant.baseline_values() if plant.has_baseline else b"",
+            baseline_effective=plant.baseline_effective() if plant.has_baseline else b"",
+            fault_free_values=fault_free_values,
+        )
+
+    def _clock(self, steps: list[int]) -> tuple[list[str], list[float]]:
+        """Return the simulated time of each slot as an ISO text, and in seconds since its episode's begin."""
         first, slots = steps[0], len(steps)
-        elapsed = first * self._timestep
-        now = self._begin_time + elapsed
         if steps.count(first) == slots:
-            return now, [now.isoformat()] * slots, [elapsed.total_seconds()] * slots
+            elapsed = first * self._timestep
+            return [(self._begin_time + elapsed).isoformat()] * slots, [elapsed.total_seconds()] * slots
         by_slot = [step * self._timestep for step in steps]
-        return now, [(self._begin_time + e).isoformat() for e in by_slot], [e.total_seconds() for e in by_slot]
+        return [(self._begin_time + e).isoformat() for e in by_slot], [e.total_seconds() for e in by_slot]
 
     def _publish_with_faults(self, injection: FaultInjection) -> None:
         payload, now_s = self.latest_sample, monotonic()
@@ -316,7 +326,7 @@ class NodeServer:
         if self.alarms is not None:
             self.alarms.reset(slots)
         self.exchange.fallback_active = False
-        self._last_commands, self._sampled_s = b"", 0.0
+        self.last_commands, self._sampled_s = b"", 0.0
         self.pacing.begin()
 
     def on_disconnect(self, controller: str) -> None:
@@ -354,8 +364,8 @@ class NodeServer:
             InvalidConfig: see `FaultInjection`.
         """
         self.injection = FaultInjection(faults, self.plant.description, self.manifest.slots) if faults.faults else None
-        if self.injection is not None and self._last_commands:
-            self.injection.remember_commands(self._last_commands)
+        if self.injection is not None and self.last_commands:
+            self.injection.remember_commands(self.last_commands)
         if self.manifest.faults_injected != (self.injection is not None):
             self.manifest = self.manifest.model_copy(update={"faults_injected": self.injection is not None})
 

@@ -17,8 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from bridge.engine.client import EngineClient, start_all
+from bridge.engine.client import EngineClient
 from bridge.engine.group import EngineGroup
+from bridge.engine.lists import start_all
 from bridge.engine.spec import EngineProgram, EngineSpec
 from bridge.node.plant import (
     PlantContext,

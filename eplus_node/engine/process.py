@@ -24,6 +24,9 @@ from eplus_node.engine.memory import SaturationCache
 RUN_PERIOD = 3
 """EnergyPlus's `kind_of_sim` for a run period that reads a weather file."""
 
+OUTDOOR_TEMPERATURE = ("Weather Data", "Outdoor Dry Bulb", "Environment")
+"""The actuator that overrides the outdoor temperature of the weather file."""
+
 _FORKS_BEFORE_COLLAPSE = 4
 
 # Plain numbers on the hot path: in Python 3.11, looking up an enum's member raises and catches an error.
@@ -62,6 +65,8 @@ class Engine:
         self.warmed_up = False
         self.finishing = False
         self.forked, self.forks = False, 0
+        self.forecast_error: list[float] = []
+        self.forecast_begin, self.outdoor_handle = 0, -1
         self.saturation = SaturationCache.shrink(self.state) if spec["shrink_caches"] else None
         self.out = array("d", [0.0]) * (2 + len(spec["sensors"]) + len(spec["meters"]) + len(spec["feedback"]))
         self.command = array("d", [0.0]) * (2 + len(spec["actuators"]))
@@ -251,12 +256,30 @@ class Engine:
             self.finishing = True
             self.api.runtime.stop_simulation(state)
             return
+        self._apply(state, command[2:])
+
+    def _apply(self, state: int, values: array[float]) -> None:
         set_actuator = self.set_actuator
-        for handle, value in zip(self.actuators, command[2:], strict=True):
+        for handle, value in zip(self.actuators, values, strict=True):
             if value == value:
                 set_actuator(state, handle, value)
             else:
                 self.reset_actuator(state, handle)
+        if self.forecast_error:
+            self._disturb_weather(state)
+
+    def _disturb_weather(self, state: int) -> None:
+        """Set the outdoor temperature of the next timestep to that of the weather file plus the forecast error."""
+        exchange, errors = self.api.exchange, self.forecast_error
+        if self.outdoor_handle < 0:
+            self.outdoor_handle = exchange.get_actuator_handle(state, *OUTDOOR_TEMPERATURE)
+        step = self.step % (24 * self.steps_per_hour)
+        hour, number = divmod(step, self.steps_per_hour)
+        # After a day's last timestep, EnergyPlus still has this day as today.
+        weather = exchange.tomorrow_weather_outdoor_dry_bulb_at_time if self.step and not step else None
+        weather = weather or exchange.today_weather_outdoor_dry_bulb_at_time
+        error = errors[min(self.step - self.forecast_begin, len(errors) - 1)]
+        self.set_actuator(state, self.outdoor_handle, weather(state, hour, number + 1) + error)
 
     def _fork(self) -> None:
         """Fork the process; the child continues with the sockets and the folder that the node sent."""
@@ -280,6 +303,7 @@ class Engine:
         die_with_parent(child_fields["parent"])  # first: what follows may take a while
         self.spec = spec = self.spec | child_fields
         self.forked, self.forks = True, 0
+        self.forecast_error, self.forecast_begin = spec["forecast_error"], self.step
         self.orders.close()
         self.frames.close()
         self.orders, self.frames = orders, frames

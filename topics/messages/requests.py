@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from topics.messages.base import Count, Message, Priority, SafeName, Seed, SourceName
+from topics.messages.base import Count, Finite, Message, Priority, Raw, SafeName, Seed, SourceName
 from topics.messages.enums import EngineStart, Mode
 
 
@@ -57,7 +57,8 @@ class CreateBranch(Message):
 
     A branch ends on a `Stop`, when its owner disconnects, or with its parent. `relinquished`: the branch starts with
     all commands relinquished, under baseline control. `slots`: number of engines of the branch, all forked from the
-    slot `slot`.
+    slot `slot`. `forecast_error`: added to the outdoor dry-bulb temperature in the branch's timesteps, K, one value for
+    each; the last one stays. The branch then is a forecast of the weather with errors.
     """
 
     controller: SourceName = ""
@@ -65,12 +66,37 @@ class CreateBranch(Message):
     relinquished: bool = False
     slots: Annotated[int, Field(ge=1, le=256, strict=True)] = 1
     slot: Count = 0
+    forecast_error: Annotated[list[Annotated[Finite, Field(ge=-50, le=50)]], Field(max_length=2000)] = Field(
+        default_factory=list
+    )
 
 
 class BranchCreated(Message):
     """The node name of a branch."""
 
     node: SafeName
+
+
+class SimulatePlan(Message):
+    """Simulate several timesteps of a branch, with a command for each of them, in one request.
+
+    `episode`, `step`: those of the current sample, which the first command answers. `values`: float64, shape
+    (timesteps, slots, actuators). `operations`: as those of a `Command`, in the shape of `values`; None sets all. The
+    commands are those of the controller, which has the only required claim.
+    """
+
+    controller: SafeName
+    episode: list[Count]
+    step: list[Count]
+    timesteps: Annotated[int, Field(ge=1, le=2000, strict=True)]
+    operations: Raw | None = None
+    values: Raw
+
+
+class PlanSimulated(Message):
+    """The samples of a plan: the payload of each timestep's `Sample`; fewer than requested if all episodes end."""
+
+    samples: list[bytes]
 
 
 class SetPace(Message):

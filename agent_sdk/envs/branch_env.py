@@ -1,0 +1,279 @@
+"""Several copies of a running episode as a vector environment, which also simulates whole plans."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass
+from typing import Any, NoReturn
+
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from numpy.typing import ArrayLike, NDArray
+from zenoh import ZError
+
+from agent_sdk.bus.bus import Bus
+from agent_sdk.bus.controller_link import ControllerLink
+from agent_sdk.bus.sample import SampleView
+from agent_sdk.envs.actions import as_array
+from agent_sdk.envs.vector_env import BuildingVectorEnv, Observations, check_count
+from agent_sdk.envs.vector_infos import Infos
+from agent_sdk.envs.vector_sample import VectorSample
+from agent_sdk.rewards import BoundReward, Reward
+from agent_sdk.rewards.base import Begin, Outcome
+from agent_sdk.rewards.terms import TermSum
+from topics import codec
+from topics.errors import BusError, EpisodeChanged, InvalidAction, InvalidConfig, NodeLost, NodeNotFound
+from topics.messages import CommandOp, CreateBranch, EpisodeStart, Sample, SimulatePlan
+
+_REPLY_BYTES = codec.MAX_BYTES // 2
+_MAX_TIMESTEPS = 1000
+
+MAX_ERROR_K = 50.0
+
+
+@dataclass(frozen=True, slots=True)
+class Rollout:
+    """The outcome of a plan in each slot.
+
+    Attributes:
+        rewards: shape (slots, timesteps), float64; 0 after the end of an episode.
+        observations: shape (slots, timesteps, *observation shape), float32; after the end, the last one.
+        lengths: number of timesteps until the end of the episode or the plan, shape (slots,).
+        terminated: whether a limit of the scenario was violated, shape (slots,).
+        truncated: whether the run period ended, shape (slots,).
+    """
+
+    rewards: NDArray[np.float64]
+    observations: NDArray[np.float32]
+    lengths: NDArray[np.intp]
+    terminated: NDArray[np.bool_]
+    truncated: NDArray[np.bool_]
+
+
+class BranchVectorEnv(BuildingVectorEnv):
+    """Branches of one environment's episode that step together; `BuildingEnv.branch(slots=k)` creates it.
+
+    It has the interface of `BuildingVectorEnv`, but a single episode in each slot: it cannot be reset. `plan` simulates
+    many timesteps in one request, with the same results as `step` to the bit.
+
+    Args:
+        link: link to the branch.
+        reward: the reward of the parent; None if there is none.
+        sample: the parent's sample at which the branches start.
+        state: captured state of the parent's episode.
+        start: entries of the parent's infos that describe the start of its episode.
+        undo: closes the branch; the environment takes it over.
+    """
+
+    def __init__(
+        self,
+        link: ControllerLink,
+        reward: Reward | None,
+        sample: SampleView,
+        state: Mapping[str, Any],
+        start: Infos,
+        undo: ExitStack,
+    ) -> None:
+        count = link.manifest.slots
+        super().__init__(count, autoreset_mode=AutoresetMode.DISABLED, reward=reward, link=link)
+        self._branch_link = link
+        state = copy.deepcopy(dict(state))
+        bound = self._state.reward
+        # A function of the user's is written for one building, and a state is that of one building.
+        if bound is not None and (state["reward"] or not isinstance(bound, TermSum)):
+            bound.restore(state["reward"])
+            self._state.reward = _RewardPerSlot([copy.deepcopy(bound) for _ in range(count)])
+        if self._state.limits is not None:
+            self._state.limits.adopt(state["limits"])
+        self._state.context = [dict(state["context"]) for _ in range(count)]
+        self._sample = VectorSample(link.set_current(_repeated(sample, count)))
+        episode_start = EpisodeStart(
+            engine_start=start["engine_start"], weather=start["weather"], noise_parameters=start["weather_noise"]
+        )
+        self._infos.start_episodes(range(count), [episode_start] * count, self._add_info)
+        self._connection.push_exit(undo.pop_all())
+
+    def _reset(self, *_: object) -> NoReturn:
+        raise InvalidConfig("a branch cannot be reset: it has no sample 0; close it and make another one")
+
+    def __enter__(self) -> BranchVectorEnv:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def snapshot(self) -> NoReturn:
+        """Raise `InvalidConfig`: a branch has no snapshots."""
+        raise InvalidConfig("a branch has no snapshots; take one of its environment")
+
+    def _restarting_slots(self) -> list[int]:
+        if self.closed or self._done.any():
+            self._connection.check_open()
+            raise EpisodeChanged("the episode is over in a slot of this branch; close it and make another one")
+        return []
+
+    def plan(self, actions: ArrayLike) -> NDArray[np.float64]:
+        """Simulate a sequence of actions in each slot; return the rewards, shape (slots, timesteps); see `rollout`."""
+        return self.rollout(actions).rewards
+
+    def rollout(self, actions: ArrayLike) -> Rollout:
+        """Simulate a sequence of actions in each slot, in one request to the node.
+
+        Args:
+            actions: elements of the single environment's action space, shape (slots, timesteps, *action shape). A slot
+                whose episode ends ignores the rest.
+
+        Raises:
+            InvalidAction: wrong shape, out of bounds, not finite, or no such choice; nothing was simulated.
+            NodeLost, SimulatorError, RequestRejected, EpisodeChanged: see `ControllerLink.receive`.
+        """
+        self._restarting_slots()
+        values, operations = self._encoded(actions)
+        timesteps = len(values)
+        rewards = np.zeros((self.num_envs, timesteps))
+        lengths = np.full(self.num_envs, timesteps)
+        terminated, truncated = np.zeros(self.num_envs, np.bool_), np.zeros(self.num_envs, np.bool_)
+        observations: list[Observations] = []
+        number = 0
+        for sample in self._simulate(values, operations):
+            live = ~self._done
+            rewards[:, number], observed, ended, at_end = self._evaluated(sample)
+            rewards[self._done, number] = 0.0
+            observations.append(np.where(live.reshape(-1, *[1] * (observed.ndim - 1)), observed, self._observations))
+            self._observations = observations[-1]
+            terminated |= ended & live
+            truncated |= at_end & live
+            number += 1
+            lengths[live & (ended | at_end)] = number
+            self._done |= ended | at_end
+        observations += [self._observations] * (timesteps - number)
+        return Rollout(rewards, np.stack(observations, axis=1), lengths, terminated, truncated)
+
+    def _evaluated(
+        self, sample: VectorSample
+    ) -> tuple[NDArray[np.float64], Observations, NDArray[np.bool_], NDArray[np.bool_]]:
+        """Return reward, observation, and whether it is terminated and truncated, of each slot."""
+        self._sample = sample
+        ends, state, values = sample.times, self._state, sample.fault_free_values
+        begins = [end - self._timestep for end in ends]
+        rewards, terminated = np.zeros(self.num_envs), np.zeros(self.num_envs, np.bool_)
+        if state.reward is not None:
+            rewards[:] = state.reward(values, begins).reward
+        if state.limits is not None:
+            terminated[list(state.limits.violated_slots(values))] = True
+        return rewards, sample.observed(begins, ends, self._observed_indices), terminated, sample.truncated
+
+    def _encoded(self, actions: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.uint8] | None]:
+        """Return commands and operations of each timestep, shape (timesteps, slots, actuators)."""
+        sequences = as_array(actions, None)
+        single = self.single_action_space.shape or ()
+        if sequences.ndim != 2 + len(single) or not sequences.shape[1]:
+            raise InvalidAction(
+                f"actions of shape {sequences.shape}; expected ({self.num_envs} slots, at least 1 timestep"
+                f"{''.join(f', {length}' for length in single)})"
+            )
+        values, codes = [], []
+        for number in range(sequences.shape[1]):
+            try:
+                commanded, operations = self._command(sequences[:, number], ())
+            except InvalidAction as error:
+                raise InvalidAction(f"timestep {number}: {error}") from None
+            values.append(commanded)
+            codes.append(operations)
+        if all(code is None for code in codes):
+            return np.stack(values), None
+        every = bytes([CommandOp.SET]) * values[0].size
+        joined = b"".join(every if code is None else code for code in codes)
+        return np.stack(values), np.frombuffer(joined, np.uint8).reshape(len(codes), *values[0].shape)
+
+    def _simulate(self, values: NDArray[np.float64], operations: NDArray[np.uint8] | None) -> list[VectorSample]:
+        link = self._branch_link
+        samples: list[VectorSample] = []
+        most = self._timesteps_per_request()
+        for first in range(0, len(values), most):
+            assert self._sample is not None
+            message = samples[-1].message if samples else self._sample.message
+            part = slice(first, first + most)
+            request = SimulatePlan(
+                controller=link.name,
+                episode=message.episode,
+                step=message.step,
+                timesteps=len(values[part]),
+                operations=None if operations is None else operations[part].tobytes(),
+                values=np.ascontiguousarray(values[part], codec.FLOAT).tobytes(),
+            )
+            try:
+                reply = link.bus.plan(self.manifest.node, request)
+            except NodeNotFound:
+                raise NodeLost(f"node {self.manifest.node!r} is gone") from None
+            samples += [VectorSample(link.set_current(codec.decode(Sample, raw))) for raw in reply.samples]
+            if len(reply.samples) < len(values[part]):
+                break
+        return samples
+
+    def _timesteps_per_request(self) -> int:
+        points = len(self.manifest.sensors) + len(self.manifest.meters)
+        size = self.num_envs * (8 * 2 * points + 8 * 3 * len(self.manifest.actuators) + 100) + 4000
+        return max(1, min(_MAX_TIMESTEPS, _REPLY_BYTES // size))
+
+
+class _RewardPerSlot(BoundReward):
+    """Rewards of single buildings, each with its own state, as the reward of a vector."""
+
+    def __init__(self, rewards: Sequence[BoundReward]) -> None:
+        self._rewards = rewards
+
+    def __call__(self, values: NDArray[np.float64], begin: Begin) -> Outcome:
+        begins = begin if isinstance(begin, Sequence) else [begin] * len(values)
+        outcomes = [reward(row, at) for reward, row, at in zip(self._rewards, values, begins, strict=True)]
+        terms = {name: np.array([outcome.terms[name] for outcome in outcomes]) for name in outcomes[0].terms}
+        metrics = {name: np.array([outcome.metrics[name] for outcome in outcomes]) for name in outcomes[0].metrics}
+        return Outcome(np.array([float(outcome.reward) for outcome in outcomes]), terms, metrics)
+
+
+def _repeated(sample: SampleView, count: int) -> Sample:
+    """Return the message of one slot's sample as that of several slots."""
+    message, slot, slots = sample.message, sample.slot, sample.manifest.slots
+
+    def raw(field: bytes) -> bytes:
+        width = len(field) // slots
+        return field[slot * width : (slot + 1) * width] * count
+
+    lists = ("episode", "step", "time", "elapsed_s", "flags")
+    arrays = ("values", "effective", "commanded", "source_index", "fault_free_values")
+    return message.model_copy(
+        update={name: [getattr(message, name)[slot]] * count for name in lists}
+        | {name: raw(getattr(message, name)) for name in arrays}
+        | {"baseline": b"", "baseline_effective": b""}
+    )
+
+
+def branch_request(
+    controller: str, snapshot: str, slots: int | None, forecast_error: Sequence[float], *, relinquished: bool
+) -> CreateBranch:
+    """Return the request for a branch.
+
+    Raises:
+        InvalidConfig: a number of slots or an error out of range.
+    """
+    count = 1 if slots is None else check_count(slots, "slots")
+    errors = [float(error) for error in forecast_error]
+    if not all(abs(error) <= MAX_ERROR_K for error in errors):  # NaN is not
+        raise InvalidConfig(f"forecast_error = {errors}; numbers from -{MAX_ERROR_K:g} to {MAX_ERROR_K:g} K expected")
+    return CreateBranch(
+        controller=controller, snapshot=snapshot, slots=count, relinquished=relinquished, forecast_error=errors
+    )
+
+
+def open_branch(parent: ControllerLink, request: CreateBranch, priority: int, undo: ExitStack) -> ControllerLink:
+    """Create a branch and return a link to it; `undo` disconnects it and ends the branch."""
+    name = parent.bus.branch(parent.manifest.node, request)
+    undo.callback(_stop, parent.bus, name)
+    return undo.enter_context(parent.bus.controller(name, name="env", priority=priority))
+
+
+def _stop(bus: Bus, node: str) -> None:
+    with suppress(BusError, ZError):  # it has ended with its parent, or the bus is closed
+        bus.stop(node)
