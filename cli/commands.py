@@ -36,6 +36,8 @@ from cli import (
     router,
     run,
     status,
+    train,
+    tune,
     verify,
     view,
     watch,
@@ -50,6 +52,7 @@ for _command in (gateway_modbus.modbus, gateway_mqtt.mqtt):
 
 _GROUPS: dict[str, tuple[Callable[..., None] | typer.Typer, ...]] = {
     "Simulate and control": (demo.demo, node.node, run.run, evaluate.evaluate, probe.probe),
+    "Train agents": (train.train, tune.tune),
     "Watch a bus": (
         status.status, monitor.monitor, view.view, watch.watch, read.read, plot.plot, alarms.alarms,
         priorities.priorities,

@@ -34,6 +34,7 @@ _ITEMS = {
     "kinds": "uint8",
     "operations": "uint8",
     "payload": "uint8",
+    "samples": "uint8",
     "source_index": "uint16",
     "zone_index": "int16",
 }
@@ -157,7 +158,7 @@ def _schemas() -> dict[str, Any]:
     schemas: dict[str, Any] = document["$defs"]
     for schema in schemas.values():
         for name, field in schema.get("properties", {}).items():
-            for form in (field, *field.get("anyOf", [])):
+            for form in (field, *field.get("anyOf", []), field.get("items", {})):
                 if form.get("format") == "binary":
                     form["x-items"] = _ITEMS.get(name, "float64")
     return {name: _of_draft_7(schema) for name, schema in sorted(schemas.items())}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import datetime
 from typing import Protocol
 
@@ -11,17 +11,20 @@ from numpy.typing import NDArray
 
 from topics import codec
 from topics.errors import UnknownName
-from topics.messages import Flag, Manifest, Sample
+from topics.messages import Flag, Manifest, Sample, WeatherSeries
 from topics.points import PointIndex
 
 _TRUNCATED, _FALLBACK = int(Flag.TRUNCATED), int(Flag.FALLBACK)
 
 
 class Replier(Protocol):
-    """Sends the answer to a sample."""
+    """Sends the answer to a sample, and knows the weather of its episode."""
 
     def send(self, values: Mapping[str, float | None] | NDArray[np.float64] | None = None) -> None:
         """Answer the current sample."""
+
+    def weather(self, columns: Sequence[str], slot: int = 0) -> WeatherSeries:
+        """Return columns of the weather of a slot's episode."""
 
 
 class SampleView:
@@ -125,6 +128,16 @@ class SampleView:
         if self._link is None:
             raise UnknownName("this sample was received by a listener; only a controller can answer")
         self._link.send(values)
+
+    def weather(self, columns: Sequence[str]) -> WeatherSeries:
+        """Return columns of the weather of this sample's episode; see `ControllerLink.weather`.
+
+        Raises:
+            UnknownName: The sample was received by a listener, or there is no such column.
+        """
+        if self._link is None:
+            raise UnknownName("this sample was received by a listener; only a controller can ask for its weather")
+        return self._link.weather(columns, self.slot) if self.slot else self._link.weather(columns)
 
     def __repr__(self) -> str:
         return f"<sample {self.step} of episode {self.episode} at {self.message.time[self.slot]}>"

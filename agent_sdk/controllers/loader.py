@@ -46,8 +46,9 @@ def load_controller(text: str) -> Callable[..., ControllerProtocol]:
     """Load the class of a controller, to be called with the node's manifest and parameters by name.
 
     Args:
-        text: a short name; `path/to/file.py:MyController`; or `package.module:MyController`, also for modules in the
-            current folder. While the file is loaded, it can import modules from its own folder, which take precedence
+        text: a short name; the folder of a training, or `ppo:model.zip` (see `agent_sdk.training.load_policy`);
+            `path/to/file.py:MyController`; or `package.module:MyController`, also for modules in the current folder.
+            While the file is loaded, it can import modules from its own folder, which take precedence
             over installed modules of the same name.
 
     Raises:
@@ -56,6 +57,10 @@ def load_controller(text: str) -> Callable[..., ControllerProtocol]:
     """
     if text in CONTROLLERS:
         return CONTROLLERS[text]
+    if text.casefold().endswith(".zip") or (":" not in text and Path(text).expanduser().is_dir()):
+        from agent_sdk.controllers.policy import load_policy  # torch takes seconds to import
+
+        return load_policy(text)
     source, colon, name = text.rpartition(":")
     if not colon or not source or not name:
         known = did_you_mean(text, CONTROLLERS, limit=len(CONTROLLERS))

@@ -25,6 +25,7 @@ from topics.points import observed_indices
 with requires_extra("train", "training", "stable-baselines3"):
     import stable_baselines3 as sb3
     import torch
+    from sb3_contrib import RecurrentPPO
     from stable_baselines3.common.base_class import BaseAlgorithm
     from stable_baselines3.common.vec_env import VecNormalize
 
@@ -33,6 +34,7 @@ ALGORITHMS: dict[str, type[BaseAlgorithm]] = {
     "ddpg": sb3.DDPG,
     "dqn": sb3.DQN,
     "ppo": sb3.PPO,
+    "recurrent-ppo": RecurrentPPO,
     "sac": sb3.SAC,
     "td3": sb3.TD3,
 }
@@ -142,31 +144,59 @@ def _difference(trained: gym.Space[Any], current: gym.Space[Any], names: Sequenc
 
 def load_policy(
     path: str | Path, algorithm: str | type[BaseAlgorithm] | None = None
-) -> Callable[[Manifest], PolicyController]:
+) -> Callable[[Manifest], Controller]:
     """Load a trained model as a controller factory, which is called with a node's manifest like a controller class.
 
     The normalization of a model that was trained behind `VecNormalize` is loaded with it: `model.vecnormalize.pkl`
-    beside `model.zip`, where `EvaluationCallback` saves it and `VecNormalize.save` can.
+    beside `model.zip`, where `EvaluationCallback` saves it and `VecNormalize.save` can. A model in the folder of a
+    training acts within the wrappers of the training.
 
-    Both files contain pickled Python objects, which may execute arbitrary code when they are loaded: load only files
+    These files contain pickled Python objects, which may execute arbitrary code when they are loaded: load only files
     that you trust.
 
     Args:
-        path: File written by `model.save`; or, with the algorithm as a prefix, `ppo:model.zip`.
-        algorithm: One of `ALGORITHMS`, or a class such as `sb3_contrib.RecurrentPPO`.
+        path: Folder of a training (`zenostat train`), whose best model is loaded; or a file in it; or a file written by
+            `model.save`, which can have the algorithm as a prefix, `ppo:model.zip`.
+        algorithm: One of `ALGORITHMS`, or a class such as `sb3_contrib.TRPO`; a training's folder names its own.
 
     Raises:
         UnknownName: No such file or algorithm.
-        InvalidConfig: The file is not a model of that algorithm; its normalization is missing or does not fit.
+        InvalidConfig: The file is not a model of that algorithm; its normalization is missing or does not fit; or the
+            folder was written by another version.
     """
+    from agent_sdk.training import folder as training_folder  # which imports this module
+
     name, colon, rest = str(path).partition(":")
-    if algorithm is None:
-        if not colon:
-            raise InvalidConfig(
-                f"the algorithm of {path} is missing: one of {', '.join(ALGORITHMS)} expected, as ppo:{path}"
-            )
+    if algorithm is None and colon:
         algorithm, path = name, rest
-    path = Path(path).expanduser()
+    path, folder = Path(path).expanduser(), None
+    if training_folder.is_training(path):
+        folder, path = path, training_folder.model_file(path)
+    elif training_folder.is_training(path.parent):
+        folder = path.parent
+    if folder is not None:
+        algorithm = training_folder.read_folder(folder).algorithm
+    elif path.is_dir():
+        raise InvalidConfig(f"{path} is not the folder of a training: it has no {training_folder.TRAINING}")
+    if algorithm is None:
+        raise InvalidConfig(
+            f"the algorithm of {path} is missing: one of {', '.join(ALGORITHMS)} expected, as ppo:{path}"
+        )
+    model, normalization = _load_model(path, algorithm)
+    wrappers, states = ([], []) if folder is None else training_folder.read_wrappers(folder, path)
+
+    def policy(manifest: Manifest) -> Controller:
+        if not wrappers:
+            return PolicyController(manifest, model, normalization)
+        from agent_sdk.controllers.wrapped_policy import WrappedPolicy  # which imports this module
+
+        return WrappedPolicy(manifest, model, normalization, wrappers, states)
+
+    return policy
+
+
+def _load_model(path: Path, algorithm: str | type[BaseAlgorithm]) -> tuple[BaseAlgorithm, VecNormalize | None]:
+    """Load a model's file and the normalization beside it."""
     if isinstance(algorithm, str):
         if algorithm.casefold() not in ALGORITHMS:
             raise UnknownName(f"no algorithm {algorithm!r}; {did_you_mean(algorithm, ALGORITHMS)}")
@@ -180,10 +210,4 @@ def load_policy(
         raise InvalidConfig(
             f"{path} is not a model of {algorithm.__name__}, or of another version: {type(error).__name__}: {error}"
         ) from error
-
-    normalization = load_normalization(model, path)
-
-    def policy(manifest: Manifest) -> PolicyController:
-        return PolicyController(manifest, model, normalization)
-
-    return policy
+    return model, load_normalization(model, path)

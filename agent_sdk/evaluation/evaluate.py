@@ -188,7 +188,7 @@ def evaluate(
 
     Args:
         scenario: an id, a scenario file (.yaml), or arguments of `BuildingEnv` by name.
-        controllers: controllers as for `load_controller`, or `ppo:model.zip` (see `load_policy`); or a mapping from
+        controllers: controllers as for `load_controller`; or a mapping from
             names for the tables to such texts or to classes. `baseline` is evaluated without actuators.
         episodes: episodes per controller.
         seed: seed of the first episode, at least 0.
@@ -332,15 +332,7 @@ def _factories(controllers: Sequence[str] | Mapping[str, str | ControllerFactory
     if len(named) < len(controllers):
         duplicate = next(name for name in controllers if list(controllers).count(name) > 1)
         raise InvalidConfig(f"the controller {duplicate} is listed twice, but would give the same results")
-    return {name: _load(entry) if isinstance(entry, str) else entry for name, entry in named.items()}
-
-
-def _load(text: str) -> ControllerFactory:
-    if text.casefold().endswith(".zip"):
-        from agent_sdk.training import load_policy  # torch takes seconds to import
-
-        return load_policy(text)
-    return load_controller(text)
+    return {name: load_controller(entry) if isinstance(entry, str) else entry for name, entry in named.items()}
 
 
 def _assign_parameters(

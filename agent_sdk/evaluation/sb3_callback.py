@@ -16,6 +16,7 @@ from agent_sdk.evaluation.evaluate import run_episode
 from agent_sdk.evaluation.metrics import EpisodeMetrics
 from agent_sdk.vec_normalization import mark_normalized, normalization_of, normalization_path
 from agent_sdk.wrappers import restore_wrappers, save_wrappers
+from agent_sdk.wrappers.checkpoint import frozen_statistics
 from topics import yaml12
 from topics.atomic_file import atomic_file
 from topics.errors import InvalidConfig
@@ -41,35 +42,46 @@ class EvaluationCallback(BaseCallback):
     Args:
         make_env: Makes the environment when it is first needed. It is closed when the training ends; a `with` statement
             also closes it after an exception.
-        every: Training steps, counted over all environments, between evaluations.
+        every: Training steps, counted over all environments, between evaluations, at multiples of this number.
+        every_episodes: Finished episodes of the training between evaluations, instead of `every`.
         episodes: Number of episodes of an evaluation.
         seed: Seed of the first episode; episode k has `seed + k`, the same in each evaluation.
         best_model_path: File (.zip) for the model with the highest mean reward. Its `VecNormalize` is saved beside it
             as `.vecnormalize.pkl`, and what its wrappers have learnt as `.wrappers.yaml`, if there are any.
+        on_evaluation: Called after each evaluation with the training step and the metrics of its episodes.
 
     Attributes:
         results: Metrics of the episodes by training step of the evaluation.
         best_reward: The highest mean reward of an evaluation; None before the first.
+        training_episodes: Number of the training's episodes that have ended.
     """
 
     def __init__(
         self,
         make_env: MakeEnv,
-        every: int,
+        every: int | None = None,
         episodes: int = 1,
         seed: int = 0,
         best_model_path: str | Path | None = None,
+        *,
+        every_episodes: int | None = None,
+        on_evaluation: Callable[[int, tuple[EpisodeMetrics, ...]], None] | None = None,
     ) -> None:
         super().__init__()
-        if every < 1 or episodes < 1:
-            raise InvalidConfig(f"every={every}, episodes={episodes}: numbers of at least 1 expected")
+        if (every is None) == (every_episodes is None):
+            raise InvalidConfig("the interval of evaluations: either every (steps) or every_episodes expected")
+        interval = every if every is not None else every_episodes
+        if interval is None or interval < 1 or episodes < 1:
+            raise InvalidConfig(f"every={interval}, episodes={episodes}: numbers of at least 1 expected")
         path = None if best_model_path is None else Path(best_model_path)
         if path is not None and (path.suffix != ".zip" or not path.absolute().parent.is_dir()):
             raise InvalidConfig(f"best_model_path={str(path)!r}: a .zip file in an existing folder expected")
-        self._make_env, self._every, self._episodes, self._seed = make_env, every, episodes, seed
+        self._make_env, self._interval, self._episodes, self._seed = make_env, interval, episodes, seed
+        self._counts_episodes, self._on_evaluation = every is None, on_evaluation
         self._path = path
         self._env: gym.Env[Any, Any] | None = None
         self._due = 0
+        self.training_episodes = 0
         self.results: dict[int, tuple[EpisodeMetrics, ...]] = {}
         self.best_reward: float | None = None
 
@@ -89,14 +101,22 @@ class EvaluationCallback(BaseCallback):
 
     def _on_training_start(self) -> None:
         mark_normalized(self.model)
-        self._due = self.num_timesteps + self._every
+        self._set_due()
 
     def _on_step(self) -> bool:
-        if self.num_timesteps >= self._due:
-            self._due += self._every * (1 + (self.num_timesteps - self._due) // self._every)
+        self.training_episodes += int(np.count_nonzero(self.locals["dones"]))
+        if self._count() >= self._due:
+            self._set_due()
             with preserve_random_state():
                 self._evaluate()
         return True
+
+    def _count(self) -> int:
+        return self.training_episodes if self._counts_episodes else self.num_timesteps
+
+    def _set_due(self) -> None:
+        """Evaluate next at a multiple of the interval, so that a resumed training evaluates at the same steps."""
+        self._due = (self._count() // self._interval + 1) * self._interval
 
     def _on_training_end(self) -> None:
         self.close()
@@ -110,6 +130,8 @@ class EvaluationCallback(BaseCallback):
         if None in rewards:
             raise InvalidConfig("the evaluation environment has no reward; remove reward=None from make_env")
         self._log(results)
+        if self._on_evaluation is not None:
+            self._on_evaluation(self.num_timesteps, results)
         mean = float(np.mean(np.array(rewards, np.float64)))
         if self.best_reward is None or mean > self.best_reward:
             self.best_reward = mean
@@ -154,8 +176,8 @@ def evaluate_model(
 ) -> tuple[EpisodeMetrics, ...]:
     """Run episodes of a model without exploration, in an environment within the same wrappers as in its training.
 
-    Observations pass through the model's `VecNormalize` if it has one, which does not learn from them. Episode k is
-    reset with `seed + k`.
+    Observations pass through the model's `VecNormalize` if it has one. Neither that nor Gymnasium's running statistics
+    around `env` learn from them. Episode k is reset with `seed + k`.
 
     Raises:
         InvalidConfig: The model was trained behind a `VecNormalize` but loaded without it.
@@ -168,7 +190,8 @@ def evaluate_model(
         def act(observation: Any, predictor: Predictor = predictor) -> Any:
             return predictor.action(observation if normalization is None else normalization.normalize_obs(observation))
 
-        results.append(run_episode(env, act, seed=seed + number)[0])
+        with frozen_statistics(env):
+            results.append(run_episode(env, act, seed=seed + number)[0])
     return tuple(results)
 
 

@@ -96,7 +96,7 @@ class FakeLink:
             self._read_array(values, operations) if isinstance(values, np.ndarray) else self._read(values or {})
         )
 
-    def weather(self, columns: Sequence[str]) -> WeatherSeries:
+    def weather(self, columns: Sequence[str], slot: int = 0) -> WeatherSeries:  # noqa: ARG002
         """Return columns of the weather; see `FakeBuilding.weather`."""
         return self.building.weather(columns)
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -61,9 +62,23 @@ def restore_wrappers(env: Any, path: str | Path) -> None:
         states = yaml12.parse(yaml12.read_text(Path(path)), str(path)).get("wrappers")
     except (OSError, UnicodeDecodeError) as error:
         raise InvalidConfig(f"{path} cannot be read: {error}") from None
-    wrappers = list(_stateful_wrappers(env))
     if not isinstance(states, list) or not all(isinstance(state, dict) and "wrapper" in state for state in states):
         raise InvalidConfig(f"{path} was not written by save_wrappers")
+    set_wrapper_states(env, states, str(path))
+
+
+def set_wrapper_states(env: Any, states: Sequence[Mapping[str, Any]], path: str) -> None:
+    """Set the states of the wrappers of `env`; see `restore_wrappers`.
+
+    Args:
+        env: with the same wrappers in the same order.
+        states: the name and the state of each wrapper, from the outermost, in the form of the file.
+        path: the file, for errors.
+
+    Raises:
+        InvalidConfig: the states are of another chain of wrappers; nothing was changed.
+    """
+    wrappers = list(_stateful_wrappers(env))
     saved_names, names = [state["wrapper"] for state in states], [wrapper.name for wrapper in wrappers]
     if saved_names != names:
         raise InvalidConfig(
@@ -79,6 +94,23 @@ def restore_wrappers(env: Any, path: str | Path) -> None:
             wrapper.set(state)
         reason = error if isinstance(error, InvalidConfig) else f"{type(error).__name__} {error}"
         raise InvalidConfig(f"{path} does not fit: {reason}") from None
+
+
+@contextmanager
+def frozen_statistics(env: Any) -> Iterator[None]:
+    """Keep Gymnasium's running statistics around `env` as they are within the context."""
+    learning = []
+    while isinstance(env, Wrapper | VectorWrapper):
+        if getattr(env, "update_running_mean", False):
+            learning.append(env)
+        env = env.env
+    for layer in learning:
+        layer.update_running_mean = False  # type: ignore[union-attr]
+    try:
+        yield
+    finally:
+        for layer in learning:
+            layer.update_running_mean = True  # type: ignore[union-attr]
 
 
 def _stateful_wrappers(env: Any, prefix: str = "") -> Iterator[_StatefulWrapper]:

@@ -1,0 +1,166 @@
+"""A model that was trained behind wrappers as a controller of a node."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from queue import SimpleQueue
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from agent_sdk.bus.sample import SampleView
+from agent_sdk.controllers.base import Controller, Values
+from agent_sdk.controllers.policy import Predictor
+from agent_sdk.envs.building_env import BuildingEnv
+from agent_sdk.wrappers.checkpoint import frozen_statistics, set_wrapper_states
+from agent_sdk.wrappers.serialization import apply_wrappers
+from topics.errors import InvalidConfig
+from topics.messages import Ack, CommandOp, EngineStart, EpisodeStart, Manifest, WeatherSeries
+
+_LOGS = ("EpisodeLog", "TensorBoardLog", "WeightsAndBiasesLog")
+"""Wrappers that only write files."""
+
+
+class WrappedPolicy(Controller):
+    """A trained model within the wrappers of its training.
+
+    The wrappers are those of Gymnasium's interface: they call `step`, which returns the next observation. A controller
+    is called the other way round, with a sample. So the wrapped environment runs in a thread of its own, whose samples
+    are those of the controller and whose commands the controller returns; one of both always waits for the other.
+
+    Args:
+        manifest: the node's manifest.
+        model: a model of stable-baselines3.
+        normalization: its `VecNormalize`, if it was trained behind one.
+        wrappers: the wrappers of its training, innermost first.
+        states: what they have learnt, from the outermost; see `agent_sdk.wrappers.save_wrappers`.
+
+    Raises:
+        InvalidConfig: the node's observations or actions within the wrappers are not those of the training.
+    """
+
+    def __init__(
+        self,
+        manifest: Manifest,
+        model: Any,
+        normalization: Any,
+        wrappers: Sequence[Mapping[str, Any]],
+        states: Sequence[Mapping[str, Any]],
+    ) -> None:
+        super().__init__(manifest)
+        self._model, self._normalization = model, normalization
+        self._wrappers = [wrapper for wrapper in wrappers if wrapper["wrapper"] not in _LOGS]
+        self._states = [state for state in states if state["wrapper"] not in _LOGS]
+        self._link: _SampleQueue | None = None
+        with self._environment(_SampleQueue(manifest)) as env:
+            for kind in ("observation_space", "action_space"):
+                if (current := getattr(env, kind)) != (trained := getattr(model, kind)):
+                    raise InvalidConfig(
+                        f"the model was trained on another {kind.replace('_', ' ')} than that of {manifest.node!r} "
+                        f"within the wrappers of its training: {trained}, now {current}; use its scenario"
+                    )
+
+    @contextmanager
+    def _environment(self, link: _SampleQueue) -> Iterator[gym.Env[Any, Any]]:
+        with BuildingEnv(link=link) as env:
+            wrapped = apply_wrappers(env, self._wrappers)
+            if self._states:
+                set_wrapper_states(wrapped, self._states, "the training's wrappers")
+            with frozen_statistics(wrapped):
+                yield wrapped
+
+    def begin(self, sample: SampleView) -> None:  # noqa: ARG002
+        """Reset the wrappers and the state of a recurrent model."""
+        if self._link is not None:
+            self._link.cancel()
+        self._link = _SampleQueue(self.manifest)
+        arguments = [self._link, torch.get_num_threads()]
+        threading.Thread(target=self._run, args=arguments, name="policy", daemon=True).start()
+
+    def act(self, sample: SampleView) -> Values:
+        """Return the model's action without exploration, as the wrappers convert it."""
+        if self._link is None:
+            self.begin(sample)
+        assert self._link is not None
+        return self._link.exchange(sample)
+
+    def _run(self, link: _SampleQueue, torch_threads: int) -> None:
+        torch.set_num_threads(torch_threads)  # it applies to the thread that calls it
+        try:
+            with self._environment(link) as env:
+                predictor, (observation, _) = Predictor(self._model), env.reset()
+                while True:
+                    if self._normalization is not None:
+                        observation = self._normalization.normalize_obs(observation)
+                    observation, *_ = env.step(predictor.action(observation))
+        except _Canceled:
+            pass
+        except Exception as error:
+            link.commands.put(error)
+
+
+class _Canceled(Exception):
+    """Another episode has begun."""
+
+
+class _SampleQueue:
+    """The link of an environment whose samples another thread supplies, and whose commands it gets."""
+
+    name = "policy"
+
+    def __init__(self, manifest: Manifest) -> None:
+        # A limit would end the environment's episode while the node's continues.
+        self.manifest = manifest.model_copy(update={"task": manifest.task.model_copy(update={"terminate": ()})})
+        start = EpisodeStart(engine_start=EngineStart.REUSED, weather=manifest.weather)
+        self.accepted = Ack(episode=[0], episode_starts=[start])
+        self._samples: SimpleQueue[SampleView | None] = SimpleQueue()
+        self.commands: SimpleQueue[Values | Exception] = SimpleQueue()
+        self._current: SampleView | None = None
+
+    def exchange(self, sample: SampleView) -> Values:
+        """Pass a sample to the environment, and return the commands that follow from it."""
+        self._samples.put(sample)
+        commands = self.commands.get()
+        if isinstance(commands, Exception):
+            raise commands
+        return commands
+
+    def cancel(self) -> None:
+        """End the thread of the environment."""
+        self._samples.put(None)
+
+    def reset(self, *, seed: int | None = None) -> SampleView:  # noqa: ARG002
+        """Return the first sample."""
+        return self.receive()
+
+    def receive(self) -> SampleView:
+        """Wait for the next sample."""
+        self._current = self._samples.get()
+        if self._current is None:
+            raise _Canceled
+        return self._current
+
+    def send(self, values: NDArray[np.float64], operations: bytes | None = None) -> None:
+        """Pass the commands on."""
+        codes = operations or bytes([CommandOp.SET] * len(values))
+        commands = zip(self.manifest.actuators, values.tolist(), codes, strict=True)
+        self.commands.put(
+            {
+                actuator.name: value if code == CommandOp.SET else None
+                for actuator, value, code in commands
+                if code != CommandOp.KEEP
+            }
+        )
+
+    def weather(self, columns: Sequence[str]) -> WeatherSeries:
+        """Return columns of the weather of the node's episode."""
+        assert self._current is not None
+        return self._current.weather(columns)
+
+    def close(self) -> None:
+        """Do nothing: the link to the node belongs to somebody else."""

@@ -1,0 +1,91 @@
+"""`zenostat tune`: search the parameters of a training."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from cli.console import out, progress
+from cli.tables import show
+from cli.train import SetFields, override_fields, stop_signals
+
+if TYPE_CHECKING:
+    from agent_sdk.training.tuning_config import TuningConfig
+
+_SHOWN = 15
+
+
+def tune(
+    file: Annotated[Path, typer.Argument(metavar="FILE.yaml", help="Tuning file.")],
+    workers: Annotated[
+        int | None, typer.Option(min=1, max=256, help="Trials at the same time on this machine.")
+    ] = None,
+    trials: Annotated[int | None, typer.Option(min=1, help="Number of trials of the study.")] = None,
+    storage: Annotated[
+        str | None, typer.Option(help="URL of the database, as postgresql://user@host/name; default: a SQLite file.")
+    ] = None,
+    output: Annotated[Path | None, typer.Option(help="Folder of the results.")] = None,
+    fields: SetFields = None,
+) -> None:
+    """Search the parameters of a training with Optuna: a process for each trial, several at the same time.
+
+    Example: `zenostat tune examples/tune.yaml --workers 2`
+
+    The same command continues a study, and on other machines with the same database it joins in. Ctrl-C ends the
+    running trials; they are repeated when the study continues.
+    """
+    from agent_sdk.training.config import read_file
+    from agent_sdk.training.tuning_config import read_tuning
+
+    options: dict[str, Any] = {"workers": workers, "trials": trials, "storage": storage}
+    options["output"] = None if output is None else str(output)
+    overrides = {name: value for name, value in options.items() if value is not None}
+    config = read_tuning(override_fields(read_file(file), overrides, fields or ()), str(file), file.parent)
+    from agent_sdk.training.study import Tuning
+    from agent_sdk.training.study_figures import write_results
+
+    with stop_signals() as (stop, received), progress() as bars:
+        bar = bars.add_task(config.study, total=config.trials, rate="")
+
+        def show_trial(trial: Any) -> None:
+            bars.advance(bar)
+            out.print(_line(trial), soft_wrap=True, markup=False)
+
+        tuning = Tuning(config, show_trial)
+        is_finished = tuning.run(stop)
+    _show(config, tuning.study)
+    best = tuning.write_best()
+    for path in (*write_results(tuning.study, config), *([best] if best else [])):
+        out.print(str(path), soft_wrap=True, markup=False)
+    if not is_finished:
+        out.print("stopped; the same command continues the study", soft_wrap=True)
+        raise typer.Exit(128 + received[0])
+
+
+def _line(trial: Any) -> str:
+    outcome = trial.user_attrs.get("reason", "") if trial.state.name == "FAIL" else _number(trial.value)
+    values = ", ".join(f"{name.rpartition('.')[2]} {_number(value)}" for name, value in trial.params.items())
+    return f"trial {trial.number}: {trial.state.name.lower()} {outcome} ({values})"
+
+
+def _show(config: TuningConfig, study: Any) -> None:
+    """Print the best trials, and how many there are of each state."""
+    sign = -1 if config.direction == "maximize" else 1
+    finished = sorted((t for t in study.trials if t.state.name == "COMPLETE"), key=lambda t: sign * t.value)
+    names = list(config.parameters)
+    rows = [
+        (str(trial.number), _number(trial.value), *(_number(trial.params[name]) for name in names))
+        for trial in finished[:_SHOWN]
+    ]
+    counts: dict[str, int] = {}
+    for trial in study.trials:
+        counts[trial.state.name.lower()] = counts.get(trial.state.name.lower(), 0) + 1
+    title = f"{config.study}: {', '.join(f'{count} {state}' for state, count in counts.items())}"
+    headings = [name.removeprefix("parameters.") for name in names]
+    show(title, ("trial", config.metric, *headings), rows, right=("trial", config.metric, *headings))
+
+
+def _number(value: Any) -> str:
+    return f"{value:,.5g}" if isinstance(value, float) else "" if value is None else str(value)
