@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from gymnasium.envs.registration import EnvSpec, registry
 
-from topics.scenario_ids import bundled_ids, pack_ids
+from topics.scenario_ids import all_ids
 
 _ENTRY, _VECTOR = "agent_sdk.env_factory:make", "agent_sdk.env_factory:make_vec"
 _FAKE, _FAKE_VECTOR = "agent_sdk.testing.fake_env:FakeEnv", "agent_sdk.testing.fake_vector_env:FakeVectorEnv"
@@ -20,7 +20,7 @@ def register() -> None:
     _add("Fake-v1", _FAKE, _FAKE_VECTOR)
     for name in _GENERAL:
         _add(name, _ENTRY, _VECTOR)
-    for name in (*pack_ids(), *bundled_ids()):
+    for name in all_ids():
         _add(name, _ENTRY, _VECTOR, scenario=name)
 
 

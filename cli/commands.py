@@ -13,6 +13,7 @@ from cli import (
     asyncapi,
     buildings,
     data_packs,
+    dataset,
     demo,
     evaluate,
     export,
@@ -51,7 +52,7 @@ for _command in (gateway_modbus.modbus, gateway_mqtt.mqtt):
     gateway.app.command()(_command)
 
 _GROUPS: dict[str, tuple[Callable[..., None] | typer.Typer, ...]] = {
-    "Simulate and control": (demo.demo, node.node, run.run, evaluate.evaluate, probe.probe),
+    "Simulate and control": (demo.demo, node.node, run.run, evaluate.evaluate, dataset.dataset, probe.probe),
     "Train agents": (train.train, tune.tune),
     "Watch a bus": (
         status.status, monitor.monitor, view.view, watch.watch, read.read, plot.plot, alarms.alarms,

@@ -63,4 +63,5 @@ def remove(name: Annotated[str, typer.Argument(help="Name of the pack.", metavar
 
 
 def _contents(pack: data_packs.Pack) -> str:
-    return f"{len(pack.buildings)} buildings, {len(pack.weathers)} weather files, {pack.scenarios} scenarios"
+    counts = {"building": len(pack.buildings), "weather file": len(pack.weathers), "scenario": pack.scenarios}
+    return ", ".join(f"{count} {noun}{'' if count == 1 else 's'}" for noun, count in counts.items())

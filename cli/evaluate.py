@@ -75,7 +75,7 @@ def evaluate(
     options = (("begin", begin), ("end", end))
     overrides: dict[str, Any] = {name: value for name, value in options if value is not None}
     with ExitStack() as stack:
-        watch = None if as_json else _watcher(stack, episodes)
+        watch = None if as_json else watcher(stack, episodes)
         evaluation = run_all(
             scenario, controllers, episodes=episodes, seed=seed, parameters=read_parameters(parameters or []),
             prices=read_rates("--price", prices), emissions=read_rates("--emissions", emissions),
@@ -96,7 +96,7 @@ def evaluate(
     outputs.show()
 
 
-def _watcher(stack: ExitStack, episodes: int) -> Progress:
+def watcher(stack: ExitStack, episodes: int) -> Progress:
     """Show a progress bar for each controller, over the timesteps of all its episodes."""
     bars = stack.enter_context(progress())
     tasks: dict[str, Any] = {}

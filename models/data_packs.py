@@ -21,7 +21,7 @@ from pathlib import Path, PurePosixPath
 
 from models.cache import cached_dir, evict, find_dir
 from topics.errors import InvalidConfig, UnknownName, did_you_mean
-from topics.scenario_ids import pack_ids
+from topics.scenario_ids import PAPER_IDS, pack_ids
 
 MAX_UNPACKED_BYTES = 500_000_000
 MAX_MEMBERS = 10_000
@@ -44,7 +44,8 @@ class Pack:
         about: a description for users.
         python_version: that the wheel's metadata requires; irrelevant to its data files.
         root: folder inside the wheel that contains `data/buildings` and `data/weather`.
-        buildings, weathers: names of those files without suffixes, so that they are known before the pack is added.
+        buildings, weathers: names of those files without suffixes, so that they are known before the pack is added;
+            other files of the wheel are not listed.
         scenarios: number of scenarios that are defined by it.
     """
 
@@ -107,7 +108,19 @@ PACKS = {
             "USA_WA_Port.Angeles-William.R.Fairchild.Intl.AP.727885_TMY3",
         ),
         scenarios=len(pack_ids()),
-    )
+    ),
+    "sinergym-paper": Pack(
+        name="sinergym-paper",
+        requirement="sinergym==3.6.2",
+        sha256="289222c2472ae6c68d9b7a27f714bbb012a37854881c89966835360a378e8054",
+        licence="MIT",
+        about="the data center of the Sinergym paper, as its version of Sinergym had it",
+        python_version="3.12",
+        root="sinergym",
+        buildings=("2ZoneDataCenterHVAC_wEconomizer",),
+        weathers=("USA_NY_New.York-J.F.Kennedy.Intl.AP.744860_TMY3",),
+        scenarios=sum(name.startswith("paper-datacenter-") for name in PAPER_IDS),
+    ),
 }
 
 

@@ -25,6 +25,14 @@ PACK_IDS: dict[str, tuple[tuple[str, ...], tuple[Form, ...]]] = {
 }
 """Scenarios of the data pack `sinergym`: name, weathers and forms; each also as `-stochastic`, with weather noise."""
 
+PAPER_IDS = (
+    "paper-datacenter-mixed-continuous-v1",
+    "paper-datacenter-mixed-continuous-stochastic-v1",
+    "paper-datacenter_dx-mixed-continuous-v1",
+    "paper-datacenter_dx-mixed-continuous-stochastic-v1",
+)
+"""Scenarios of the experiments in the Sinergym paper: on its own model of the data center, and on the corrected one."""
+
 DEMO = "demo-v1"
 """The smallest scenario of the pack; its id contains neither a weather nor a form."""
 
@@ -109,3 +117,9 @@ def pack_ids() -> tuple[str, ...]:
 def bundled_ids() -> tuple[str, ...]:
     """Return the 2048 ids of the EnergyPlus wheel: each model with each weather file."""
     return tuple(scenario for building in BUILDINGS for weather in WEATHERS for scenario in variants(building, weather))
+
+
+@cache
+def all_ids() -> tuple[str, ...]:
+    """Return all ids: those of data packs first."""
+    return (*pack_ids(), *PAPER_IDS, *bundled_ids())

@@ -214,20 +214,22 @@ def evaluate(
     if trace and not {"connect", "link"} & settings.keys():  # a node that runs elsewhere has what it has
         settings.setdefault("monitoring", True)
     prices, emissions = read_prices(prices), read_emissions(emissions)
-    factories = _factories(controllers)
-    arguments = _assign_parameters(factories, parameters or {}, seed)
+    factories = controller_factories(controllers)
+    arguments = assign_parameters(factories, parameters or {}, seed)
     rows: dict[str, list[EpisodeRecord]] = {}
     sources: dict[str, str] = {}
     created: dict[str, ControllerProtocol] = {}
     unfit: dict[str, UsageError] = {}
     traces: dict[str, ControllerTrace] = {}
     text = ""
-    for name in sorted(factories, key=lambda key: _is_baseline(factories[key])):
-        is_baseline = _is_baseline(factories[name])
+    for name in sorted(factories, key=lambda key: is_baseline_factory(factories[key])):
+        is_baseline = is_baseline_factory(factories[name])
         arguments_of = _named_node(_without_actuators(settings) if is_baseline else settings, name)
         with closing(BuildingEnv(**arguments_of)) as env:
             if name not in created and name not in unfit:
-                alike = {key: factory for key, factory in factories.items() if _is_baseline(factory) == is_baseline}
+                alike = {
+                    key: factory for key, factory in factories.items() if is_baseline_factory(factory) == is_baseline
+                }
                 created |= _create_controllers(alike, env.manifest, arguments, unfit)
             if name not in unfit:
                 try:
@@ -244,7 +246,7 @@ def evaluate(
     if not rows:
         raise next(iter(unfit.values()))
     reasons = {name: str(unfit[name]) for name in factories if name in unfit}
-    in_order = sorted(traces, key=lambda key: (not _is_baseline(factories[key]), list(factories).index(key)))
+    in_order = sorted(traces, key=lambda key: (not is_baseline_factory(factories[key]), list(factories).index(key)))
     return Evaluation(
         tuple(row for name in factories for row in rows.get(name, ())), sources, reasons,
         {name: traces[name] for name in in_order}, text,
@@ -305,7 +307,8 @@ def _run_episodes(
     return rows, tuple(weathers)
 
 
-def _is_baseline(factory: ControllerFactory) -> bool:
+def is_baseline_factory(factory: ControllerFactory) -> bool:
+    """Whether a factory makes the baseline control, which sends no commands."""
     return isinstance(factory, type) and issubclass(factory, BaselineController)
 
 
@@ -325,7 +328,10 @@ def _without_actuators(settings: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _factories(controllers: Sequence[str] | Mapping[str, str | ControllerFactory]) -> dict[str, ControllerFactory]:
+def controller_factories(
+    controllers: Sequence[str] | Mapping[str, str | ControllerFactory],
+) -> dict[str, ControllerFactory]:
+    """Return factories by name; errors as of `evaluate`."""
     if isinstance(controllers, str) or not controllers:
         raise InvalidConfig(f"controllers: expected a list of names, such as ['baseline', 'rbc'], got {controllers!r}")
     named = controllers if isinstance(controllers, Mapping) else dict(zip(controllers, controllers, strict=True))
@@ -335,7 +341,7 @@ def _factories(controllers: Sequence[str] | Mapping[str, str | ControllerFactory
     return {name: load_controller(entry) if isinstance(entry, str) else entry for name, entry in named.items()}
 
 
-def _assign_parameters(
+def assign_parameters(
     factories: Mapping[str, ControllerFactory], parameters: Mapping[str, Any], seed: int
 ) -> dict[str, dict[str, Any]]:
     """Assign each parameter to the controllers that name it, or if none does, to those with arbitrary parameters."""

@@ -10,7 +10,7 @@ from models.scenario.schema import ActionSpec, ActuatorSpec, DiscreteActionSpec,
 from models.weather.noise import ColumnNoise, Variability
 from topics.errors import UnknownName, did_you_mean
 from topics.messages import Actuator, Sensor, Task
-from topics.scenario_ids import BUILDINGS, WEATHERS, bundled_ids, pack_ids
+from topics.scenario_ids import BUILDINGS, PAPER_IDS, WEATHERS, all_ids, pack_ids
 
 STEPS = 10
 """Number of choices of the discrete scenarios, the same as in Sinergym's."""
@@ -29,11 +29,6 @@ def default_weather_noise() -> Variability:
     }
 
 
-def ids() -> tuple[str, ...]:
-    """Return all ids, without `zenostat/`; those of data packs come first."""
-    return (*pack_ids(), *bundled_ids())
-
-
 def find_scenario(text: str) -> Scenario:
     """Return the scenario with an id, with or without `zenostat/`.
 
@@ -46,9 +41,13 @@ def find_scenario(text: str) -> Scenario:
         from models.sinergym.scenarios import pack_scenarios
 
         return pack_scenarios()[name]
+    if name in PAPER_IDS:
+        from models.scenario.paper import paper_scenarios
+
+        return paper_scenarios()[name]
     match = _ID.fullmatch(name)
     if not match:
-        raise UnknownName(f"no scenario {text!r}; {did_you_mean(name, ids())}")
+        raise UnknownName(f"no scenario {text!r}; {did_you_mean(name, all_ids())}")
     building, weather, form, stochastic = match.groups()
     return Scenario(
         id=name,

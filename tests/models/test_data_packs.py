@@ -79,7 +79,7 @@ def test_the_real_pack_is_what_is_promised_of_it():
 
 def test_each_building_and_weather_of_the_real_pack_is_found_by_its_name():
     sinergym()
-    packed = [e for e in catalog.buildings() if e.pack], [e for e in catalog.weathers() if e.pack]
+    packed = [[e for e in listed() if e.pack == "sinergym"] for listed in (catalog.buildings, catalog.weathers)]
     assert [len(entries) for entries in packed] == [9, 14]
     for entries, find in zip(packed, (find_building, find_weather), strict=True):
         for entry in entries:
@@ -407,7 +407,8 @@ def test_the_command_lists_adds_and_removes(fake, cache, monkeypatch):
         _, *rows = runner.invoke(app, arguments).stdout.splitlines()
         assert [re.split(" {2,}", row) for row in rows] == [
             ["sinergym", "3.12.2", "MIT", "not installed", "9 buildings, 14 weather files, 109 scenarios"],
-            ["fake", "1.0", "MIT", "not installed", "0 buildings, 0 weather files, 0 scenarios"],
+            ["sinergym-paper", "3.6.2", "MIT", "not installed", "1 building, 1 weather file, 2 scenarios"],
+            ["fake", "1.0", "MIT", "not installed", "1 building, 1 weather file, 0 scenarios"],
         ]
     assert "fake 1.0 installed" in runner.invoke(app, ["add", "fake"], catch_exceptions=False).stdout
     assert "is already installed" in runner.invoke(app, ["add", "fake"], catch_exceptions=False).stdout

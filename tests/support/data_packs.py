@@ -35,8 +35,12 @@ def wheel(folder: Path, files: dict[str, str], *, name: str = "zenostat_fake_pac
 
 
 def pack_of(path: Path, *, sha256: str = "", version: str = "1.0") -> Pack:
-    """The pack `fake` of such a wheel."""
+    """The pack `fake` of such a wheel, which lists all of its files."""
+    with zipfile.ZipFile(path) as archive:
+        files = [Path(name) for name in archive.namelist()]
     return Pack(
+        buildings=tuple(file.stem for file in files if file.suffix == ".epJSON"),
+        weathers=tuple(file.stem for file in files if file.suffix == ".epw"),
         name="fake",
         requirement=f"zenostat-fake-pack=={version}",
         sha256=sha256 or hashlib.sha256(path.read_bytes()).hexdigest(),

@@ -34,6 +34,7 @@ SLOW = tuple(
     for page in (
         "branching",
         "controllers",
+        "datasets",
         "environments",
         "from-sinergym",
         "mpc",

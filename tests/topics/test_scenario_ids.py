@@ -9,7 +9,7 @@ from support.data_packs import sinergym
 from models import catalog
 from models.sinergym.scenarios import pack_scenarios
 from topics.keys import check_name
-from topics.scenario_ids import BUILDINGS, DEMO, PACK_IDS, WEATHERS, bundled_ids, pack_ids, variants
+from topics.scenario_ids import BUILDINGS, DEMO, PACK_IDS, PAPER_IDS, WEATHERS, all_ids, bundled_ids, pack_ids, variants
 
 
 def test_the_wheels_names_are_those_of_its_catalogue():
@@ -44,8 +44,13 @@ def test_the_packs_ids_are_those_of_its_files():
 
 
 def test_every_id_can_stand_in_a_topic():
-    for name in (*pack_ids(), *bundled_ids()):
+    for name in all_ids():
         assert check_name(name, "the id") == name
+
+
+def test_all_ids_are_those_of_packs_paper_and_wheel_without_a_repetition():
+    assert set(all_ids()) == {*pack_ids(), *PAPER_IDS, *bundled_ids()}
+    assert len(all_ids()) == len(set(all_ids())) == 109 + 4 + 2048
 
 
 def test_noise_comes_after_the_forms():
