@@ -7,7 +7,7 @@ INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c c
 WORKERS ?= 2
 SECONDS ?= 120
 
-.PHONY: demo test test-all test-fast test-lowest check bench chaos docs clean
+.PHONY: demo test test-all test-fast test-lowest test-ray check bench chaos docs clean
 
 $(VENV):
 	$(PYTHON) -c 'import sys; sys.exit(None if sys.version_info >= (3, 11) else "Zenostat needs Python 3.11 or newer")'
@@ -31,7 +31,7 @@ PYTEST := $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
 test: $(READY)-dev  ## What each change must pass: all tests but the long ones
 	$(PYTEST) -m "not slow"
 
-test-all: $(READY)-dev test-lowest  ## All tests: years of fidelity, every scenario, 120 s of chaos, a thousand branches
+test-all: $(READY)-dev test-lowest test-ray  ## All tests: years of fidelity, every scenario, 120 s of chaos, a thousand branches
 	$(PYTEST)
 
 test-fast: $(READY)-dev  ## The rules alone: no simulation, no other process
@@ -50,6 +50,19 @@ $(LOWEST)/.ready: pyproject.toml constraints-lowest.txt
 test-lowest: $(LOWEST)/.ready  ## A core of the tests with the lowest versions of all direct dependencies
 	$(LOWEST)/bin/python -m pytest -q -W "ignore:'click.utils:DeprecationWarning" $(LOWEST_TESTS)
 
+RAY := .venv-ray
+RAY_TESTS := tests/agent_sdk/test_ray.py tests/system/test_environment__other_libraries.py
+
+# Ray pins an older Gymnasium than the one that is tested otherwise.
+$(RAY)/.ready: pyproject.toml constraints-ray.txt
+	$(PYTHON) -m venv $(RAY)
+	$(RAY)/bin/python -m pip install --quiet --disable-pip-version-check -c constraints-ray.txt \
+		-e '.[ray,multi-agent]' torchrl pytest pytest-timeout hypothesis
+	touch $@
+
+test-ray: $(RAY)/.ready  ## RLlib, Tune, a cluster of two raylets, and TorchRL's checks, in an environment of their own
+	$(RAY)/bin/python -m pytest -q $(RAY_TESTS)
+
 check: $(READY)-dev  ## Format, lint, types
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
@@ -67,4 +80,4 @@ docs: $(READY)-dev  ## The documentation as a web site, in site/; any warning is
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 clean:  ## Removes what the others made
-	rm -rf $(VENV) $(LOWEST) demo bench/results site .mypy_cache .ruff_cache .pytest_cache .hypothesis *.egg-info
+	rm -rf $(VENV) $(LOWEST) $(RAY) demo bench/results site .mypy_cache .ruff_cache .pytest_cache .hypothesis *.egg-info

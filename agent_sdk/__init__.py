@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from agent_sdk.bus.snapshot import Snapshot
     from agent_sdk.env_factory import load_env, make, make_vec, save_env
     from agent_sdk.envs.building_env import BuildingEnv
+    from agent_sdk.envs.fleet_env import FleetVectorEnv
     from agent_sdk.envs.vector_env import BuildingVectorEnv
 
 __all__ = [
@@ -23,6 +24,7 @@ __all__ = [
     "BuildingVectorEnv",
     "Bus",
     "ControllerLink",
+    "FleetVectorEnv",
     "Manifest",
     "SampleView",
     "Snapshot",
@@ -38,6 +40,7 @@ __all__ = [
 _LAZY = {
     "BuildingEnv": "agent_sdk.envs.building_env",
     "BuildingVectorEnv": "agent_sdk.envs.vector_env",
+    "FleetVectorEnv": "agent_sdk.envs.fleet_env",
     "Snapshot": "agent_sdk.bus.snapshot",
     "load_env": "agent_sdk.env_factory",
     "make": "agent_sdk.env_factory",

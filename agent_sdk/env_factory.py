@@ -10,6 +10,7 @@ from gymnasium.vector import VectorEnv
 
 from agent_sdk.bus.controller_link import ControllerLink
 from agent_sdk.envs.building_env import BuildingEnv
+from agent_sdk.envs.fleet_env import FleetVectorEnv
 from agent_sdk.envs.vector_env import BuildingVectorEnv
 from agent_sdk.rewards import Reward
 from agent_sdk.rewards.config import RewardConfig
@@ -40,13 +41,17 @@ def make_vec(num_envs: int = 1, **arguments: Any) -> VectorEnv[Any, Any, Any]:
     """Make the vector environment of a scenario within its wrappers, as `gym.make_vec` does.
 
     Args:
-        num_envs: Number of slots, 1 to 256.
-        arguments: As for `BuildingVectorEnv`.
+        num_envs: Number of slots, 1 to 256; with a list of endpoints or nodes, their number.
+        arguments: As for `BuildingVectorEnv`; with a list in `connect` or `node`, as for `FleetVectorEnv`.
 
     Raises:
         UsageError, BusError, SimulatorError: See `BuildingVectorEnv`; everything that was started is closed again.
     """
-    env = BuildingVectorEnv(num_envs, **arguments)
+    env: BuildingVectorEnv | FleetVectorEnv
+    if any(isinstance(arguments.get(name), list | tuple) for name in ("connect", "node")):
+        env = FleetVectorEnv(num_envs=num_envs, **{"connect": None, **arguments})
+    else:
+        env = BuildingVectorEnv(num_envs, **arguments)
     try:
         wrapped: VectorEnv[Any, Any, Any] = apply_wrappers(env, env.manifest.task.wrappers)
     except BaseException:

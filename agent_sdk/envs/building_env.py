@@ -127,6 +127,7 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
 
         self._sample: SampleView | None = None
         self._ended = self._busy = False
+        self._pending: tuple[ArrayLike, NDArray[np.float64], bytes | None] | None = None
         self._infos = SampleInfos(has_limits=self._state.limits is not None)
         self._connection.warn(stacklevel=3)
 
@@ -179,7 +180,7 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
         super().reset(seed=seed)
         self._connection.check_open()
         self._connection.restart_if_ended()
-        snapshot = self._snapshot_of(options)
+        snapshot, self._pending = self._snapshot_of(options), None
         if snapshot is None:
             sample = self._sample = self._connection.reset(seed=seed)
             self._state.reset()
@@ -318,21 +319,37 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
         if busy:
             raise UsageError(BUSY)
         try:
-            return self._step(action)
+            self.step_async(action)
+            return self.step_wait()
         except (EpisodeChanged, BusError):
             self._connection.check_open()
             raise
         finally:
             self._busy = False
 
-    def _step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    def step_async(self, action: ArrayLike) -> None:
+        """Send the command of one timestep; `step_wait` waits for its sample, and others can be sent in between.
+
+        Raises:
+            InvalidAction, EpisodeChanged: As for `step`; nothing was sent.
+            UsageError: The previous timestep still waits for `step_wait`.
+        """
         previous = self._sample
+        if self._pending is not None:
+            raise UsageError("step_async() was called already; call step_wait() next")
         if previous is None or self._ended or self._connection.closed:
             self._connection.check_open()
             raise EpisodeChanged("the episode is over; call reset()" if previous else "call reset() before step()")
         commanded, operations = self._actions.command(action, self._state.context)
+        self.link.send(commanded, operations)
+        self._pending = action, commanded, operations
+
+    def step_wait(self) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Wait for the sample of the timestep that `step_async` began; return and raise what `step` does."""
+        if self._pending is None:
+            raise UsageError("no timestep was begun; call step_async() before step_wait()")
+        (action, commanded, operations), self._pending = self._pending, None
         link = self.link
-        link.send(commanded, operations)
         sample = self._sample = link.receive()
         infos, state, reward, violation = self._infos, self._state, 0.0, ""
         values, end, info = sample.values, sample.time, infos.of_sample(sample, link)

@@ -124,6 +124,8 @@ class NodeConnection:
             raise InvalidConfig(
                 f"{', '.join(node_arguments)}: the node at {endpoint} has its own settings; leave these arguments out"
             )
+        if not isinstance(endpoint, str) or isinstance(node, list | tuple):
+            raise InvalidConfig("several endpoints or nodes make a vector: gymnasium.make_vec(…, num_envs=NODES)")
         if node is None:
             raise InvalidConfig(f"connect={endpoint!r} needs the node's name: node='office'")
         self._target = _Target(endpoint, node, priority, placement)

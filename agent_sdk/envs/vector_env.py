@@ -84,7 +84,7 @@ class BuildingVectorEnv(ConnectedEnv, VectorEnv[Observations, Any, NDArray[Any]]
         link: VectorLink | None = None,
         **node_arguments: Unpack[NodeArguments],
     ) -> None:
-        self.num_envs, self.autoreset_mode = check_count(num_envs), _check_mode(autoreset_mode)
+        self.num_envs, self.autoreset_mode = check_count(num_envs), check_mode(autoreset_mode)
         arguments.check_arguments(node_arguments, BuildingVectorEnv)
         self._connection = NodeConnection(
             {name: value for name, value in node_arguments.items() if value is not None},
@@ -384,7 +384,8 @@ def check_count(count: int, name: str = "num_envs") -> int:
     return count
 
 
-def _check_mode(mode: AutoresetMode | str) -> AutoresetMode:
+def check_mode(mode: AutoresetMode | str) -> AutoresetMode:
+    """Return an autoreset mode; `InvalidConfig` lists the modes."""
     try:
         return AutoresetMode(mode)
     except ValueError:

@@ -83,7 +83,11 @@ def _arrays() -> str:
     rows = ["| message | field | elements |", "|---|---|---|"]
     for kind in asyncapi.payload_classes():
         for name, field in asyncapi.document()["components"]["schemas"][kind.__name__]["properties"].items():
-            found = {form["x-items"] for form in (field, *field.get("anyOf", [])) if "x-items" in form}
+            found = {
+                form["x-items"]
+                for form in (field, *field.get("anyOf", []), field.get("items", {}))
+                if "x-items" in form
+            }
             rows += [f"| `{kind.__name__}` | `{name}` | {items} |" for items in found]
     return "\n".join(rows)
 

@@ -271,11 +271,15 @@ class MqttGateway:
 
     async def _publish_state(self, client: aiomqtt.Client) -> None:
         manifest = self._node.manifest
-        await self._publish_changed(client, "manifest", manifest_json(manifest, readings(manifest)), qos=1)
+        await self._publish_changed(
+            client, f"{self._root}/manifest", manifest_json(manifest, readings(manifest)), qos=1
+        )
         if self._home_assistant is not None:
             for topic, text in discovery(manifest, self._root, self._home_assistant):
-                await self._publish_changed(client, topic, text, qos=1, is_absolute=True)
-        await self._publish_changed(client, "status", "online" if self._node.is_online else "offline", qos=1)
+                await self._publish_changed(client, topic, text, qos=1)
+        await self._publish_changed(
+            client, f"{self._root}/status", "online" if self._node.is_online else "offline", qos=1
+        )
 
     async def _publish_points(self, client: aiomqtt.Client) -> None:
         sample = self._node.sample
@@ -284,16 +288,16 @@ class MqttGateway:
         manifest = sample.manifest
         for reading in readings(manifest):
             kind = "sensor" if reading.index < len(manifest.sensors) else "meter"
-            await self._publish_changed(client, f"{kind}/{reading.name}", number(reading.of(sample)))
+            await self._publish_changed(client, f"{self._root}/{kind}/{reading.name}", number(reading.of(sample)))
         for index, actuator in enumerate(manifest.actuators):
-            await self._publish_changed(client, f"actuator/{actuator.name}", number(effective_value(sample, index)))
+            await self._publish_changed(
+                client, f"{self._root}/actuator/{actuator.name}", number(effective_value(sample, index))
+            )
 
-    async def _publish_changed(
-        self, client: aiomqtt.Client, topic: str, text: str, *, qos: int = 0, is_absolute: bool = False
-    ) -> None:
+    async def _publish_changed(self, client: aiomqtt.Client, topic: str, text: str, *, qos: int = 0) -> None:
         """Publish a retained text unless it is on the broker already."""
         if self._published.get(topic) != text:
-            await client.publish(topic if is_absolute else f"{self._root}/{topic}", text, qos=qos, retain=True)
+            await client.publish(topic, text, qos=qos, retain=True)
             self._published[topic] = text
 
     # Commands
