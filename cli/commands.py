@@ -18,6 +18,7 @@ from cli import (
     evaluate,
     export,
     gateway,
+    gateway_bacnet,
     gateway_modbus,
     gateway_mqtt,
     keys,
@@ -48,7 +49,7 @@ from cli import (
 from cli.scenarios import scenarios
 from topics import VERSION
 
-for _command in (gateway_modbus.modbus, gateway_mqtt.mqtt):
+for _command in (gateway_bacnet.bacnet, gateway_modbus.modbus, gateway_mqtt.mqtt):
     gateway.app.command()(_command)
 
 _GROUPS: dict[str, tuple[Callable[..., None] | typer.Typer, ...]] = {

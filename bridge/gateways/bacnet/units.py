@@ -1,0 +1,78 @@
+"""BACnet engineering units of the units on the bus.
+
+Names are those of the enumeration BACnetEngineeringUnits (ASHRAE 135, clause 21), as bacpypes3 spells them. A unit that
+has no entry there, such as `ach` or `clo`, is `noUnits`; the object's description then names it.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+NO_UNITS = "noUnits"
+
+
+class BacnetUnit(NamedTuple):
+    """A BACnet unit and the default COV increment of quantities in it; 0: report each change."""
+
+    name: str
+    increment: float = 0.0
+
+
+_UNITS = {
+    "1": BacnetUnit(NO_UNITS),
+    "A": BacnetUnit("amperes"),
+    "Hz": BacnetUnit("hertz"),
+    "J": BacnetUnit("joules"),
+    "J/kg": BacnetUnit("joulesPerKilogramDryAir"),
+    "J/kg-K": BacnetUnit("joulesPerKilogramDegreeKelvin"),
+    "J/m3": BacnetUnit("joulesPerCubicMeter"),
+    "K": BacnetUnit("degreesKelvin", 0.1),
+    "L": BacnetUnit("liters"),
+    "L/s": BacnetUnit("litersPerSecond"),
+    "N-m": BacnetUnit("newtonMeters"),
+    "Pa": BacnetUnit("pascals"),
+    "V": BacnetUnit("volts"),
+    "VA": BacnetUnit("voltAmperes"),
+    "W": BacnetUnit("watts", 1.0),
+    "W/m2": BacnetUnit("wattsPerSquareMeter", 0.1),
+    "W/m2-K": BacnetUnit("wattsPerSquareMeterDegreeKelvin"),
+    "W/m-K": BacnetUnit("wattsPerMeterPerDegreeKelvin"),
+    "cd/m2": BacnetUnit("candelasPerSquareMeter"),
+    "day": BacnetUnit("days"),
+    "deg": BacnetUnit("degreesAngular"),
+    "degC": BacnetUnit("degreesCelsius", 0.1),
+    "delta_degC": BacnetUnit("deltaDegreesKelvin", 0.1),
+    "hr": BacnetUnit("hours"),
+    "kWh": BacnetUnit("kilowattHours"),
+    "kg": BacnetUnit("kilograms"),
+    "kg/m3": BacnetUnit("kilogramsPerCubicMeter"),
+    "kg/s": BacnetUnit("kilogramsPerSecond"),
+    "kgWater/kgDryAir": BacnetUnit("kilogramsPerKilogram"),
+    "kgWater/s": BacnetUnit("kilogramsPerSecond"),
+    "lum": BacnetUnit("lumens"),
+    "lux": BacnetUnit("luxes", 1.0),
+    "m": BacnetUnit("meters"),
+    "m/s": BacnetUnit("metersPerSecond", 0.01),
+    "m2": BacnetUnit("squareMeters"),
+    "m3": BacnetUnit("cubicMeters"),
+    "m3/s": BacnetUnit("cubicMetersPerSecond"),
+    "min": BacnetUnit("minutes"),
+    "percent": BacnetUnit("percent", 0.1),
+    "ppm": BacnetUnit("partsPerMillion", 1.0),
+    "rad": BacnetUnit("radians"),
+    "rad/s": BacnetUnit("radiansPerSecond"),
+    "rev/min": BacnetUnit("revolutionsPerMinute"),
+    "s": BacnetUnit("seconds"),
+}
+
+_RATES = {"J": "W", "L": "L/s", "kg": "kg/s", "m3": "m3/s"}
+
+
+def bacnet_unit(unit: str) -> BacnetUnit:
+    """Return the BACnet unit of a unit on the bus."""
+    return _UNITS.get(unit, BacnetUnit(NO_UNITS))
+
+
+def mean_rate(unit: str) -> str | None:
+    """Return the unit of an amount in a timestep divided by seconds, `W` for `J`; None if it is not on the bus."""
+    return _RATES.get(unit)

@@ -1,0 +1,93 @@
+"""`zenostat gateway bacnet`: a node as a BACnet/IP device."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from bridge.gateways.addresses import parse_address
+from bridge.transport.session import default_endpoint
+from cli.console import err, out
+from cli.gateway import serve
+from cli.options import CertificateName, Connect, Keys
+from topics.errors import InvalidConfig
+from topics.extras import requires_extra
+from topics.keys import Role
+
+_MAX_INSTANCE = 4_194_302
+_MAX_SOURCE = 100  # a source has at most 128 characters, with the client's address
+
+
+def bacnet(
+    node: Annotated[str, typer.Argument(help="Name of the node.")],
+    connect: Connect = None,
+    keys: Keys = None,
+    certificate: CertificateName = None,
+    address: Annotated[
+        str, typer.Option(help="IPv4 address of the network interface, with UDP port.")
+    ] = "127.0.0.1:47808",
+    instance: Annotated[
+        int | None,
+        typer.Option(min=0, max=_MAX_INSTANCE, help="Device instance number. Default: one of the node's name."),
+    ] = None,
+    source: Annotated[str, typer.Option(help="Source of writes on the bus, before the client's address.")] = "bacnet",
+    objects: Annotated[
+        Path | None, typer.Option(help="Write the objects, with their instance numbers, to FILE.csv, and end.")
+    ] = None,
+    expose: Annotated[bool, typer.Option("--expose", help="Allow addresses reachable from other machines.")] = False,
+) -> None:
+    """Run a BACnet/IP device for a node until Ctrl-C. With keys, it uses the controller role.
+
+    Example: `zenostat gateway bacnet office --address 127.0.0.1:47808`
+    """
+    with requires_extra("bacnet", "the BACnet gateway", "bacpypes3"):
+        from bridge.gateways.bacnet import BacnetGateway
+        from bridge.gateways.bacnet.network import DEFAULT_PORT, find_interface
+        from bridge.gateways.bacnet.points import instance_number
+
+    if len(source) > _MAX_SOURCE:
+        raise InvalidConfig(f"--source has {len(source)} characters; the most are {_MAX_SOURCE}")
+    if objects is not None:
+        _write_objects(node, objects, connect or default_endpoint(keys), keys, certificate)
+        return
+    interface = find_interface(*parse_address(address, "BACnet/IP", expose=expose, default_port=DEFAULT_PORT))
+    number = instance_number(node) if instance is None else instance
+    err.print(
+        f"BACnet/IP has no authentication: whoever reaches {interface.address.ip} can command {node}", soft_wrap=True
+    )
+    serve(
+        node,
+        lambda client: BacnetGateway(client, interface, instance=number, source=source),
+        source=source,
+        connect=connect,
+        keys=keys,
+        certificate=certificate,
+    )
+
+
+def _write_objects(node: str, file: Path, connect: str, keys: Path | None, certificate: str | None) -> None:
+    """Write a node's points as BACnet objects: type, instance, name, units, bounds and description.
+
+    Raises:
+        InvalidConfig: the file cannot be written.
+    """
+    from agent_sdk import connect as connect_bus
+    from bridge.gateways.bacnet.points import point_specs
+    from bridge.gateways.bacnet.units import bacnet_unit
+
+    with connect_bus(connect, keys=keys, role=Role.CONTROLLER, certificate=certificate) as bus:
+        specs = point_specs(bus.manifest(node))
+    try:
+        with file.open("w", encoding="utf-8", newline="") as opened:
+            table = csv.writer(opened)
+            table.writerow(("type", "instance", "name", "unit", "bacnet_unit", "low", "high", "description"))
+            for spec in specs:
+                unit = bacnet_unit(spec.unit).name
+                names = (spec.kind.value, spec.instance, spec.object_name, spec.unit, unit)
+                table.writerow((*names, spec.low, spec.high, spec.description))
+    except OSError as error:
+        raise InvalidConfig(f"--objects {file}: {error.strerror}") from None
+    out.print(f"objects of {node}: {file} ({len(specs)} objects)", soft_wrap=True, markup=False)
