@@ -22,7 +22,7 @@ from typing import Any
 
 from rich.console import Console
 
-from bench import branches, growth, monitors, plans, plants, processor, recording, resets, steps, vector
+from bench import boptest, branches, growth, monitors, plans, plants, processor, recording, resets, steps, vector
 from topics import VERSION
 
 PARTS: Mapping[str, Any] = {
@@ -36,6 +36,7 @@ PARTS: Mapping[str, Any] = {
     "monitors": monitors,
     "recording": recording,
     "growth": growth,
+    "boptest": boptest,
 }
 IMPORT = """
 import sys, time

@@ -13,6 +13,7 @@ import typer
 
 from bridge.runtime.signals import TERMINATION_SIGNALS, override_signals
 from bridge.transport.session import default_endpoint
+from cli.boptest import boptest
 from cli.console import out
 from cli.options import CertificateName, Connect, Keys
 from topics.errors import InvalidConfig
@@ -31,6 +32,9 @@ def gateway() -> None:
 
     Example: `zenostat gateway modbus office`
     """
+
+
+app.command()(boptest)
 
 
 @app.command()

@@ -56,6 +56,18 @@ def test_own_plant_controller():
     assert 0.0 < curve < hot
 
 
+def test_boptest_client():
+    """With setpoints 1 to 3 K lower by day, the building uses more energy than under the baseline control."""
+    pytest.importorskip("fastapi", reason="fastapi is not installed")
+    from support.boptest import serving
+
+    with serving() as client:
+        said = _run("boptest_client.py", client.url)
+    assert f"at time {200 * 86400}\n" in said
+    controlled, baseline = re.search(r"ener_tot: ([\d.]+), baseline control ([\d.]+)", said).groups()
+    assert 0.0 < float(baseline) != float(controlled) > 0.0
+
+
 def test_array_plant(scratch):
     """Two slots with a heater at 0 and 800 W: each tank is where the exponential solution says."""
     endpoint = f"unixsock-stream/{scratch}/bus"

@@ -1,0 +1,4 @@
+"""The BOPTEST gateway: BOPTEST's REST interface to any scenario.
+
+It requires FastAPI and uvicorn (the extra `boptest`).
+"""

@@ -1,0 +1,73 @@
+"""`zenostat gateway boptest`: BOPTEST's REST interface to scenarios."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from bridge.runtime.signals import TERMINATION_SIGNALS, override_signals
+from cli.console import err, out
+from cli.options import Emissions, Price, read_rates
+from topics.extras import requires_extra
+
+if TYPE_CHECKING:
+    from bridge.gateways.boptest.server import HttpServer
+
+
+def boptest(
+    testcase: Annotated[
+        str | None,
+        typer.Argument(help="Select a test case for clients of old versions, whose paths have no test id."),
+    ] = None,
+    address: Annotated[str, typer.Option(help="HOST:PORT to listen on; port 0 chooses a free one.")] = "127.0.0.1:8000",
+    files: Annotated[
+        list[Path] | None, typer.Option("--file", help="Scenario file that is listed as a test case; repeatable.")
+    ] = None,
+    prices: Price = None,
+    emissions: Emissions = None,
+    timeout: Annotated[float, typer.Option(min=1.0, help="Seconds without a request after which a test ends.")] = 900.0,
+    max_tests: Annotated[int, typer.Option(min=1, help="Maximum number of tests at a time.")] = 16,
+    expose: Annotated[bool, typer.Option("--expose", help="Allow addresses reachable from other machines.")] = False,
+) -> None:
+    """Serve BOPTEST's REST interface until Ctrl-C; each test starts a building of its own.
+
+    Example: `zenostat gateway boptest --address 127.0.0.1:8000`
+
+    Test cases are all bundled buildings, those of installed data packs, and scenario files. A price may also be that of
+    one price scenario: `--price highly_dynamic=prices.csv`.
+    """
+    with requires_extra("boptest", "the BOPTEST gateway", "FastAPI and uvicorn"):
+        from bridge.gateways.boptest.app import Service
+        from bridge.gateways.boptest.server import HttpServer
+    from bridge.gateways.boptest.manager import TestManager
+    from bridge.gateways.boptest.prices import read_rates as rates_of
+    from cli.boptest_cases import BundledTestCases
+
+    rates = rates_of(read_rates("--price", prices), read_rates("--emissions", emissions))
+
+    def notify(text: str) -> None:
+        err.print(text, soft_wrap=True, markup=False)
+
+    manager = TestManager(BundledTestCases(files or ()), rates, timeout_s=timeout, max_tests=max_tests, notify=notify)
+    service = Service(manager, single=testcase is not None)
+    with HttpServer(service, address, expose=expose) as server:
+        if testcase is not None:
+            service.testid = manager.select(testcase, keep=True)
+        _serve(server, testcase)
+
+
+def _serve(server: HttpServer, testcase: str | None) -> None:
+    """Serve until a signal, and report how many requests there were."""
+    with override_signals(lambda *_: server.stop(), *TERMINATION_SIGNALS):
+        single = f", {testcase} on the paths without a test id" if testcase else ""
+        out.print(
+            f"ready: {server.url}{single}; no authentication: whoever reaches this address can use it; "
+            "press Ctrl-C to stop",
+            soft_wrap=True,
+        )
+        server.run()
+    counts = server.service.counts
+    rejected = sum(count for status, count in counts.items() if status >= 400)
+    out.print(f"{sum(counts.values())} requests, {rejected} of them rejected")

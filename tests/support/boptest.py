@@ -1,0 +1,72 @@
+"""A BOPTEST service in this process, and requests to it as BOPTEST's clients send them."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import requests
+
+from bridge.gateways.boptest.app import Service
+from bridge.gateways.boptest.manager import TestManager
+from bridge.gateways.boptest.prices import read_rates
+from bridge.gateways.boptest.server import HttpServer
+from cli.boptest_cases import BundledTestCases
+
+DAY_S = 86400
+
+
+class Client:
+    """Requests to a service; `payload` and its relatives check the envelope."""
+
+    def __init__(self, url: str, service: Service | None = None) -> None:
+        self.url, self.service, self.session = url, service, requests.Session()
+        self.testid = ""
+
+    def request(self, method: str, path: str, **kwargs: Any) -> requests.Response:
+        return self.session.request(method, f"{self.url}{path}", timeout=120, **kwargs)
+
+    def select(self, name: str) -> str:
+        answer = self.request("POST", f"/testcases/{name}/select")
+        assert answer.status_code == 200, answer.text
+        self.testid = answer.json()["testid"]
+        return self.testid
+
+    def answer(self, method: str, operation: str, body: dict[str, Any] | None = None) -> requests.Response:
+        return self.request(method, f"/{operation}/{self.testid}", json=body)
+
+    def payload(self, method: str, operation: str, body: dict[str, Any] | None = None) -> Any:
+        answer = self.answer(method, operation, body)
+        envelope = answer.json()
+        assert answer.status_code == envelope["status"] == 200, answer.text
+        return envelope["payload"]
+
+    def get(self, operation: str) -> Any:
+        return self.payload("GET", operation)
+
+    def put(self, operation: str, **body: Any) -> Any:
+        return self.payload("PUT", operation, body)
+
+    def advance(self, **inputs: Any) -> Any:
+        return self.payload("POST", "advance", inputs)
+
+
+@contextmanager
+def serving(*, single: str | None = None, **options: Any) -> Iterator[Client]:
+    """Run a service on a free port of loopback; in the end all tests are ended."""
+    manager = TestManager(BundledTestCases(), read_rates(), **options)
+    service = Service(manager, single=single is not None)
+    with HttpServer(service, "127.0.0.1:0") as server:
+        if single is not None:
+            service.testid = manager.select(single, keep=True)
+        thread = threading.Thread(target=server.run)
+        thread.start()
+        try:
+            client = Client(server.url, service)
+            yield client
+        finally:
+            client.session.close()
+            server.stop()
+            thread.join()
