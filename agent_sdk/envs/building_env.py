@@ -280,14 +280,9 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
 
     @classmethod
     def _continue_at(
-        cls,
-        link: ControllerLink,
-        sample: SampleView,
-        reward: Reward | None,
-        state: Mapping[str, Any],
-        start: Infos,
+        cls, link: ControllerLink, sample: SampleView, reward: Reward | None, state: Mapping[str, Any], start: Infos,
         undo: ExitStack,
-    ) -> BuildingEnv:
+    ) -> BuildingEnv:  # fmt: skip
         """Create an environment in the middle of an episode that began with `start`; it takes over `undo`."""
         env = BuildingEnv(link=link, reward=reward)
         env._sample = link.set_current(sample.message)
@@ -375,8 +370,7 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
 
         It shows what the agent observes: with injected faults, the faulty values.
 
-        Raises:
-            EpisodeChanged: Before the first reset.
+        Raises `EpisodeChanged` before the first reset.
         """
         return self._renderer.picture() if self._renderer is not None else None
 
