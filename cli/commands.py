@@ -11,6 +11,7 @@ import typer.core
 from cli import (
     alarms,
     asyncapi,
+    benchmark,
     buildings,
     data_packs,
     dataset,
@@ -54,7 +55,7 @@ for _command in (gateway_bacnet.bacnet, gateway_modbus.modbus, gateway_mqtt.mqtt
 
 _GROUPS: dict[str, tuple[Callable[..., None] | typer.Typer, ...]] = {
     "Simulate and control": (demo.demo, node.node, run.run, evaluate.evaluate, dataset.dataset, probe.probe),
-    "Train agents": (train.train, tune.tune),
+    "Train agents": (train.train, tune.tune, benchmark.benchmark),
     "Watch a bus": (
         status.status, monitor.monitor, view.view, watch.watch, read.read, plot.plot, alarms.alarms,
         priorities.priorities,

@@ -7,7 +7,8 @@ from datetime import datetime
 from typing import Any
 
 from agent_sdk.controllers.parameters import number
-from agent_sdk.rewards import REWARDS, LinearReward, OccupiedReward, read_reward
+from agent_sdk.rewards import REWARDS, LinearReward, read_reward
+from agent_sdk.rewards.occupied import OccupiedComfort
 from topics.errors import InvalidConfig
 from topics.messages import Manifest
 
@@ -61,7 +62,7 @@ def inside(band: Band, margin_k: float | None = None) -> Band:
 
 def default_setback(manifest: Manifest) -> float:
     """Return the default distance of setpoints outside the band in unoccupied zones, in K, for the task's reward."""
-    return SETBACK_K if isinstance(_reward(manifest), OccupiedReward) else SHALLOW_SETBACK_K
+    return SETBACK_K if isinstance(_reward(manifest), OccupiedComfort) else SHALLOW_SETBACK_K
 
 
 def rewarded_temperatures(manifest: Manifest) -> tuple[str, ...]:

@@ -34,7 +34,7 @@ class RuleBasedController(Controller):
         low: lower limit of the comfort band, degC; None: that of the task's reward, or of `LinearReward`.
         high: upper limit, degC.
         margin: margin, K, since zones overshoot their setpoints; None: 1, but at most a third of the band.
-        setback: setback, K; None: 6 if the task's reward counts comfort only in occupied zones (`OccupiedReward`),
+        setback: setback, K; None: 6 if the task's reward counts comfort only in occupied zones (`OccupiedComfort`),
             else 1.
         preconditioning: preconditioning time, h, 0 to 23.
 

@@ -31,7 +31,7 @@ class ScheduledSetback(Controller):
             most a third of the band.
         cooling: cooling setpoint while open, degC; None: as far below the upper limit.
         heating_setback: heating setpoint while closed, degC; None: below the lower limit of the band, or `heating`, by
-            6 K if the task's reward counts comfort only in occupied zones (`OccupiedReward`), else by 1 K; without
+            6 K if the task's reward counts comfort only in occupied zones (`OccupiedComfort`), else by 1 K; without
             any occupant count, as in a data center, as while open.
         cooling_setback: cooling setpoint while closed, degC; None: above, correspondingly.
 

@@ -7,9 +7,9 @@ from datetime import datetime
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk.rewards import REWARDS, MultiZoneReward, OccupiedReward, Reward, read_reward
+from agent_sdk.rewards import REWARDS, MultiZoneReward, Reward, read_reward
 from agent_sdk.rewards.comfort_band import ComfortBand
-from agent_sdk.rewards.occupied import PEOPLE
+from agent_sdk.rewards.occupied import PEOPLE, OccupiedComfort
 from agent_sdk.rewards.selectors import same_zone, temperatures
 from bridge.display.comfort import DEFAULT_BAND_DEGC, Comfort, default_comfort
 from topics.errors import InvalidConfig
@@ -62,7 +62,7 @@ def display_comfort(manifest: Manifest, reward: Reward | None = None) -> Comfort
 
 def _from_band(reward: ComfortBand, manifest: Manifest) -> Comfort:
     band, zones = reward.season(manifest).band, temperatures(reward.kind, reward.temperatures, manifest).tolist()
-    if isinstance(reward, OccupiedReward):
+    if isinstance(reward, OccupiedComfort):
         zones, people = map(list, zip(*reward.pairs(zones, manifest), strict=True))
     else:
         people = same_zone(zones, PEOPLE, manifest, observed=False)

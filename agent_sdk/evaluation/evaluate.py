@@ -8,11 +8,12 @@ from contextlib import closing
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import gymnasium as gym
 
 from agent_sdk.bus.bus import Bus
+from agent_sdk.bus.sample import SampleView
 from agent_sdk.controllers import Agent, BaselineController, ControllerProtocol, load_controller, make_controller
 from agent_sdk.controllers.parameters import ControllerMismatch
 from agent_sdk.envs.arguments import of_scenario
@@ -36,13 +37,20 @@ Progress = Callable[[str, int, int, int], None]
 """Callback for each timestep: controller name, episode number, step, steps per episode."""
 
 
+class SampleRecorder(Protocol):
+    """Anything that receives the samples of an episode."""
+
+    def add(self, sample: SampleView, terms: Mapping[str, float] | None = None) -> None:
+        """Add a sample with the terms of the reward of the timestep that it closes; sample 0 comes without terms."""
+
+
 def run_episode(
     env: gym.Env[Any, Any],
     act: Callable[[Any], Any],
     *,
     seed: int | None,
     progress: Callable[[int], None] | None = None,
-    recorder: TraceRecorder | None = None,
+    recorder: SampleRecorder | None = None,
     prices: Mapping[str, Rate] | None = None,
     emissions: Mapping[str, Rate] | None = None,
 ) -> tuple[EpisodeMetrics, str]:
@@ -224,7 +232,7 @@ def evaluate(
     text = ""
     for name in sorted(factories, key=lambda key: is_baseline_factory(factories[key])):
         is_baseline = is_baseline_factory(factories[name])
-        arguments_of = _named_node(_without_actuators(settings) if is_baseline else settings, name)
+        arguments_of = _named_node(without_actuators(settings) if is_baseline else settings, name)
         with closing(BuildingEnv(**arguments_of)) as env:
             if name not in created and name not in unfit:
                 alike = {
@@ -321,7 +329,7 @@ def _named_node(settings: Mapping[str, Any], controller: str) -> dict[str, Any]:
     return {**settings, "node": safe_name(controller)}
 
 
-def _without_actuators(settings: Mapping[str, Any]) -> dict[str, Any]:
+def without_actuators(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Remove all actuators, as baseline control needs: an action would always set a value."""
     return {name: value for name, value in settings.items() if name not in ("actions", "control", "discrete")} | {
         "actuators": {}

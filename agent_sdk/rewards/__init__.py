@@ -18,6 +18,7 @@ from agent_sdk.rewards.linear import LinearReward
 from agent_sdk.rewards.multi_zone import MultiZoneReward
 from agent_sdk.rewards.normalized import NormalizedReward
 from agent_sdk.rewards.occupied import OccupiedReward
+from agent_sdk.rewards.occupied_cost import OccupiedCostReward
 from agent_sdk.rewards.peak import PeakReward
 from agent_sdk.rewards.thermal_sensation import ThermalSensationReward
 from topics.codec import describe_validation_errors
@@ -34,6 +35,7 @@ __all__ = [
     "LinearReward",
     "MultiZoneReward",
     "NormalizedReward",
+    "OccupiedCostReward",
     "OccupiedReward",
     "Outcome",
     "PeakReward",
@@ -57,6 +59,7 @@ REWARDS: dict[str, type[RewardConfig]] = {
     "carbon": CarbonReward,
     "peak": PeakReward,
     "occupied": OccupiedReward,
+    "occupied_cost": OccupiedCostReward,
     "thermal_sensation": ThermalSensationReward,
 }
 """Reward classes by the `kind` that a scenario names."""

@@ -57,7 +57,7 @@ class EnergyCostReward(EnergyReward):
         terms = [
             Term("energy", -self.weight * self.lambda_energy, MeanPower(meter)),
             Term("comfort", -self.weight_temperature * self.lambda_temperature, degrees),
-            Term("cost", -weight_cost * self.lambda_cost, _cost(meter, self.price)),
+            Term("cost", -weight_cost * self.lambda_cost, energy_cost(meter, self.price)),
         ]
         return TermSum(terms, ["power_w", "degrees_outside", "energy_kwh", "cost"])
 
@@ -96,12 +96,15 @@ class TariffReward(EnergyReward):
         degrees, meter = self._degrees_outside(manifest), self._energy_meter(manifest)
         price = TimeOfUse(table=self.periods, otherwise=self.otherwise, unit=self.unit)
         terms = [
-            Term("cost", -self.weight * self.lambda_cost, _cost(meter, price)),
+            Term("cost", -self.weight * self.lambda_cost, energy_cost(meter, price)),
             Term("comfort", -(1.0 - self.weight) * self.lambda_temperature, degrees),
         ]
         return TermSum(terms, ["degrees_outside", "energy_kwh", "cost"])
 
 
-def _cost(meter: EnergyMeter, price: TimeSeries) -> PricedEnergy:
+def energy_cost(
+    meter: EnergyMeter, price: TimeSeries, metric: str = "cost", energy_metric: str = "energy_kwh"
+) -> PricedEnergy:
+    """Return the cost of energy in the price's currency; errors of the price's file as of `TimeSeries.load`."""
     price.load()
-    return PricedEnergy(meter, price, per_kwh(price.unit), "cost")
+    return PricedEnergy(meter, price, per_kwh(price.unit), metric, energy_metric)

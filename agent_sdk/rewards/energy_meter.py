@@ -15,7 +15,7 @@ from topics.messages import Aggregation, Manifest, Sensor
 from topics.points import value_index
 
 J_PER_KWH = 3.6e6
-METERS = ("electricity:facility", "electricity:hvac")
+METERS = ("Electricity:Facility", "Electricity:HVAC")
 """Default meters; the first that exists is used."""
 
 
@@ -30,13 +30,19 @@ class EnergyMeter:
         names: meters and sensors to add up; None: the meter Electricity:Facility, else Electricity:HVAC, else the
             sensor of the HVAC's electricity demand.
         manifest: the node's manifest.
+        default: meters for `names=None`, instead of those of electricity; the first that exists is used.
 
     Raises:
         InvalidConfig: the node has none of these, or one of them does not measure energy or power.
     """
 
-    def __init__(self, kind: str, names: Sequence[str] | None, manifest: Manifest) -> None:
-        points = _default(kind, manifest) if names is None else [_index(kind, name, manifest) for name in names]
+    def __init__(
+        self, kind: str, names: Sequence[str] | None, manifest: Manifest, default: Sequence[str] = METERS
+    ) -> None:
+        if names is None:
+            points = _default(kind, manifest, default)
+        else:
+            points = [_index(kind, name, manifest) for name in names]
         units = [point.unit for point in manifest.points]
         per_step = {"J": 1.0 / J_PER_KWH, "W": 1e-3 / (3600.0 / manifest.step_s)}
         self._indices = indices(points)
@@ -49,16 +55,17 @@ class EnergyMeter:
         return np.add.reduce(values.take(self._indices, axis=-1) * self._kwh, axis=-1)
 
 
-def _default(kind: str, manifest: Manifest) -> list[int]:
+def _default(kind: str, manifest: Manifest, default: Sequence[str]) -> list[int]:
     meters = {m.meter.casefold(): len(manifest.sensors) + i for i, m in enumerate(manifest.meters) if m.observed}
-    for meter in METERS:
-        if meter in meters:
-            return [meters[meter]]
-    sensors = of_variables(manifest, HVAC_POWER.casefold())[:1]
+    for meter in default:
+        if meter.casefold() in meters:
+            return [meters[meter.casefold()]]
+    is_electric = default is METERS
+    sensors = of_variables(manifest, HVAC_POWER.casefold())[:1] if is_electric else []
     if not sensors:
         raise InvalidConfig(
-            f"the {kind} reward needs the energy that is used: name the meter 'Electricity:Facility' in meters=, or "
-            "name other meters (J) or power sensors (W) as the reward's `energy`"
+            f"the {kind} reward needs the energy that is used: name the meter {default[0]!r} in meters=, or "
+            f"name other meters (J) or power sensors (W) as the reward's `{'energy' if is_electric else 'gas'}`"
         )
     return sensors
 

@@ -1,4 +1,4 @@
-"""A reward on comfort in occupied zones."""
+"""Rewards on comfort in occupied zones."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Literal
 from pydantic import Field
 
 from agent_sdk.rewards.base import BoundReward
+from agent_sdk.rewards.comfort_band import ComfortBand
 from agent_sdk.rewards.linear import WeightedReward
 from agent_sdk.rewards.selectors import indices, named, same_zone
 from agent_sdk.rewards.terms import DegreesOutside, OccupiedDegrees, TermSum
@@ -19,13 +20,8 @@ PEOPLE = OCCUPANTS
 _UNITS = ("1", "count", "fraction")
 
 
-class OccupiedReward(WeightedReward):
-    """`LinearReward` with the degrees of each zone weighted by its occupancy.
-
-        r = -w * lambda_energy * P - (1 - w) * lambda_temperature * sum_z n_z * max(low - T_z, T_z - high, 0)
-
-    n_z is 1 while zone z is occupied (`by: presence`) or its number of people (`by: people`), and `empty_weight` while
-    it is empty. Terms: energy, comfort. Metrics: power_w, degrees_outside (weighted), people (in all these zones).
+class OccupiedComfort(ComfortBand):
+    """Base of rewards that weight the degrees outside of each zone by its occupancy.
 
     Attributes:
         by: the weights, `presence` or `people`.
@@ -35,22 +31,19 @@ class OccupiedReward(WeightedReward):
             `temperatures` names them, which is an error.
     """
 
-    kind: Literal["occupied"] = "occupied"
     by: Literal["presence", "people"] = "presence"
     empty_weight: float = Field(0.0, ge=0.0)
     occupants: dict[str, str] | None = None
 
-    @override
-    def bind(self, manifest: Manifest) -> BoundReward:
-        energy, degrees = self._energy_term(manifest), self._degrees_outside(manifest)
+    def _occupied_degrees(self, manifest: Manifest) -> OccupiedDegrees:
+        degrees = self._degrees_outside(manifest)
         zones, people = zip(*self.pairs(degrees.zones.tolist(), manifest), strict=True)
-        occupied = OccupiedDegrees(
+        return OccupiedDegrees(
             DegreesOutside(degrees.season, indices(zones)),
             indices(people),
             by_number=self.by == "people",
             empty_weight=self.empty_weight,
         )
-        return TermSum([energy, self._comfort_term(occupied)], ["power_w", "degrees_outside", "people"])
 
     def pairs(self, zones: list[int], manifest: Manifest) -> list[tuple[int, int]]:
         """Return the zones' temperatures with their numbers of people, as indices in a sample.
@@ -61,7 +54,27 @@ class OccupiedReward(WeightedReward):
         return _pairs(self, zones, manifest)
 
 
-def _pairs(reward: OccupiedReward, zones: list[int], manifest: Manifest) -> list[tuple[int, int]]:
+class OccupiedReward(OccupiedComfort, WeightedReward):
+    """`LinearReward` with the degrees of each zone weighted by its occupancy.
+
+        r = -w * lambda_energy * P - (1 - w) * lambda_temperature * sum_z n_z * max(low - T_z, T_z - high, 0)
+
+    n_z is 1 while zone z is occupied (`by: presence`) or its number of people (`by: people`), and `empty_weight` while
+    it is empty. Terms: energy, comfort. Metrics: power_w, degrees_outside (weighted), people (in all these zones).
+
+    Attributes:
+        by, empty_weight, occupants: see `OccupiedComfort`.
+    """
+
+    kind: Literal["occupied"] = "occupied"
+
+    @override
+    def bind(self, manifest: Manifest) -> BoundReward:
+        terms = [self._energy_term(manifest), self._comfort_term(self._occupied_degrees(manifest))]
+        return TermSum(terms, ["power_w", "degrees_outside", "people"])
+
+
+def _pairs(reward: OccupiedComfort, zones: list[int], manifest: Manifest) -> list[tuple[int, int]]:
     if reward.occupants is not None:
         by_zone = {
             named(reward.kind, zone, manifest, ["degC"]): named(reward.kind, people, manifest, _UNITS)

@@ -220,16 +220,21 @@ class ExcessVotes(Quantity):
 
 
 class EnergyQuantity(Quantity):
-    """Base of quantities that depend on the energy of the timestep; a reward measures it once. Metric: energy_kwh."""
+    """Base of quantities that depend on the energy of the timestep; a reward measures it once. Metric: energy_kwh.
 
-    def __init__(self, meter: EnergyMeter) -> None:
-        self._meter = meter
+    Args:
+        meter: the energy.
+        energy_metric: another name of the metric, in a reward that measures several energies.
+    """
+
+    def __init__(self, meter: EnergyMeter, energy_metric: str = "energy_kwh") -> None:
+        self._meter, self._energy_metric = meter, energy_metric
 
     def kwh(self, values: NDArray[np.float64], metrics: Terms) -> Any:
         """Return the energy in kWh and add it to the metrics."""
-        kwh = metrics.get("energy_kwh")
+        kwh = metrics.get(self._energy_metric)
         if kwh is None:
-            kwh = metrics["energy_kwh"] = self._meter.kwh(values)
+            kwh = metrics[self._energy_metric] = self._meter.kwh(values)
         return kwh
 
 
@@ -257,10 +262,13 @@ class PricedEnergy(EnergyQuantity):
         signal: the price or intensity.
         per_kwh: factor that converts the signal to an amount per kWh.
         metric: name of the product.
+        energy_metric: name of the energy in the metrics.
     """
 
-    def __init__(self, meter: EnergyMeter, signal: Signal, per_kwh: float, metric: str) -> None:
-        super().__init__(meter)
+    def __init__(
+        self, meter: EnergyMeter, signal: Signal, per_kwh: float, metric: str, energy_metric: str = "energy_kwh"
+    ) -> None:
+        super().__init__(meter, energy_metric)
         self._signal, self._per_kwh, self._metric = signal, per_kwh, metric
 
     @override
@@ -276,10 +284,13 @@ class PeakIncrease(EnergyQuantity):
         meter: the energy.
         slot_state: has the numbers `month` and `peak_kw`.
         threshold_kw: the peak at the start of each month.
+        energy_metric: name of the energy in the metrics.
     """
 
-    def __init__(self, meter: EnergyMeter, slot_state: SlotState, threshold_kw: float) -> None:
-        super().__init__(meter)
+    def __init__(
+        self, meter: EnergyMeter, slot_state: SlotState, threshold_kw: float, energy_metric: str = "energy_kwh"
+    ) -> None:
+        super().__init__(meter, energy_metric)
         self._slot_state, self._threshold_kw = slot_state, threshold_kw
 
     @override

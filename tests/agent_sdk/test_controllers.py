@@ -227,7 +227,7 @@ SITE = node(
 )
 
 
-@pytest.mark.parametrize("name", sorted(set(CONTROLLERS) - {"baseline", "pid"}))
+@pytest.mark.parametrize("name", sorted(set(CONTROLLERS) - {"baseline", "oracle", "pid"}))
 @given(
     samples=st.lists(
         st.tuples(
@@ -698,7 +698,7 @@ class Bare:
 
 
 def test_short_names() -> None:
-    assert set(CONTROLLERS) == {"baseline", "rbc", "random", "fixed", "setback", "incremental", "pid"}
+    assert set(CONTROLLERS) == {"baseline", "rbc", "random", "fixed", "setback", "incremental", "oracle", "pid"}
     assert load_controller("rbc") is RuleBasedController
     assert all(issubclass(found, Controller) for found in CONTROLLERS.values())
 

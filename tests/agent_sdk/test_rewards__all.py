@@ -102,6 +102,7 @@ GIVEN: dict[str, dict[str, Any]] = {
     "carbon": {"intensity": {"hourly": [float(h) for h in range(8760)], "unit": "g/kWh"}},
     "peak": {"threshold_kw": 10.0},
     "occupied": {},
+    "occupied_cost": {"price": {"table": PERIODS, "otherwise": 100.0, "unit": "EUR/MWh"}},
     "thermal_sensation": {},
 }
 """What each kind needs."""
@@ -216,6 +217,7 @@ for kind, more in {
     "carbon": {"intensity": st.builds(lambda g: {"value": g, "unit": "kg/MWh"}, st.floats(0, 999))},
     "peak": {"threshold_kw": st.floats(0, 1e3), "lambda_peak": st.floats(0, 9)},
     "occupied": {"by": st.sampled_from(["presence", "people"]), "occupants": st.just({"north": "n"})},
+    "occupied_cost": {"demand": st.just("power"), "gas_price": st.just({"value": 50.0, "unit": "EUR/MWh"})},
     "thermal_sensation": {"by": st.sampled_from(["pmv", "ppd"]), "met": st.floats(0.8, 4), "pmv": st.just("p")},
 }.items():
     optional[kind] |= more
@@ -397,6 +399,48 @@ def test_peak() -> None:
     assert bound(values(electricity=2.75 * KWH), begin).terms["peak"] == pytest.approx(-3.0)
     same_month_next_year = bound(values(electricity=2.75 * KWH), begin.replace(year=2018))
     assert same_month_next_year.terms["peak"] == pytest.approx(-3.0)
+
+
+def test_occupied_cost() -> None:
+    """Wednesday 11 January: quarters of an hour with 2.5 kWh (10 kW) and 4 kWh (16 kW), 8 kWh of gas, three people."""
+    bound = read_reward(
+        {
+            "kind": "occupied_cost", "weight": 0.25, "gas_price": {"value": 60.0, "unit": "EUR/MWh"}, "by": "people",
+            "price": {"table": PERIODS, "otherwise": 100.0, "unit": "EUR/MWh"}, "lambda_cost": 2.0, "lambda_peak": 3.0,
+            "threshold_kw": 9.0, "lambda_temperature": 0.5,
+        }
+    ).bind(NODE)  # fmt: skip
+    sample = values(electricity=2.5 * KWH, gas=8.0 * KWH, north=18.0, south=10.0, north_people=3.0)
+    first = bound(sample, datetime(2017, 1, 11, 10, 30))
+    assert first.terms == pytest.approx(
+        {
+            "cost": -0.25 * 2.0 * (2.5 * 0.3),
+            "gas": -0.25 * 2.0 * (8.0 * 0.06),
+            "peak": -0.25 * 3.0 * (10.0 - 9.0),
+            "comfort": -0.75 * 0.5 * 0.25 * (3 * 2.0),  # a quarter of an hour; nobody is in the south
+        }
+    )
+    assert first.reward == pytest.approx(sum(first.terms.values()))
+    assert first.metrics == pytest.approx(
+        {
+            "energy_kwh": 2.5, "cost": 0.75, "gas_kwh": 8.0, "gas_cost": 0.48, "demand_kwh": 2.5, "peak_kw": 10.0,
+            "degrees_outside": 6.0, "people": 3.0,
+        }
+    )  # fmt: skip
+    night = bound(values(electricity=4.0 * KWH), datetime(2017, 1, 11, 22))
+    assert night.terms == pytest.approx(
+        {"cost": -0.25 * 2.0 * 0.4, "gas": 0.0, "peak": -0.25 * 3.0 * 6.0, "comfort": 0.0}
+    )
+    assert bound(sample, datetime(2017, 1, 12)).terms["peak"] == 0.0  # below the month's peak
+
+
+def test_occupied_cost_charges_the_peak_of_another_meter() -> None:
+    """The bill is on electricity, the peak on 20 kW of a power sensor; without a price gas is not counted."""
+    reward = {"kind": "occupied_cost", "price": {"value": 0.2, "unit": "EUR/kWh"}, "demand": "power"}
+    got = read_reward(reward).bind(NODE)(values(electricity=KWH, gas=KWH, power=2e4), WINTER)
+    assert got.terms == pytest.approx({"cost": -0.5 * 0.2, "peak": -0.5 * 20.0, "comfort": 0.0})
+    with pytest.raises(InvalidConfig, match=r"name the meter 'NaturalGas:Facility' in meters=.*`gas`"):
+        read_reward({**reward, "gas_price": reward["price"]}).bind(node_of(*SENSORS, meters=[meter("electricity")]))
 
 
 @given(st.lists(st.floats(0.0, 1e3), min_size=1, max_size=20), st.floats(0.0, 500.0))

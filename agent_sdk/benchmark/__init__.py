@@ -1,0 +1,24 @@
+"""A benchmark of controllers: fixed buildings, weather, seeds, reward and score; see docs/benchmark.md."""
+
+from agent_sdk.benchmark.definition import BASELINES, SETS, VERSION, BenchmarkSet, Task
+from agent_sdk.benchmark.results import Results, Row, load_results
+from agent_sdk.benchmark.run import check, run_benchmark
+from agent_sdk.benchmark.scores import Interval, Scores, interquartile_mean, relative_score, score_rows
+
+__all__ = [
+    "BASELINES",
+    "SETS",
+    "VERSION",
+    "BenchmarkSet",
+    "Interval",
+    "Results",
+    "Row",
+    "Scores",
+    "Task",
+    "check",
+    "interquartile_mean",
+    "load_results",
+    "relative_score",
+    "run_benchmark",
+    "score_rows",
+]
