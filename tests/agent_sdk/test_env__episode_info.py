@@ -143,6 +143,7 @@ def test_a_picture_of_the_last_day(scratch: Path) -> None:
     env.close()
 
 
+@pytest.mark.slow
 def test_pictures_measure_more_than_the_agent_observes(scratch: Path) -> None:
     plain, shown = make(), make(render_mode="rgb_array")
     assert shown.observation_names == plain.observation_names

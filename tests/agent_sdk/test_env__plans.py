@@ -71,6 +71,7 @@ def rewards_one_by_one(env: BuildingEnv, actions: NDArray[np.float32]) -> list[l
     return rewards
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("kind", REWARDS)
 def test_plan__equals_single_branches(kind: str, scratch: Path) -> None:
     env = make(reward=REWARDS[kind], **FOUR)
@@ -177,6 +178,7 @@ def test_forecast_error__changes_the_outdoor_temperature_alone(office: BuildingE
         office.plan(actions, forecast_error=[float("nan")])
 
 
+@pytest.mark.slow
 def test_forecast_error__across_midnight(scratch: Path) -> None:
     """Each of the timesteps around midnight has the weather of its own hour, and so has sample 0."""
     env = make(end="07-04", **FOUR)
@@ -238,6 +240,7 @@ def test_plan_request__is_checked(office: BuildingEnv) -> None:
         refused("other has to answer as well")
 
 
+@pytest.mark.slow
 def test_oracle__foresight_is_perfect(office: BuildingEnv) -> None:
     """The rewards of the plan are those that the building gives afterwards, and not below those of the rule."""
     plans: list[Any] = []

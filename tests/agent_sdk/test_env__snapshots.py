@@ -193,6 +193,7 @@ def test_rewards_and_limits_remember_what_they_did(scratch: Path) -> None:
     env.close()
 
 
+@pytest.mark.slow
 def test_with_files_kept_an_episode_after_going_back_to_sample_0_has_its_own(scratch: Path) -> None:
     """An episode that goes back keeps no files; the next one does, though its engine stands at the same sample."""
     env = make(output_dir=scratch / "kept", **FOUR)

@@ -281,6 +281,7 @@ def _is_back(env: FleetVectorEnv, action: Any, mode: AutoresetMode) -> bool:
     return "error" not in infos
 
 
+@pytest.mark.slow
 def test_a_failed_simulation_is_one_slots_error(nodes: list[NodeProgram], scratch: Path) -> None:
     with (
         NodeProgram(scratch / "own", **DAYS) as own,
@@ -295,6 +296,7 @@ def test_a_failed_simulation_is_one_slots_error(nodes: list[NodeProgram], scratc
         assert infos["step"].tolist() == [1, 0], "the node started another engine"
 
 
+@pytest.mark.slow
 def test_errors_are_raised_where_wanted(nodes: list[NodeProgram], victim: Restartable) -> None:
     with closing(fleet([nodes[0], victim], on_error="raise")) as env:
         env.reset(seed=0)
@@ -305,6 +307,7 @@ def test_errors_are_raised_where_wanted(nodes: list[NodeProgram], victim: Restar
             env.reset()
 
 
+@pytest.mark.slow
 def test_no_node_left_is_an_error(victim: Restartable) -> None:
     with closing(fleet([victim])) as env:
         env.reset(seed=0)

@@ -122,7 +122,7 @@ def test_a_function_gets_the_observed_values_and_the_others_by_name() -> None:
     assert tuple(listed) == whole.observed_names
 
 
-@pytest.mark.parametrize("name", sorted(CONTROLLERS))
+@pytest.mark.parametrize("name", sorted(set(CONTROLLERS) - {"oracle"}))  # which plans on a real building only
 def test_a_controller_reads_observed_points_only(name: str) -> None:
     whole = building(control="building").manifest
     reduced = removed(whole)

@@ -25,6 +25,7 @@ reward: {{kind: linear}}
 ID = "zenostat/office/mixed-v0"
 
 
+@pytest.mark.slow
 def test_a_data_set_of_a_scenario_file_has_its_environment_within_it(
     scratch: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -144,6 +144,7 @@ def test_weather__of_the_episode_is_what_info_and_forecasts_have(scratch: Path) 
     env.close()
 
 
+@pytest.mark.slow
 def test_several_weather_files__have_an_engine_each(scratch: Path, module_folder: Path) -> None:
     given = LATE | {"weather": ["USA_CO_Denver", "USA_FL_Miami"], "weather_order": "sequence"}
     env = make(SMALL, **given)

@@ -173,8 +173,7 @@ def test_energy_follows_from_means(divided) -> None:
     assert (~np.isclose(wrong_j, energy_j, rtol=1e-6, atol=1e-3)).sum() > 50
 
 
-@pytest.mark.long
-@pytest.mark.variants
+@pytest.mark.slow
 @pytest.mark.parametrize("case", YEARS, ids=_name)
 def test_a_year_equals_energyplus_alone(case: Case, folder: Path) -> None:
     manifest, got, expected = _both(case, folder)

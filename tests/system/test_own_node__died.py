@@ -52,6 +52,7 @@ def test_a_single_environment() -> None:
     env.close()
 
 
+@pytest.mark.slow
 def test_each_of_its_nodes_has_a_recording(scratch: Path) -> None:
     """The recording of the node that died is kept, and verifies up to its end."""
     paths = [scratch / name for name in ("run.mcap", "run-3.mcap", "run-4.mcap")]
