@@ -664,6 +664,8 @@ def test_the_buildings_own_control_as_an_agent() -> None:
 @pytest.fixture
 def modules() -> Iterator[dict[str, Any]]:
     """All modules are the same afterwards, but for new ones of the tests' own."""
+    for name in [name for name in sys.modules if name.startswith("_controller_")]:
+        del sys.modules[name]  # of a test that ran before in this process
     before, finders = dict(sys.modules), list(sys.meta_path)
     yield before
     assert sys.meta_path == finders
