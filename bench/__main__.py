@@ -22,7 +22,7 @@ from typing import Any
 
 from rich.console import Console
 
-from bench import boptest, branches, growth, monitors, plans, plants, processor, recording, resets, steps, vector
+from bench import boptest, branches, growth, monitors, noise, plans, plants, processor, recording, resets, steps, vector
 from topics import VERSION
 
 PARTS: Mapping[str, Any] = {
@@ -30,6 +30,7 @@ PARTS: Mapping[str, Any] = {
     "processor": processor,
     "plants": plants,
     "resets": resets,
+    "noise": noise,
     "branches": branches,
     "plans": plans,
     "vector": vector,
