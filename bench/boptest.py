@@ -10,8 +10,10 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from typing import Any
 
+import numpy as np
 import psutil
 import requests
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
@@ -19,6 +21,7 @@ from bench.machine import OtherLoad
 from bridge.gateways.boptest.prices import read_rates
 from bridge.gateways.boptest.session import BuildingTest
 from cli.boptest_cases import BundledTestCases
+from topics.messages import CommandOp
 
 CASE = "office-small"
 STEPS = 96
@@ -47,9 +50,10 @@ def measure(*, quick: bool) -> dict[str, Any]:
             session.request(method, f"{url}/{operation}/{testid}", json=body).raise_for_status()
 
         call("PUT", "step", {"step": 900})
+        values, operations = _command(own)
         forecast = {"point_names": ["TDryBul"], "horizon": 86400, "interval": 3600}
         kinds: dict[str, Callable[[], object]] = {
-            _OWN: lambda: own.simulation.step(None),
+            _OWN: lambda: own.simulation.step(values, operations),
             "POST /advance": lambda: call("POST", "advance", _INPUTS),
             "GET /kpi": lambda: call("GET", "kpi"),
             "PUT /forecast": lambda: call("PUT", "forecast", forecast),
@@ -67,6 +71,15 @@ def measure(*, quick: bool) -> dict[str, Any]:
     figures = {kind: [statistics.median(column) for column in zip(*rows, strict=True)] for kind, rows in rounds.items()}
     added = [step[0] - alone[0] for step, alone in zip(rounds["POST /advance"], rounds[_OWN], strict=True)]
     return {"ms": figures, "added_ms": statistics.median(added), "others": share}
+
+
+def _command(test: BuildingTest) -> tuple[NDArray[np.float64], bytes]:
+    """Return what `/advance` commands: one actuator, all others relinquished."""
+    index = test.table.commanded["core_zn_cooling_setpoint_u"]
+    values, operations = np.zeros(len(test.table.inputs)), bytearray([CommandOp.RELINQUISH] * len(test.table.inputs))
+    values[index] = test.table.bus_input(index, _INPUTS["core_zn_cooling_setpoint_u"])
+    operations[index] = CommandOp.SET
+    return values, bytes(operations)
 
 
 def _burst(work: Callable[[], object], processes: tuple[psutil.Process, ...]) -> tuple[float, ...]:

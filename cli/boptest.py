@@ -38,7 +38,7 @@ def boptest(
     Test cases are all bundled buildings, those of installed data packs, and scenario files. A price may also be that of
     one price scenario: `--price highly_dynamic=prices.csv`.
     """
-    with requires_extra("boptest", "the BOPTEST gateway", "FastAPI and uvicorn"):
+    with requires_extra("boptest", "the BOPTEST gateway", "FastAPI, uvicorn and httptools"):
         from bridge.gateways.boptest.app import Service
         from bridge.gateways.boptest.server import HttpServer
     from bridge.gateways.boptest.manager import TestManager

@@ -87,6 +87,7 @@ def test_weather_is_linear_between_hours_and_gaps_are_filled():
     assert "relHum" not in series.points
     assert series.at("TDryBul", np.array([3600.0, 5400.0, 3 * 3600.0])) == pytest.approx([273.15, 278.15, 293.15])
     assert series.now(5400.0)["TDryBul"] == pytest.approx(278.15)
+    assert [*series.now(5400.0)] == [*series.points]
 
 
 def test_the_sun_is_in_the_south_at_solar_noon_and_as_high_as_geometry_says():

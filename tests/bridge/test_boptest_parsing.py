@@ -23,9 +23,12 @@ def test_bodies_of_all_forms():
     assert parsing.parse_body(b"step=900&name=a&name=b", FORM) == {"step": "900", "name": ["a", "b"]}
     infinite = parsing.parse_body(b'{"a": -Infinity, "b":Infinity, "c": +Infinity}', JSON)
     assert infinite == {"a": -math.inf, "b": math.inf, "c": math.inf}
+    assert parsing.parse_body(b'{"a": "+Infinity, 1+1"}', JSON) == {"a": "+Infinity, 1+1"}
 
 
-@pytest.mark.parametrize("body", [b"[1]", b"{", b"\xff", b'"a"', b"[" * 100_000, b"x" * (parsing.MAX_BYTES + 1)])
+@pytest.mark.parametrize(
+    "body", [b"[1]", b"{", b"\xff", b'"a"', b"[" * 100_000, b'{"a": "\\ud800"}', b"x" * (parsing.MAX_BYTES + 1)]
+)
 def test_other_bodies_are_refused(body):
     with pytest.raises(BadRequest):
         parsing.parse_body(body, JSON)

@@ -10,7 +10,7 @@ from urllib.parse import urlsplit
 import pytest
 
 pytest.importorskip("fastapi", reason="fastapi is not installed")
-pytest.importorskip("uvicorn", reason="uvicorn is not installed")
+pytest.importorskip("httptools", reason="httptools is not installed")
 
 from support.boptest import Client, serving
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 pytest.importorskip("fastapi", reason="fastapi is not installed")
-pytest.importorskip("uvicorn", reason="uvicorn is not installed")
+pytest.importorskip("httptools", reason="httptools is not installed")
 
 from support import data_packs as packs
 from support.boptest import DAY_S, Client, serving

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import json
+import asyncio
 from collections import Counter
 from collections.abc import Callable, Coroutine, MutableMapping
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 from fastapi import FastAPI, Request, Response
-from starlette.concurrency import run_in_threadpool
+from pydantic_core import to_json
 from starlette.requests import ClientDisconnect
 from starlette.responses import HTMLResponse, PlainTextResponse
 from starlette.types import Receive, Scope, Send
@@ -22,6 +23,8 @@ from topics import VERSION
 from topics.errors import UnknownName, UsageError, ZenostatError
 
 Handler = Callable[..., Coroutine[Any, Any, Response]]
+
+_MAX_THREADS = 40
 
 BOPTEST_VERSION = "0.9.0"
 """The version of BOPTEST whose interface this is, as `/version` returns it."""
@@ -44,6 +47,7 @@ class Service:
         self.manager, self.counts = manager, Counter[int]()
         self.testid, self._single = "", single
         self._handlers: dict[tuple[str, str], Handler] = {}
+        self._threads = ThreadPoolExecutor(_MAX_THREADS, "boptest")
         self.app = FastAPI(
             title="BOPTEST on Zenostat",
             version=VERSION,
@@ -88,6 +92,11 @@ class Service:
         self.app.add_exception_handler(404, self._not_found)
         self.app.add_exception_handler(405, self._not_allowed)
 
+    def close(self) -> None:
+        """End all tests; idempotent."""
+        self.manager.close()
+        self._threads.shutdown()
+
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve a request, and count its answer by status."""
 
@@ -114,7 +123,7 @@ class Service:
     # Answers
 
     def _answer(self, status: int, content: Any) -> Response:
-        return Response(json.dumps(content, allow_nan=False), status, media_type="application/json")
+        return Response(to_json(content, inf_nan_mode="null"), status, media_type="application/json")
 
     def _text(self, status: int, text: str) -> Response:
         return PlainTextResponse(text, status)
@@ -142,7 +151,7 @@ class Service:
 
     async def _run(self, work: Callable[[], Response]) -> Response:
         try:
-            return await run_in_threadpool(work)
+            return await asyncio.get_running_loop().run_in_executor(self._threads, work)
         except ZenostatError as error:
             return self._error(error)
         except Exception as error:  # an error of this program must not end the service, and is not the client's

@@ -13,7 +13,7 @@ from bridge.gateways.boptest.history import History
 from bridge.gateways.boptest.kpis import TestKpis, TimeRatio
 from bridge.gateways.boptest.parsing import BadRequest
 from bridge.gateways.boptest.prices import Rates
-from bridge.gateways.boptest.session import Answer, BuildingTest, numbers_or_none
+from bridge.gateways.boptest.session import Answer, BuildingTest
 from bridge.gateways.boptest.simulation import Simulation
 from topics.errors import did_you_mean
 
@@ -105,8 +105,8 @@ class ExtendedTest(BuildingTest):
         """Return measurements and KPIs of the building under the baseline control, at the test's time."""
         baseline, history = self.beginning.baseline, self.history
         row = baseline.reach(len(history) - 1 - self.first_row)
-        values = numbers_or_none(self.table.si_values(baseline.history.values[row]))
-        inputs = numbers_or_none(self.table.si_inputs(baseline.history.inputs[row]))
+        values = self.table.si_values(baseline.history.values[row]).tolist()
+        inputs = self.table.si_inputs(baseline.history.inputs[row]).tolist()
         return "Queried the baseline successfully.", {
             "time": self.time_s,
             "measurements": dict(zip(self.table.measured, values, strict=True)),

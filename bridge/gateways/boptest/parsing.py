@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping, Sequence
 from math import isfinite, isnan
 from typing import Any
 from urllib.parse import parse_qs
 
+from pydantic_core import from_json
+
 from topics.errors import UsageError
 
 MAX_BYTES = 1_000_000
 _FORM = "application/x-www-form-urlencoded"
 _SWITCH = {"1": True, "0": False, "true": True, "false": False}
-_BARE_INFINITY = re.compile(r"(:\s*)([+-]?)Infinity\b")
+_PLUS_INFINITY = re.compile(rb"(:\s*)\+Infinity\b")
 
 
 class BadRequest(UsageError):
@@ -32,19 +33,12 @@ def parse_body(body: bytes, content_type: str) -> dict[str, Any]:
     if not body.strip():
         return {}
     try:
-        text = body.decode("utf-8")
-    except UnicodeDecodeError:
-        raise BadRequest("the body is not UTF-8 text") from None
-    if content_type.partition(";")[0].strip().lower() == _FORM and not text.lstrip().startswith("{"):
-        fields = parse_qs(text, keep_blank_values=True, max_num_fields=10_000)
-        return {name: values[0] if len(values) == 1 else values for name, values in fields.items()}
-    try:
-        parsed = json.loads(text)
-    except (ValueError, RecursionError):
-        try:
-            parsed = json.loads(_BARE_INFINITY.sub(r"\1\2Infinity", text).replace("+Infinity", "Infinity"))
-        except (ValueError, RecursionError):
-            raise BadRequest("the body is neither a JSON object nor a form") from None
+        if content_type.partition(";")[0].strip().lower() == _FORM and not body.lstrip().startswith(b"{"):
+            fields = parse_qs(body.decode("utf-8"), keep_blank_values=True, max_num_fields=10_000)
+            return {name: values[0] if len(values) == 1 else values for name, values in fields.items()}
+        parsed = from_json(body if b"+" not in body else _PLUS_INFINITY.sub(rb"\1Infinity", body))
+    except ValueError:
+        raise BadRequest("the body is neither a JSON object nor a form, in UTF-8") from None
     if not isinstance(parsed, dict):
         raise BadRequest("the body is not a JSON object")
     return parsed

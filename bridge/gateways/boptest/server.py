@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import asyncio
 import errno
 import ipaddress
 import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import TracebackType
+from typing import Any, cast
 
 import uvicorn
+from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
 from bridge.gateways.boptest.app import Service
 from topics.errors import AddressInUse, InvalidConfig
@@ -42,8 +45,10 @@ class HttpServer:
         self.url = f"http://{f'[{host}]' if ':' in host else host}:{port}"
         config = uvicorn.Config(
             service,
+            http=_Protocol,
             log_level="error",
             access_log=False,
+            proxy_headers=False,
             backlog=_BACKLOG,
             limit_concurrency=_MAX_CONNECTIONS,
             timeout_graceful_shutdown=_SHUTDOWN_S,
@@ -67,7 +72,7 @@ class HttpServer:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._socket.close()
-        self.service.manager.close()
+        self.service.close()
 
 
 class _Server(uvicorn.Server):
@@ -76,6 +81,38 @@ class _Server(uvicorn.Server):
     @contextmanager
     def capture_signals(self) -> Iterator[None]:
         yield
+
+
+class _Protocol(HttpToolsProtocol):
+    """A connection whose answers are sent in one piece each: uvicorn writes their heads and bodies separately."""
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        super().connection_made(cast("asyncio.Transport", _JoinedWrites(transport, self.loop)))
+
+
+class _JoinedWrites:
+    """A transport that sends what is written in one pass of the loop together; else that transport."""
+
+    def __init__(self, transport: Any, loop: asyncio.AbstractEventLoop) -> None:
+        self._transport, self._loop = transport, loop
+        self._chunks: list[bytes] = []
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._transport, name)
+
+    def write(self, data: bytes) -> None:
+        if not self._chunks:
+            self._loop.call_soon(self._flush)
+        self._chunks.append(data)
+
+    def _flush(self) -> None:
+        chunks, self._chunks = self._chunks, []
+        if chunks:
+            self._transport.write(b"".join(chunks))
+
+    def close(self) -> None:
+        self._flush()
+        self._transport.close()
 
 
 def _listen(address: str, *, expose: bool) -> socket.socket:

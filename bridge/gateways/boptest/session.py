@@ -64,13 +64,14 @@ class BuildingTest:
         self.forecaster = Forecaster(self.episodes.weather, rates, self.episodes.schedules)
         self.step_s = DEFAULT_STEP_S
         self.scenario: dict[str, Any] = {**dict.fromkeys(_SCENARIO), "electricity_price": "constant"}
-        self._names = self._point_names()
+        self._state_names = self._points_of_state()
         if episodes is None:
             self._begin(0.0, 0.0)
 
-    def _point_names(self) -> set[str]:
-        measured = {*self.table.measured, *(_weather_name(name) for name in self.episodes.weather.points)}
-        return {*measured, *self.table.commanded, *self.table.activated}
+    def _points_of_state(self) -> tuple[str, ...]:
+        """Return the names of a state in the order of its values; all of them can be requested as results."""
+        table, weather = self.table, map(_weather_name, self.episodes.weather.points)
+        return ("time", *table.measured, *weather, *table.commanded, *table.activates)
 
     @property
     def simulation(self) -> Simulation:
@@ -99,20 +100,19 @@ class BuildingTest:
         """The current time."""
         return self.history.begin_s + (len(self.history) - 1) * self.history.step_s
 
-    def state(self, row: int = -1) -> dict[str, float | None]:
-        """Return time, measurements, weather and inputs of a sample."""
+    def state(self, row: int = -1) -> dict[str, float]:
+        """Return time, measurements, weather and inputs of a sample; NaN for what EnergyPlus does not report."""
         history = self.history
         row = len(history) - 1 if row < 0 else row
         time_s = history.begin_s + row * history.step_s
-        values = numbers_or_none(self.table.si_values(history.values[row]))
-        inputs = numbers_or_none(self.table.si_inputs(history.inputs[row]))
-        state: dict[str, Any] = {"time": time_s}
-        state.update(zip(self.table.measured, values, strict=True))
-        weather = self.episodes.weather.now(time_s)
-        state.update((_weather_name(name), value) for name, value in weather.items())
-        state.update(zip(self.table.commanded, inputs, strict=True))
-        state.update(zip(self.table.activates, history.activated[row].astype(int).tolist(), strict=True))
-        return state
+        values = [
+            time_s,
+            *self.table.si_values(history.values[row]).tolist(),
+            *self.episodes.weather.now(time_s).values(),
+            *self.table.si_inputs(history.inputs[row]).tolist(),
+            *history.activated[row].astype(int).tolist(),
+        ]
+        return dict(zip(self._state_names, values, strict=True))
 
     def initialize(self, fields: Mapping[str, Any]) -> Answer:
         """Begin at a time after a warm-up."""
@@ -241,14 +241,14 @@ class BuildingTest:
         names = parsing.names(parsing.require(fields, "point_names"), "point_names")
         start_s = parsing.number(parsing.require(fields, "start_time"), "start_time")
         final_s = parsing.number(parsing.require(fields, "final_time"), "final_time")
-        if unknown := [name for name in names if name not in self._names and name != "time"]:
+        if unknown := [name for name in names if name not in self._state_names]:
             raise parsing.unknown_names(unknown, "point_names")
         first, after = self.history.span(start_s, final_s)
         times = self.history.begin_s + self.history.step_s * np.arange(first, after)
         result: dict[str, list[Any]] = {"time": times.tolist()}
         for name in names:
             if name != "time":
-                result[name] = numbers_or_none(self._column(name, first, after, times.astype(np.float64)))
+                result[name] = self._column(name, first, after, times.astype(np.float64)).tolist()
         return "Queried results data successfully.", result
 
     def _column(self, name: str, first: int, after: int, times_s: NDArray[np.float64]) -> NDArray[Any]:
@@ -344,11 +344,6 @@ class BuildingTest:
             self._branch.close()
         else:
             self.episodes.close()
-
-
-def numbers_or_none(values: NDArray[Any]) -> list[float | None]:
-    """Return values as JSON numbers; null where there is none."""
-    return [value if value == value else None for value in values.tolist()]
 
 
 @cache
