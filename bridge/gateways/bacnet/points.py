@@ -7,8 +7,9 @@ from collections.abc import Iterable
 from enum import StrEnum
 from typing import NamedTuple
 
-from bridge.gateways.bacnet.units import bacnet_unit, mean_rate
-from topics.messages import Actuator, Manifest, Meter, Sensor
+from bridge.gateways.bacnet.units import bacnet_unit
+from bridge.gateways.points import Reading, readings
+from topics.messages import Actuator, Manifest, Sensor
 
 MAX_INSTANCE = 4_194_302
 """Largest instance number of an object (22 bits); 4,194,303 is the wildcard."""
@@ -32,7 +33,7 @@ class PointSpec(NamedTuple):
         object_name: its name, unique in the device.
         position: place of the point in `Sample.values`, or of the actuator in the manifest.
         name: the point's name on the bus.
-        unit: unit of its value; that of a meter is a rate where there is one.
+        unit: unit of its value; that of an amount is a rate where there is one.
         divisor: the value on the bus divided by the value of the object.
         low, high: bounds in `unit`; None: no bound.
         default: value while nobody commands the actuator; None: unknown, or an input.
@@ -81,10 +82,7 @@ def point_specs(manifest: Manifest) -> list[PointSpec]:
         names.add(object_name)
         return object_name
 
-    specs = [
-        _input(point, manifest, inputs[point.name], unique(point.name, "input"), index)
-        for index, point in enumerate(manifest.points)
-    ]
+    specs = [_input(reading, inputs[reading.name], unique(reading.name, "input")) for reading in readings(manifest)]
     specs += [
         _output(actuator, outputs[actuator.name], unique(actuator.name, "output"), index)
         for index, actuator in enumerate(manifest.actuators)
@@ -92,31 +90,22 @@ def point_specs(manifest: Manifest) -> list[PointSpec]:
     return specs
 
 
-def _input(point: Sensor | Meter, manifest: Manifest, instance: int, object_name: str, index: int) -> PointSpec:
-    unit, divisor, notes = point.unit, 1.0, []
-    if isinstance(point, Sensor):
-        notes.append(_joined(point.variable, point.key))
-    else:
-        notes.append(point.meter)
-        rate = mean_rate(point.unit)
-        if rate is not None:
-            unit, divisor = rate, manifest.step_s
-            notes.append("mean of the timestep")
-        else:
-            notes.append("total of the timestep")
-    low, high = (None if bound is None else bound / divisor for bound in (point.low, point.high))
+def _input(reading: Reading, instance: int, object_name: str) -> PointSpec:
+    point = reading.point
+    source = _joined(point.variable, point.key) if isinstance(point, Sensor) else point.meter
+    low, high = (None if bound is None else bound / reading.divisor for bound in (point.low, point.high))
     return PointSpec(
         ObjectKind.INPUT,
         instance,
         object_name,
-        index,
-        point.name,
-        unit,
-        divisor,
+        reading.index,
+        reading.name,
+        reading.unit,
+        reading.divisor,
         low,
         high,
         None,
-        _described(notes, unit),
+        _described([source, reading.note], reading.unit),
     )
 
 

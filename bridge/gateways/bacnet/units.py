@@ -65,14 +65,7 @@ _UNITS = {
     "s": BacnetUnit("seconds"),
 }
 
-_RATES = {"J": "W", "L": "L/s", "kg": "kg/s", "m3": "m3/s"}
-
 
 def bacnet_unit(unit: str) -> BacnetUnit:
     """Return the BACnet unit of a unit on the bus."""
     return _UNITS.get(unit, BacnetUnit(NO_UNITS))
-
-
-def mean_rate(unit: str) -> str | None:
-    """Return the unit of an amount in a timestep divided by seconds, `W` for `J`; None if it is not on the bus."""
-    return _RATES.get(unit)

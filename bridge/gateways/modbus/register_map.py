@@ -121,8 +121,7 @@ def _input_registers(manifest: Manifest) -> Iterator[Entry]:
         address += WIDTHS[kind]
     address = FIRST_VALUE
     for reading in readings(manifest):
-        text = "mean power of the timestep" if reading.unit != reading.point.unit else ""
-        yield Entry(Table.INPUT_REGISTER, address, 2, "float32", reading.name, reading.unit, description=text)
+        yield Entry(Table.INPUT_REGISTER, address, 2, "float32", reading.name, reading.unit, description=reading.note)
         address += 2
     for actuator in manifest.actuators:
         text = "effective value"
