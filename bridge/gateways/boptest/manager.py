@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field
 from time import monotonic
@@ -14,6 +15,7 @@ from bridge.gateways.boptest.cases import TestCase, TestCases
 from bridge.gateways.boptest.extensions import ExtendedTest
 from bridge.gateways.boptest.parsing import BadRequest
 from bridge.gateways.boptest.prices import Rates
+from bridge.gateways.boptest.simulation import Building
 from bridge.gateways.boptest.test_periods import simulate_test_periods
 from topics.errors import ZenostatError
 
@@ -72,6 +74,7 @@ class TestManager:
         self._entries: dict[str, _Entry] = {}
         self._days_lock = threading.Lock()
         self._days: dict[str, dict[str, int]] = {}
+        self._year: Building | None = None
         self._closing = threading.Event()
         self._sweeper = threading.Thread(target=self._sweep, name="boptest-idle", daemon=True)
         self._sweeper.start()
@@ -193,9 +196,14 @@ class TestManager:
         with self._days_lock:
             if case.name not in self._days:
                 self.notify(f"{case.name}: simulating a year to find its test periods, once")
-                self._days[case.name] = simulate_test_periods(case.arguments)
+                self._days[case.name] = simulate_test_periods(case.arguments, self._set_year)
                 self.cases.save_days(case, self._days[case.name])
             return self._days[case.name]
+
+    def _set_year(self, building: Building) -> None:
+        self._year = building
+        if self._closing.is_set():
+            building.interrupt()
 
     def tests(self) -> list[str]:
         """Return the ids of all tests."""
@@ -224,6 +232,15 @@ class TestManager:
         with suppress(UnknownTest):
             self.stop(testid)
             self.notify(f"test {testid} of {entry.case.name} ended after {self._timeout_s:g} s without a request")
+
+    def interrupt(self) -> None:
+        """End all simulations, so that the requests that wait for them are answered with an error."""
+        self._closing.set()
+        with self._lock:
+            tests = [entry.test for entry in self._entries.values() if entry.test is not None]
+        buildings = {test.episodes.building for test in tests} | ({self._year} if self._year is not None else set())
+        with ThreadPoolExecutor() as threads:
+            list(threads.map(Building.interrupt, buildings))
 
     def close(self) -> None:
         """End all tests; idempotent."""

@@ -55,7 +55,7 @@ class HttpServer:
             ws="none",
             lifespan="off",
         )
-        self._server = _Server(config)
+        self._server = _Server(config, service)
 
     def run(self) -> None:
         """Serve until `stop` is called."""
@@ -76,7 +76,15 @@ class HttpServer:
 
 
 class _Server(uvicorn.Server):
-    """A server whose process handles signals itself."""
+    """A server whose process handles signals itself, and which ends simulations before it waits for requests."""
+
+    def __init__(self, config: uvicorn.Config, service: Service) -> None:
+        super().__init__(config)
+        self._service = service
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        await asyncio.to_thread(self._service.manager.interrupt)
+        await super().shutdown(sockets)
 
     @contextmanager
     def capture_signals(self) -> Iterator[None]:

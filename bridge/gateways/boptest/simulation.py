@@ -150,6 +150,10 @@ class Building:
         """How the node's process ended; empty while it runs."""
         return self._node.end
 
+    def interrupt(self) -> None:
+        """End the node's process, so that other threads' calls raise `NodeLost`; `close` is still needed."""
+        self._node.close()
+
     def close(self) -> None:
         """End the node; idempotent."""
         self._close.close()

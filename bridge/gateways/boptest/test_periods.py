@@ -8,7 +8,7 @@ load that is not above the median of the daily highest loads of the days with a 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -63,17 +63,24 @@ def _daily_highest(load: Floats, step_s: int) -> Floats:
     return highest
 
 
-def simulate_test_periods(arguments: Mapping[str, Any]) -> dict[str, int]:
+def simulate_test_periods(
+    arguments: Mapping[str, Any], started: Callable[[Building], None] = lambda _: None
+) -> dict[str, int]:
     """Simulate a year under the baseline control, and return the day of each test period.
 
     The loads are the energies of the end uses heating and cooling, of all fuels. It takes from half a minute for a
     small building to several minutes for a hospital.
+
+    Args:
+        arguments: arguments of the scenario, as of an environment.
+        started: called with the building, which another thread may interrupt.
 
     Raises:
         ZenostatError: the building cannot be simulated for a year.
     """
     building = Building(arguments, last_day="2017-12-31")
     try:
+        started(building)
         main = building.main
         columns = [_meters(main.manifest, use) for use in ("Heating", "Cooling")]
         loads: list[tuple[float, ...]] = []
