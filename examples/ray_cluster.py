@@ -53,7 +53,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cores", type=int, default=1, help="cores of each raylet, and so slots of each EnvRunner")
     parser.add_argument("--iterations", type=int, default=3)
-    parser.add_argument("--batch", type=int, default=256, help="timesteps per iteration")
+    parser.add_argument("--batch", type=int, default=256, help="timesteps per iteration, rounded up to whole episodes")
     arguments = parser.parse_args()
 
     import ray  # after the token has been set
@@ -75,6 +75,7 @@ def main() -> None:
         config = PPOConfig().environment("zenostat", env_config={**building, "control": "building"})
         config = agent_sdk.ray.set_env_runners(config, runners=2, cores=arguments.cores)
         config.resources(num_cpus_for_main_process=0)
+        config.env_runners(batch_mode="complete_episodes")  # so that each iteration has a return
         config.training(train_batch_size_per_learner=arguments.batch, minibatch_size=64)
         algorithm = config.debugging(seed=0).build_algo()
         stack.callback(algorithm.stop)
@@ -84,8 +85,8 @@ def main() -> None:
         print(f"{len(where)} EnvRunners on {len(set(where))} raylets")
         for _ in range(arguments.iterations):
             learned = algorithm.train()["env_runners"]
-            mean = learned.get("episode_return_mean", float("nan"))  # no episode has ended yet
-            print(f"{learned['num_env_steps_sampled_lifetime']:.0f} steps, return {mean:.1f}")
+            steps, mean = learned["num_env_steps_sampled_lifetime"], learned["episode_return_mean"]
+            print(f"{steps:.0f} steps, return {mean:.1f}")
 
 
 def answers(port: str) -> bool:

@@ -22,7 +22,7 @@ def main() -> None:
     parser.add_argument("--begin", default="07-01")
     parser.add_argument("--end", default="07-03")
     parser.add_argument("--iterations", type=int, default=20)
-    parser.add_argument("--batch", type=int, default=512, help="timesteps per iteration")
+    parser.add_argument("--batch", type=int, default=512, help="timesteps per iteration, rounded up to whole episodes")
     parser.add_argument("--runners", type=int, default=1, help="EnvRunners of each trial")
     parser.add_argument("--cores", type=int, default=2, help="cores, and so slots, of each EnvRunner")
     arguments = parser.parse_args()
@@ -33,7 +33,10 @@ def main() -> None:
     )
     config = agent_sdk.ray.set_env_runners(config, runners=arguments.runners, cores=arguments.cores)
     config.resources(num_cpus_for_main_process=0)  # so that a trial fits into the cores of its EnvRunners
-    config.env_runners(env_to_module_connector=lambda *_: MeanStdFilter())
+    config.env_runners(
+        env_to_module_connector=lambda *_: MeanStdFilter(),
+        batch_mode="complete_episodes",  # so that each iteration has the return that Tune compares
+    )
     config.training(lr=tune.grid_search([1e-3, 1e-4]), train_batch_size_per_learner=arguments.batch, minibatch_size=64)
     results = tune.Tuner(
         "PPO",
