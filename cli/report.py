@@ -1,10 +1,10 @@
-"""`zenostat report`: the report of `zenostat evaluate`, from recordings."""
+"""`zenostat report`: the report of `zenostat evaluate`, from recordings or from the folder of a training."""
 
 from __future__ import annotations
 
 import warnings
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -13,9 +13,17 @@ from cli.options import Emissions, Price, read_rates
 from cli.reports import FIGURES_HELP, REPORT_HELP, ReportOutputs, command_line
 from topics.errors import InvalidConfig
 
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from agent_sdk.evaluation.tariffs import Rate
+    from agent_sdk.report import Comparison
+
 
 def report(
-    files: Annotated[list[Path], typer.Argument(help="Recordings (`.mcap`): a run for each.")],
+    files: Annotated[
+        list[Path], typer.Argument(help="Recordings (`.mcap`): a run for each; or one training's folder.")
+    ],
     target: Annotated[Path | None, typer.Option("--out", help=REPORT_HELP)] = None,
     figures: Annotated[Path | None, typer.Option(help=FIGURES_HELP)] = None,
     prices: Price = None,
@@ -25,22 +33,48 @@ def report(
 
     Each recording is a run with the name of its node, baseline control first. All have the same run period.
 
+    From the folder of a training, simulate its evaluation episodes with baseline control and with the best model.
+
     Example: `zenostat report runs/*.mcap --out report.html`
     """
     outputs = ReportOutputs(target, figures)
     if not outputs.wanted:
         raise InvalidConfig("expected --out FILE.html, --figures FOLDER, or both")
+    rates = read_rates("--price", prices), read_rates("--emissions", emissions)
+    if any(path.is_dir() for path in files):
+        if len(files) > 1:
+            raise InvalidConfig(f"{', '.join(map(str, files))}: expected recordings, or one folder of a training")
+        comparison = _evaluate_training(files[0], *rates)
+    else:
+        comparison = _compare_recordings(files, *rates)
+    outputs.write(comparison)
+    outputs.show()
+
+
+def _compare_recordings(files: list[Path], prices: Mapping[str, Rate], emissions: Mapping[str, Rate]) -> Comparison:
     from agent_sdk.report import compare_recordings
 
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        comparison = compare_recordings(
-            files,
-            prices=read_rates("--price", prices),
-            emissions=read_rates("--emissions", emissions),
-            command=command_line(),
-        )
+        comparison = compare_recordings(files, prices=prices, emissions=emissions, command=command_line())
     for warning in caught:
         err.print(str(warning.message), markup=False, soft_wrap=True)
-    outputs.write(comparison)
-    outputs.show()
+    return comparison
+
+
+def _evaluate_training(folder: Path, prices: Mapping[str, Rate], emissions: Mapping[str, Rate]) -> Comparison:
+    """Simulate the evaluation episodes of a training with baseline control and with its best model."""
+    from agent_sdk.evaluation.evaluate import evaluate
+    from agent_sdk.training.config import Evaluation
+    from agent_sdk.training.folder import model_file, read_folder
+
+    config = read_folder(folder)
+    model_file(folder)
+    settings = config.evaluation or Evaluation()
+    evaluation = evaluate(
+        config.environment(for_evaluation=True), ["baseline", str(folder)], episodes=settings.episodes,
+        seed=settings.seed, prices=prices, emissions=emissions, trace=True,
+    )  # fmt: skip
+    for name, reason in evaluation.unfit.items():
+        err.print(f"{name} is skipped: {reason}", soft_wrap=True, markup=False)
+    return evaluation.comparison(command_line())

@@ -78,6 +78,8 @@ def _read(file: Path | None, options: dict[str, Any], texts: Sequence[str], resu
     from agent_sdk.training.folder import is_training
     from agent_sdk.training.run import resume_training
 
+    if resume and file is None and "output" not in options:
+        raise InvalidConfig("--resume: name the folder of a training, or its file: zenostat train FOLDER --resume")
     if resume and file is not None and file.is_dir():
         fields: dict[str, Any] = resume_training(file).plain()
     else:

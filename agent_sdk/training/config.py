@@ -162,6 +162,8 @@ def read_file(path: str | Path) -> dict[str, Any]:
         return yaml12.parse(yaml12.read_text(path), str(path))
     except FileNotFoundError:
         raise UnknownName(f"there is no file {path.absolute()}") from None
+    except IsADirectoryError:
+        raise UnknownName(f"{path.absolute()} is a folder; expected a YAML file") from None
     except (OSError, UnicodeDecodeError) as error:
         raise UnknownName(f"cannot read {path.absolute()}: {error}") from None
 

@@ -121,7 +121,8 @@ def check_action_space(config: TrainingConfig, space: gym.Space[Any], names: tup
     label = f"{config.scenario} has " + (f"{'continuous' if is_box else 'discrete'} actions ({', '.join(names)})")
     others = "; ppo, a2c and recurrent-ppo accept both kinds"
     if config.algorithm == "dqn" and not is_one_choice:
-        raise InvalidConfig(f"dqn needs one discrete action, and {label}: set `arguments: {{discrete: 5}}`{others}")
+        fields = "`arguments: {discrete: 5, control: building}`"
+        raise InvalidConfig(f"dqn needs one discrete action, and {label}: set {fields}{others}")
     if config.algorithm in _CONTINUOUS and not is_box:
         raise InvalidConfig(f"{config.algorithm} needs continuous actions, and {label}: use dqn{others}")
 

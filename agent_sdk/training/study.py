@@ -33,8 +33,14 @@ with requires_extra("tune", "tuning", "Optuna"):
 _IDENTITY = "zenostat"
 _HEARTBEAT_S, _GRACE_S = 30, 120
 _POLL_S = 0.2
+_INVALID_TRIALS = 3
+"""Number of first trials that fail because the training is invalid, after which the study ends."""
 _END_S = 20.0
 """Time for a trial's process to write its checkpoint, after which it is killed."""
+
+_POSTGRESQL = {"connect_timeout": 10, "keepalives_idle": 10, "keepalives_interval": 5, "keepalives_count": 3,
+               "tcp_user_timeout": 30_000}  # fmt: skip
+"""Time limits of libpq, without which a connection to a machine that has disappeared waits for many minutes."""
 
 OnTrial = Callable[[FrozenTrial], None]
 
@@ -65,7 +71,11 @@ def open_storage(url: str) -> Any:
     """Open the database of a study, with heartbeats by which trials of lost machines are recognized."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
-        engine = {"pool_pre_ping": True} if not url.startswith("sqlite") else {"connect_args": {"timeout": 60}}
+        is_sqlite = url.startswith("sqlite")
+        limits: Mapping[str, int] = {"timeout": 60} if is_sqlite else _POSTGRESQL if "+psycopg" in url else {}
+        options = sqlalchemy.make_url(url).query  # those in the URL override
+        limits = {name: limit for name, limit in limits.items() if name not in options}
+        engine = {"connect_args": limits, "pool_pre_ping": not is_sqlite}
         return optuna.storages.RDBStorage(
             url, engine_kwargs=engine, heartbeat_interval=_HEARTBEAT_S, grace_period=_GRACE_S
         )
@@ -176,6 +186,7 @@ class Tuning:
         self.study = open_study(config)
         self._workers: list[_Worker] = []
         self._beat = 0.0
+        self._invalid: int | None = 0
 
     @property
     def processes(self) -> list[int]:
@@ -189,7 +200,7 @@ class Tuning:
             stop: when it is set, the running trials are ended and queued again, and this returns.
 
         Raises:
-            InvalidConfig: the database was lost; or the first trials all failed with an error.
+            InvalidConfig: the database was lost; or the trainings of the first trials are all invalid.
         """
         stop = stop or threading.Event()
         with ExitStack() as stack:
@@ -252,6 +263,7 @@ class Tuning:
         states = {"complete": TrialState.COMPLETE, "pruned": TrialState.PRUNED, "fail": TrialState.FAIL}
         if result["state"] == "fail":
             worker.trial.set_user_attr("reason", "interrupted" if interrupted else result["reason"])
+        reason = result["reason"] if result.get("invalid") else None
         # A pruned trial's value is that of its last report.
         value = result["value"] if result["state"] == "complete" else None
         with suppress(optuna.exceptions.UpdateFinishedTrialError):  # another machine took it for lost
@@ -261,6 +273,16 @@ class Tuning:
             self.study.enqueue_trial(worker.trial.params, user_attrs={"retry_of": of})
         if self._on_trial is not None:
             self._on_trial(self.study.trials[worker.trial.number])
+        self._check_first_trials(reason)
+
+    def _check_first_trials(self, reason: str | None) -> None:
+        """Count the first trials whose training is invalid; None: it is valid."""
+        if reason is None:
+            self._invalid = None
+        elif self._invalid is not None:
+            self._invalid += 1
+            if self._invalid >= min(_INVALID_TRIALS, self._config.trials or 1):
+                raise InvalidConfig(f"no trial of the study can be trained: {reason}")
 
     def _may_retry(self, trial: optuna.Trial) -> bool:
         of = trial.user_attrs.get("retry_of", trial.number)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from topics.atomic_file import atomic_file
-from topics.errors import ZenostatError
+from topics.errors import UsageError, ZenostatError
 
 REQUEST, RESULT = "trial.json", "result.json"
 
@@ -28,7 +28,7 @@ def main(folder: Path, parent: int) -> None:
     try:
         result = _run(request)
     except ZenostatError as error:
-        result = {"state": "fail", "reason": str(error)}
+        result = {"state": "fail", "reason": str(error), "invalid": isinstance(error, UsageError)}
     with atomic_file(folder / RESULT) as temporary:
         temporary.write_text(json.dumps(result), encoding="utf-8")
 
