@@ -9,8 +9,7 @@ import shutil
 import sys
 import tempfile
 import threading
-from collections.abc import Iterable
-from contextlib import suppress
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic
@@ -31,7 +30,9 @@ from topics.messages import Sample
 _NOISE = {"weather_noise": {"dry_bulb_temperature": {"sigma": 3.0, "mu": 0.0, "tau_h": 5.0}}}
 _NOTHING = "ends before its first message"
 _LONGEST_S = 5.0
-_MOST_WITHOUT_A_STEP = 20
+_EARLY_EVERY = 5
+"""Of so many nodes, one is killed at a time that counts from the connection, while its first episode starts."""
+_MOST_WITHOUT_A_STEP = 10
 """Nodes after which a run ends in which none has lived long enough to record a step."""
 
 
@@ -68,8 +69,9 @@ class Killed:
 def kill_recorded_nodes(folder: Path, *, seconds: float, seed: int) -> Killed:
     """Kill one recorded node after the other at random times, and verify what each has recorded up to its end.
 
-    A controller steps and resets each node at random. A file must verify to the bit over all of its samples, or end
-    before its first message, as that of a node that was killed while it started.
+    A controller steps and resets each node at random, and the time to the kill counts from its first sample, however
+    long the machine takes to get there; for every fifth node it counts from the connection. A file must verify to the bit
+    over all of its samples, or end before its first message, as that of a node that was killed while it started.
     """
     rng, killed, number = random.Random(seed), Killed(faults=[]), 0
     end_s = monotonic() + seconds
@@ -87,11 +89,8 @@ def kill_recorded_nodes(folder: Path, *, seconds: float, seed: int) -> Killed:
         node = NodeProgram(folder / f"node-{number}", **settings, record=str(path))
         try:
             with agent_sdk.connect(node.endpoint, affinity=Affinity.OFF) as bus:
-                moment = threading.Timer(rng.uniform(0.0, _LONGEST_S), node.kill)
-                moment.start()
-                with suppress(ZenostatError):  # the node is gone
-                    _trouble(bus, rng)
-                moment.join()
+                is_early = number % _EARLY_EVERY == 0
+                _kill_in_time(node, bus, rng, killed.faults, is_early=is_early)
         finally:
             node.close()
         killed.nodes += 1
@@ -102,7 +101,30 @@ def kill_recorded_nodes(folder: Path, *, seconds: float, seed: int) -> Killed:
     return killed
 
 
-def _trouble(bus: agent_sdk.Bus, rng: random.Random) -> None:
+def _kill_in_time(
+    node: NodeProgram, bus: agent_sdk.Bus, rng: random.Random, faults: list[str], *, is_early: bool
+) -> None:
+    """Trouble a node until it is killed; an error before that is a fault."""
+    is_killed = threading.Event()
+
+    def kill() -> None:
+        is_killed.set()
+        node.kill()
+
+    moment = threading.Timer(rng.uniform(0.0, _LONGEST_S), kill)
+    if is_early:
+        moment.start()
+    try:
+        _trouble(bus, rng, on_first_sample=(lambda: None) if is_early else moment.start)
+    except ZenostatError as error:
+        if not is_killed.is_set():
+            faults.append(f"{node.folder.name}: {type(error).__name__}: {error}")
+    finally:
+        if moment.ident is not None:
+            moment.join()
+
+
+def _trouble(bus: agent_sdk.Bus, rng: random.Random, *, on_first_sample: Callable[[], None]) -> None:
     """Step, write, pause a slot, take snapshots and reset until the node is gone."""
     values = np.random.default_rng(rng.randrange(2**32))
     with bus.controller("office", name="random") as link:
@@ -110,6 +132,7 @@ def _trouble(bus: agent_sdk.Bus, rng: random.Random) -> None:
         shape = (slots, len(actuators)) if slots > 1 else (len(actuators),)
         low, high = np.array([[a.low or 0.0, 1.0 if a.high is None else a.high] for a in actuators]).T
         sample, snapshot = link.reset(seed=rng.randrange(1000)), ""
+        on_first_sample()
         while True:
             draw = rng.random()
             if sample.truncated or draw < 0.01:
