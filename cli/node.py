@@ -20,7 +20,7 @@ from cli.scenarios import check_scenario
 from cli.statistics import statistics_table
 from topics.calendar import format_duration
 from topics.errors import AddressInUse, InvalidConfig, NodeNotFound
-from topics.messages import Mode, OnFull, Policy, State
+from topics.messages import Mode, OnFull, Policy, RecordingStatus, State
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -109,6 +109,7 @@ def _run(settings: dict[str, Any], *, is_endpoint_explicit: bool) -> None:
         print_line = partial(bars.console.print, markup=False, soft_wrap=True)
         create = partial(create, observer=observer, program=True)
         running = _start(stack, config, create, is_endpoint_explicit=is_endpoint_explicit, print_line=print_line)
+        observer.recording = lambda: running.recording
         bars.console.print(_greeting(running, ", ".join(running.settings.listen or running.settings.connect)))
         for warning in filter(None, (*running.manifest.warnings, exposure(running.settings.listen, config.keys))):
             bars.console.print(f"warning: {warning}", style="yellow", markup=False, soft_wrap=True)
@@ -175,9 +176,15 @@ def _start(
 
 
 class _ProgressBar:
-    """Show a node's progress, at most ten times per second while it runs."""
+    """Show a node's progress, at most ten times per second while it runs, and why its recording stopped early.
+
+    Attributes:
+        recording: returns the state of the node's recording.
+    """
 
     def __init__(self, bars: Progress, name: str) -> None:
+        self.recording: Callable[[], RecordingStatus | None] = lambda: None
+        self._stopped = ""
         self._bars = bars
         self._name = name
         self._bar = bars.add_task(f"{name}: starting", total=None, rate="")
@@ -192,6 +199,15 @@ class _ProgressBar:
         self._bars.update(
             self._bar, description=description, completed=node.exchange.step[0], total=node.manifest.steps
         )
+        self._report_stopped_recording()
+
+    def _report_stopped_recording(self) -> None:
+        status = self.recording()
+        if status is None or not status.reason or status.path == self._stopped:
+            return
+        self._stopped = status.path
+        text = f"warning: {self._name}: the recording to {status.path} stopped: {status.reason}"
+        self._bars.console.print(text, style="yellow", markup=False, soft_wrap=True)
 
 
 def _greeting(node: Node, listen: str) -> str:

@@ -101,7 +101,7 @@ class Verification:
         if not self.episodes:
             return "nothing could be verified"
         if self.tolerance is None:
-            return f"identical: {compared}"
+            return f"identical{' up to the damage' if self.is_damaged else ''}: {compared}"
         above = [name for name, value in self.greatest.items() if not value <= self.tolerance]
         within = f"{len(above)} of {len(self.greatest)} differ by more than" if above else "all are within"
         return f"compared: {compared}; {within} {self.tolerance:g}"

@@ -70,7 +70,7 @@ def kill_recorded_nodes(folder: Path, *, seconds: float, seed: int) -> Killed:
     """Kill one recorded node after the other at random times, and verify what each has recorded up to its end.
 
     A controller steps and resets each node at random, and the time to the kill counts from its first sample, however
-    long the machine takes to get there; for every fifth node it counts from the connection. A file must verify to the bit
+    long the machine takes to get there; for every fifth node from the connection. A file must verify to the bit
     over all of its samples, or end before its first message, as that of a node that was killed while it started.
     """
     rng, killed, number = random.Random(seed), Killed(faults=[]), 0

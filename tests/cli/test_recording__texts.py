@@ -1,0 +1,65 @@
+"""What the terminal says about a recording that stopped, never began, or is damaged."""
+
+from __future__ import annotations
+
+import io
+from typing import Any
+
+import pytest
+from rich.console import Console
+from rich.progress import Progress
+
+from bridge.recording.verification import Verification
+from cli.node import _ProgressBar
+from cli.record import describe_recording
+from topics.messages import RecordingState, RecordingStatus
+
+STOPPED = RecordingStatus(path="/x/run.mcap", state=RecordingState.STOPPED, reason="No space left on device")
+
+
+class _Exchange:
+    state = None
+    episode = step = (0,)
+
+    def awaiting(self) -> list[str]:
+        return ["rbc"]
+
+
+class _Server:
+    exchange = _Exchange()
+    manifest = type("Manifest", (), {"steps": 96})
+
+
+def test_a_node_reports_once_that_its_recording_stopped() -> None:
+    console = Console(file=io.StringIO(), width=200)
+    server: Any = _Server()
+    bar = _ProgressBar(Progress(console=console), "office")
+    bar(server)
+    bar.recording = lambda: RecordingStatus(path=STOPPED.path, state=RecordingState.RECORDING)
+    bar(server)
+    assert not console.file.getvalue()  # type: ignore[attr-defined]
+    bar.recording = lambda: STOPPED
+    bar(server)
+    bar(server)
+    text = console.file.getvalue()  # type: ignore[attr-defined]
+    assert text.count("office: the recording to /x/run.mcap stopped: No space left on device") == 1
+
+
+@pytest.mark.parametrize(
+    ("status", "expected"),
+    [
+        (RecordingStatus(path="/x", state=RecordingState.ENDED), "nothing was recorded to /x"),
+        (RecordingStatus(path="/x", state=RecordingState.ENDED, messages=7, bytes=9000), "recorded 7 messages"),
+        (STOPPED, "stopped early: No space left on device"),
+    ],
+)
+def test_an_ended_recording_is_described(status: RecordingStatus, expected: str) -> None:
+    assert expected in describe_recording(status)
+
+
+def test_a_damaged_file_is_not_said_to_be_identical_as_a_whole() -> None:
+    result = Verification(steps=477, episodes=1, points=40, actuators=10)
+    assert str(result) == "identical: 477 steps, 40 points, 10 actuators"
+    result.is_damaged = True
+    assert str(result) == "identical up to the damage: 477 steps, 40 points, 10 actuators"
+    assert not result.passed
