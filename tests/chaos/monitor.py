@@ -10,8 +10,10 @@ import json
 import signal
 import sys
 from contextlib import ExitStack
+from time import monotonic, sleep
 
 import msgpack
+import zenoh
 from zenoh.handlers import RingChannel
 
 from bridge.transport.session import open_session
@@ -20,6 +22,7 @@ from topics import codec, keys
 from topics.messages import Event, EventKind
 
 _LISTEN = 65536
+_PATIENCE_S = 60.0
 
 
 def main() -> int:
@@ -27,11 +30,12 @@ def main() -> int:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     settings = json.loads(sys.argv[1])
     with ExitStack() as stack:
-        session = stack.enter_context(open_session(connect=[settings["endpoint"]]))
+        # Like `zenostat monitor`, it waits for a node that is frozen, or slow, as it comes.
+        session = stack.enter_context(open_session(connect=[settings["endpoint"]], wait=True))
         stream = keys.stream(settings["node"])
         inbox = stack.enter_context(session.declare_subscriber(stream, RingChannel(_LISTEN)))
         file = stack.enter_context(open(settings["record"], "wb")) if settings["record"] else None
-        list(session.get(keys.STATUS.at(settings["node"])))  # answered: the node knows of the subscription by now
+        _await_answer(session, settings["node"])  # the node knows of the subscription by then
         sys.stdout.write("ready\n")
         sys.stdout.flush()
         while True:
@@ -41,6 +45,15 @@ def main() -> int:
                 file.write(msgpack.packb((kind, payload)))
             if kind == "event" and codec.decode(Event, payload).kind is EventKind.STOPPED:
                 return 0
+
+
+def _await_answer(session: zenoh.Session, node: str) -> None:
+    """Ask for the status until the node answers; `SystemExit` if it never does."""
+    end_s = monotonic() + _PATIENCE_S
+    while not any(reply.ok for reply in session.get(keys.STATUS.at(node))):
+        if monotonic() > end_s:
+            sys.exit(f"{node} answered nothing for {_PATIENCE_S:g} s")
+        sleep(0.1)
 
 
 if __name__ == "__main__":
