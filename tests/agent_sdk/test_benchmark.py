@@ -245,6 +245,7 @@ class Failing(Warm):
 """
 
 
+@pytest.mark.slow
 @pytest.mark.process
 @pytest.mark.usefixtures("small_set")
 def test_episodes_are_resumed_and_run_again_to_the_bit(tmp_path: Path) -> None:

@@ -135,6 +135,7 @@ KINDS = sorted(kind for kind in GIVEN if kind != "thermal_sensation" or HAVE_LIB
 kinds = st.sampled_from(KINDS)
 
 
+@pytest.mark.slow
 @settings(max_examples=examples(200), deadline=None)
 @given(kinds, st.lists(st.tuples(samples, moments), min_size=1, max_size=4), st.floats(0.0, 0.5))
 def test_the_reward_is_the_sum_of_its_terms_and_none_is_positive(

@@ -682,6 +682,7 @@ def _until_reaped(env: BuildingVectorEnv, count: int) -> None:
         env.link.weather(["dry_bulb_temperature"])
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("mode", [AutoresetMode.DISABLED, AutoresetMode.NEXT_STEP], ids=lambda mode: mode.value)
 def test_a_slot_that_has_ended_leaves_the_others_time(scratch: Path, mode: AutoresetMode) -> None:
     """However long the agent thinks then, as a learner does: the others go on, and it begins anew."""

@@ -69,6 +69,7 @@ def test_the_forecast_is_what_comes(building: gym.Env[Any, Any]) -> None:
     assert np.abs(np.subtract(*days)).max() > 0.5, "the noise is another with another seed"
 
 
+@pytest.mark.slow
 def test_between_the_hours_the_forecast_is_what_comes_too(building: gym.Env[Any, Any]) -> None:
     env = w.WeatherForecast(building, [DRY], n=2, spacing_h=0.25)
     seen = [values for values, _ in episode(env, 1, [26.0])]

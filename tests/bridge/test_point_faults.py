@@ -242,6 +242,7 @@ def test_the_clock_is_that_of_the_simulated_time(begin: datetime, hours: Any, we
     assert found
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(("probability", "lasts"), [(0.05, 1), (0.02, 6), (0.5, 3), (1, 2)])
 def test_bursts_take_the_share_of_the_time_that_theory_says(probability: float, lasts: int) -> None:
     # a renewal process: n steps on, then on average (1 - p) / p steps until it begins again

@@ -142,6 +142,7 @@ def test_prefetch__equals_a_fresh_start_with_noise(scratch: Path) -> None:
     plain.close()
 
 
+@pytest.mark.slow
 def test_prefetch__weather_files_in_sequence(scratch: Path) -> None:
     names = ["USA_CO_Denver", "USA_FL_Miami"]
     env = make(SMALL, weather=names, weather_order="sequence")

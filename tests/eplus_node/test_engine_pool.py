@@ -80,6 +80,7 @@ def test_reset__without_room_for_files_fails_and_recovers(
     env.close()
 
 
+@pytest.mark.slow
 def test_prefetch__that_fails_starts_the_engine_at_the_reset(scratch: Path) -> None:
     """The weather is the same."""
     env = make(SMALL, **IN_TURN, **FOUR)
@@ -121,6 +122,7 @@ def test_snapshot_and_branch__without_room_leave_the_episode_running(scratch: Pa
     env.close()
 
 
+@pytest.mark.slow
 def test_baseline__that_cannot_be_forked_leaves_no_process(scratch: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     faults = Faults(scratch, monkeypatch)
     env = make(SMALL, **IN_TURN, **FOUR, baseline=True)
@@ -142,6 +144,7 @@ def _children(env: Any) -> list[psutil.Process]:
     return psutil.Process(env.local_node.pid).children(recursive=True)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="there is one core")
 @pytest.mark.parametrize("affinity", ["node", "apart"])
 def test_prefetch__starts_on_other_cores_than_the_running_engine(scratch: Path, affinity: str) -> None:
@@ -188,6 +191,7 @@ def test_template__that_dies_within_a_reset_leaves_the_files_of_its_successor(fo
     pool.close()
 
 
+@pytest.mark.slow
 def test_reused_engine__that_dies_within_a_reset_leaves_the_files_of_its_successor(
     folder: Path, noisy_plan: Plan
 ) -> None:
@@ -203,6 +207,7 @@ def test_reused_engine__that_dies_within_a_reset_leaves_the_files_of_its_success
     pool.close()
 
 
+@pytest.mark.slow
 def test_prefetched_engine__that_dies_within_a_reset_is_replaced(folder: Path, noisy_plan: Plan) -> None:
     pool = EnginePool(noisy_plan, folder, [EngineTemplate()])
     first = pool.engine(0)

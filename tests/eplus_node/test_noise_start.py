@@ -206,6 +206,7 @@ def test_waiting_engine__that_dies_is_replaced(scratch: Path) -> None:
     env.close()
 
 
+@pytest.mark.slow
 def test_kept_output__has_the_same_episode(scratch: Path) -> None:
     """With a folder for output each episode has an engine of its own, which starts with the file."""
     env, kept = make(SMALL, **LATE), make(SMALL, **LATE, output_dir=scratch / "kept")

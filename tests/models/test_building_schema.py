@@ -70,6 +70,7 @@ CASES: dict[str, tuple[str, str, Any, bool]] = {
 }
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("case", CASES)
 def test_a_fault_is_what_energyplus_refuses(case: str, office: dict[str, Any], folder: Path) -> None:
     kind, field, value, refused = CASES[case]

@@ -72,6 +72,7 @@ def said(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Said]:
 # Areas, as in `Zone Information`: … zone multiplier [10], list multiplier [11], … floor area [-8], … counted [-1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ASKED)
 def test_the_floor_area_of_each_zone_is_energyplus_own(said: dict[str, Said], name: str) -> None:
     rows = said[name].of("Zone Information")

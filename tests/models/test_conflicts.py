@@ -141,6 +141,7 @@ print("SEEN", json.dumps([code, sorted(set(seen))]))
 """
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("case", [case for case, (_, actuator, _) in FIGHTS.items() if actuator is not HEATING])
 def test_it_is_so_in_energyplus(case: str, folder: Path) -> None:
     """A day of the small office on which the actuator is always set to 26.5 degC."""

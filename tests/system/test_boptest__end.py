@@ -15,6 +15,7 @@ from bridge.gateways.boptest import manager
 from bridge.gateways.boptest.simulation import Simulation
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(
     ("case", "request_", "begins_in"),
     [

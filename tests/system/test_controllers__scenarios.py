@@ -74,6 +74,7 @@ def check_acts(controller: type[Controller], of: Manifest) -> None:
                 assert space.contains(action_of(of, values))
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("name", [*FORMS.values(), *(f"{b}-{WEATHERS[0]}-discrete-v1" for b in BUNDLED)])
 def test_rules_act_on_each_building_of_the_pack_and_some_of_ours(name: str) -> None:
     check_acts(RuleBasedController, manifest_of(name))
@@ -120,6 +121,7 @@ def day(controller: type[Controller], env: gym.Env[Any, Any], **parameters: Any)
     return comfort
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("name", ["5zone-hot-continuous-v1", "5zone-hot-discrete-v1", "ref-small-office"])
 def test_rules_are_more_comfortable_than_chance(name: str) -> None:
     given = SMALL if name in BUILDINGS else {"scenario": name, "begin": "07-03", "end": "07-03"}

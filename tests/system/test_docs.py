@@ -125,6 +125,7 @@ def pages_with(*languages: str) -> list[Any]:
 # Programs
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("page", pages_with("python"))
 def test_programs_run(page: str, scratch: Path) -> None:
     program = [block for block in of_language(page, "python") if not block.excerpt]

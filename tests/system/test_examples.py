@@ -34,6 +34,7 @@ def test_gymnasium_environment(scratch):
     assert "{'heating': 20.0, 'cooling': 25.0}" in said
 
 
+@pytest.mark.slow
 def test_recording(scratch):
     said = _run("recording.py", "--out", str(scratch / "run.mcap"))
     assert "identical: 144 steps" in said
@@ -44,6 +45,7 @@ def test_recording(scratch):
         assert len(table.readlines()) == 1 + 1 + 145  # with the sample of the episode that the reset replaced
 
 
+@pytest.mark.slow
 def test_own_plant_controller():
     """A cooler tank has a lower lift, so a higher COP; both keep the room warm, so both need the same heat."""
     said = _run("own_plant_controller.py")
@@ -56,6 +58,7 @@ def test_own_plant_controller():
     assert 0.0 < curve < hot
 
 
+@pytest.mark.slow
 def test_boptest_client():
     """With setpoints 1 to 3 K lower by day, the building uses more energy than under the baseline control."""
     pytest.importorskip("fastapi", reason="fastapi is not installed")

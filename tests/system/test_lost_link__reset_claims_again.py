@@ -137,6 +137,7 @@ def router(endpoint: str) -> Iterator[None]:
             process.kill()
 
 
+@pytest.mark.slow
 def test_a_router_that_was_killed_and_started_again(scratch: Path) -> None:
     at = f"tcp/127.0.0.1:{free_port()}"
     with router(at):

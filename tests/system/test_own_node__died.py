@@ -82,6 +82,7 @@ def samples_in(path: Path) -> int:
     return 0
 
 
+@pytest.mark.slow
 def test_it_dies_again_and_again() -> None:
     env = gym.make("zenostat/Building-v1", **SMALL, affinity="off")
     for _ in range(2):

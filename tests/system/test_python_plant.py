@@ -262,6 +262,7 @@ def test_what_nobody_commands_has_its_default_or_is_missing(own: BuildingEnv) ->
 # Failures
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(
     ("deed", "error", "texts"),
     [
@@ -558,6 +559,7 @@ class Slow:
 """
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(("deed", "told"), [("hang", "SIGTERM"), ("hang", "stop"), ("compute for ever", "SIGINT")])
 def test_a_node_ends_while_its_plant_steps(scratch: Path, tank: Path, told: str, deed: str) -> None:
     with (

@@ -63,6 +63,7 @@ def twin(module_scratch: Path) -> Iterator[Any]:
         yield program, path
 
 
+@pytest.mark.slow
 def test_a_twin_repeats_the_trajectory_to_the_bit(driven: Path, twin: Any) -> None:
     program, path = twin
     result = run("replay", str(driven), "--only-commands", "--node", "twin", "--connect", program.endpoint)

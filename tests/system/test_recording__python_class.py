@@ -146,6 +146,7 @@ CHANGES = {
 }
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("name", CHANGES)
 def test_what_was_changed_is_named(walk: Path, name: str) -> None:
     create, expected = CHANGES[name]
@@ -173,6 +174,7 @@ def test_the_command_says_identical_or_the_first_difference(walk: Path) -> None:
     assert "place" in said.stdout
 
 
+@pytest.mark.slow
 def test_a_changed_class_is_refused_unless_a_tolerance_compares_it(walk: Path) -> None:
     file = walk.with_name("walk.py")
     text = file.read_text()

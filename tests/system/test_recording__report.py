@@ -35,6 +35,7 @@ def evaluated(module_scratch: Path) -> Any:
     return evaluation, sorted(folder.iterdir(), reverse=True)  # the controller first
 
 
+@pytest.mark.slow
 def test_the_numbers_are_those_of_the_evaluation_to_the_bit(evaluated: Any) -> None:
     evaluation, files = evaluated
     expected = evaluation.comparison()

@@ -81,6 +81,7 @@ def eventful(module_scratch: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_slots_noise_faults_writes_snapshots_and_partial_resets_verify_to_the_bit(eventful: Path) -> None:
     with RecordingReader(eventful) as reader:
         orders = [msgpack.unpackb(i.payload)["slots"] for i in reader.messages({"RecordedOrder"})]
@@ -96,6 +97,7 @@ def test_slots_noise_faults_writes_snapshots_and_partial_resets_verify_to_the_bi
     assert result.episodes == 3 + 3 + 3 + 1  # at the start, reset, return to the snapshot, reset of one slot
 
 
+@pytest.mark.slow
 def test_noise_from_the_third_day_two_controllers_and_a_fallback_policy_verify_to_the_bit(scratch: Path) -> None:
     """One of the controllers stops answering, and what it commanded is relinquished; each episode is a fork."""
     path, rng = scratch / "policies.mcap", np.random.default_rng(2)
@@ -163,6 +165,7 @@ def test_what_is_not_here_is_named_before_anything_is_simulated(eventful: Path, 
         assert len(load(path).episodes) == len(load(eventful).episodes)  # what can be read is read
 
 
+@pytest.mark.slow
 def test_a_changed_model_is_a_regression_test(scratch: Path) -> None:
     model, path = scratch / "office.idf", scratch / "day.mcap"
     model.write_bytes(find_building("ref-small-office").path.read_bytes())

@@ -101,6 +101,7 @@ def test_a_screenshot_has_no_panels_and_no_notices(scratch):
     assert not ((blue > red + 60) & (blue > green + 60)).any()
 
 
+@pytest.mark.slow
 @needs_vulkan
 def test_each_view_of_a_real_run_shows_its_data(scratch, shared_node, episode_bus):
     path = scratch / "run.rrd"
