@@ -85,8 +85,9 @@ def test_several_processes_tune_one_study(server: Server, tmp_path: Path) -> Non
     (tmp_path / "s.yaml").write_text(yaml12.dump(STUDY))
     done = run_program("tune", "s.yaml", "--workers", "2", "--storage", server.url, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    storage = server.url.replace("://", "+psycopg://")
+    storage = optuna.storages.RDBStorage(server.url.replace("://", "+psycopg://"))
     trials = optuna.load_study(study_name="s", storage=storage).trials
+    storage.engine.dispose()
     assert [trial.state.name for trial in trials] == ["COMPLETE"] * 3
     assert "3 complete" in plain(done.stdout) or "trial 2: complete" in done.stdout
     assert not (tmp_path / "study" / "study.db").exists()
