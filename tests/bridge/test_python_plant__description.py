@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import pickle
 import sys
 from collections.abc import Iterator
@@ -286,3 +287,18 @@ def test_arguments_that_the_class_does_not_take_are_named(folder: Path) -> None:
     for arguments in ({}, {"volume": 1, "colour": 2}):
         with pytest.raises(InvalidConfig, match=r"tank_file.py:Tank.*(volume|colour).*its arguments: \(volume\)"):
             create("tank_file.py:Tank", arguments)
+
+
+def test_a_file_that_is_written_again_within_a_second_is_the_new_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Python's cached bytecode is valid for a text of the same length and time."""
+    monkeypatch.setattr(sys, "dont_write_bytecode", False)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    file = tmp_path / "rewritten_tank.py"
+    for name in ("push", "pull", "push"):
+        monkeypatch.delitem(sys.modules, "rewritten_tank", raising=False)
+        file.write_text(f"class Tank:\n    command = {name!r}\n")
+        os.utime(file, (1_700_000_000, 1_700_000_000))
+        assert load_class(f"{file}:Tank").command == name
+    monkeypatch.delitem(sys.modules, "rewritten_tank")
