@@ -22,6 +22,7 @@ from agent_sdk.controllers.pid import PIDController
 from agent_sdk.controllers.random_control import RandomController
 from agent_sdk.controllers.rule_based import RuleBasedController
 from agent_sdk.controllers.setback import ScheduledSetback
+from bridge.runtime.source_loader import source_spec
 from topics.errors import InvalidConfig, UnknownName, did_you_mean
 
 CONTROLLERS: dict[str, type[Controller]] = {
@@ -88,9 +89,10 @@ def _load_module(source: str) -> ModuleType:
 
 def _load_file(path: Path) -> ModuleType:
     name = f"_controller_{path.stem}"
-    spec = importlib.util.spec_from_file_location(name, path.absolute())
-    if spec is None or spec.loader is None:
+    if path.suffix != ".py":
         raise ImportError(f"{path} is not a Python file")
+    spec = source_spec(name, path.absolute())
+    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module  # dataclasses and pickle look up their module
     try:

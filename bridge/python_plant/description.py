@@ -11,16 +11,15 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
-from importlib.machinery import SourceFileLoader
 from math import inf, isfinite
 from numbers import Real
 from pathlib import Path
 from typing import Any, TypeGuard
 
+from bridge.runtime.source_loader import source_spec
 from topics.errors import InvalidConfig, ZenostatError, did_you_mean
 from topics.keys import check_name
 from topics.messages import TimeField
-from topics.typing_compat import override
 
 BEGIN = datetime(2001, 1, 1)
 """Default time of sample 0: a Monday, in a year without a leap day."""
@@ -83,25 +82,12 @@ def load_class(plant: str) -> type[Any]:
     return plant_class
 
 
-class _SourceLoader(SourceFileLoader):
-    """Compile a file at each import.
-
-    Python's cached bytecode is that of an earlier text if the file is written again within a second with the same
-    length, but a recording has the hash of the text.
-    """
-
-    @override
-    def get_code(self, fullname: str) -> Any:
-        return self.source_to_code(self.get_data(self.path), self.path)
-
-
 def _load_file(path: Path) -> Any:
     if not path.is_file():
         raise InvalidConfig(f"plant: no file {path}")
     sys.path.insert(0, str(path.parent.absolute()))  # as for a script: modules beside the file can be imported
     name = _module_name(path.stem)
-    spec = importlib.util.spec_from_file_location(name, path, loader=_SourceLoader(name, str(path)))
-    assert spec is not None
+    spec = source_spec(name, path)
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module  # for pickles of its classes

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import math
+import os
 import random
 import sys
 from collections.abc import Iterator
@@ -697,6 +698,18 @@ class Bare:
     def act(self, sample):
         pass
 """
+
+
+def test_a_file_that_is_written_again_within_a_second_is_the_new_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, modules: dict[str, Any]
+) -> None:
+    """Python's cached bytecode is valid for a text of the same length and time."""
+    monkeypatch.setattr(sys, "dont_write_bytecode", False)
+    file = tmp_path / "mine.py"
+    for setpoint in (21.0, 25.0):
+        file.write_text(MINE.replace("25.0", str(setpoint)))
+        os.utime(file, (1_700_000_000, 1_700_000_000))
+        assert load_controller(f"{file}:Mine")(node()).setpoint == setpoint
 
 
 def test_short_names() -> None:
