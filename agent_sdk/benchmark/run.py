@@ -18,6 +18,7 @@ from agent_sdk.benchmark.trained import Training, ensure_trained
 from agent_sdk.controllers.base import BaselineController
 from bridge.recording.file import file_digest
 from topics.errors import InvalidConfig, SimulatorError, UnknownName, did_you_mean
+from topics.file_lock import locked
 
 Progress = Callable[[str, int, int], None]
 """Callback with the stage (`training`, `episodes`), the number of finished items and of all."""
@@ -56,14 +57,25 @@ def run_benchmark(
 
     Raises:
         UnknownName: there is no such set or controller.
-        InvalidConfig: the file has other results, or those of other versions or other files.
+        InvalidConfig: the file has other results, or those of other versions or other files; or
+            another process is writing it.
         SimulatorError: a worker process was killed.
     """
     if set_name not in SETS:
         raise UnknownName(f"there is no set {set_name!r}; {did_you_mean(set_name, SETS, limit=len(SETS))}")
     names = list(dict.fromkeys(["baseline", *controllers]))
     files = check_controllers(names)
-    results = _open(path, set_name, dict(hashes or {}), files)
+    if not path.absolute().parent.is_dir():
+        raise InvalidConfig(f"--out {path}: there is no folder {path.absolute().parent}")
+    lock = path.with_name(f".{path.name}.lock")
+    with locked(lock, f"{path}: another process is writing results there; choose another --out"):
+        return _run_missing(path, _open(path, set_name, dict(hashes or {}), files), names, workers, cache, progress)
+
+
+def _run_missing(
+    path: Path, results: Results, names: Sequence[str], workers: int, cache: Path | None, progress: Progress | None
+) -> tuple[Results, list[str]]:
+    set_name = results.set
     folder = path.with_name(f"{path.stem}-trainings") if cache is None else cache
     missing = [
         (name, task, seed)
@@ -121,8 +133,6 @@ def _open(path: Path, set_name: str, hashes: dict[str, str], files: dict[str, st
     Raises:
         InvalidConfig: rows could not be compared with those in the file.
     """
-    if not path.absolute().parent.is_dir():
-        raise InvalidConfig(f"--out {path}: there is no folder {path.absolute().parent}")
     if not path.exists():
         return Results(set_name, hashes=hashes, controllers=files)
     results = load_results(path)

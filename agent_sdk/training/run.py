@@ -5,12 +5,11 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-import filelock
 import numpy as np
 import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -39,6 +38,7 @@ from agent_sdk.training.parameters import check_action_space, check_algorithm, m
 from agent_sdk.vec_normalization import mark_normalized, normalization_path
 from topics.atomic_file import atomic_file
 from topics.errors import ErrorCollector, InvalidConfig
+from topics.file_lock import locked
 
 _CAPTURE_S = 5.0
 """Seconds between two captures of an on-policy training for the case that it is stopped within a rollout."""
@@ -138,15 +138,14 @@ def train(
     folder = config.folder
     folder.mkdir(parents=True, exist_ok=True)
     with ExitStack() as stack:
-        _lock(folder, stack)
+        stack.callback(_remove_if_empty, folder)
+        stack.enter_context(locked(folder / ".lock", f"{folder}: another process is training there"))
         return _Run(config, folder, stack, on_evaluation).train(progress, stop or threading.Event(), resume=resume)
 
 
-def _lock(folder: Path, stack: ExitStack) -> None:
-    try:
-        stack.enter_context(filelock.FileLock(folder / ".lock", timeout=0))
-    except filelock.Timeout:
-        raise InvalidConfig(f"{folder}: another process is training there") from None
+def _remove_if_empty(folder: Path) -> None:
+    with suppress(OSError):
+        folder.rmdir()
 
 
 class _Run:

@@ -30,6 +30,7 @@ from agent_sdk.benchmark.tables import tables
 from cli.commands import app
 from models.catalog import find_building, find_weather
 from topics.errors import InvalidConfig, UnknownName
+from topics.file_lock import locked
 
 OFFICE, WAREHOUSE = SETS["smoke"].buildings
 
@@ -192,6 +193,17 @@ def test_unknown_names_are_refused_before_anything_starts(tmp_path: Path) -> Non
     with pytest.raises(InvalidConfig, match="there is no folder"):
         run_benchmark("smoke", tmp_path / "no" / "r.json", ["rbc"])
     assert not list(tmp_path.iterdir())
+
+
+def test_results_are_written_by_one_process_at_a_time(saved: Path) -> None:
+    former = saved.read_bytes()
+    refusal = r"results\.json: another process is writing results there"
+    with locked(saved.with_name(f".{saved.name}.lock"), "not raised"), pytest.raises(InvalidConfig, match=refusal):
+        run_benchmark("smoke", saved, ["rbc"])
+    assert saved.read_bytes() == former
+    with pytest.raises(InvalidConfig, match="another --out for 'quick'"):
+        run_benchmark("quick", saved, ["rbc"])
+    assert sorted(path.name for path in saved.parent.iterdir()) == [saved.name]
 
 
 def test_a_page_has_tables_and_figures(saved: Path, tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ import pytest
 import agent_sdk  # noqa: F401  # registers the environments
 from agent_sdk.testing import Climate, FakeEnv
 from topics.errors import InvalidConfig, UnknownName
+from topics.file_lock import locked
 
 pytest.importorskip("stable_baselines3")
 torch = pytest.importorskip("torch")
@@ -212,6 +213,14 @@ def test_an_algorithm_that_cannot_have_the_actions_says_what_can(tmp_path: Path)
     sac = {**fields("sac", tmp_path / "sac"), "arguments": {**DAY, "discrete": 5, "control": "building"}}
     with pytest.raises(InvalidConfig, match="sac needs continuous actions, and Fake-v1 has discrete actions"):
         train(read_training(sac))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_has_one_training_at_a_time(tmp_path: Path) -> None:
+    ppo = {**fields("ppo", tmp_path / "ppo"), "arguments": DAY}
+    (tmp_path / "ppo").mkdir()
+    with locked(tmp_path / "ppo" / ".lock", "not raised"), pytest.raises(InvalidConfig, match="is training there"):
+        train(read_training(ppo))
 
 
 def test_two_intervals_exclude_each_other() -> None:
