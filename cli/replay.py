@@ -92,12 +92,12 @@ def replay(
         endpoints = [] if no_listen else [listen or default_endpoint(keys)]
         settings = {"expose": expose, "keys": keys, "role": Role.NODE, "certificate": certificate}
         try:
-            session = open_session(listen=endpoints, connect=connect or [], **settings)  # type: ignore[arg-type]
+            opened = open_session(listen=endpoints, connect=connect or [], **settings)  # type: ignore[arg-type]
         except AddressInUse:
             if listen:
                 raise
-            session = open_session(connect=connect or endpoints, **settings)  # type: ignore[arg-type]
-        stack.enter_context(session)
+            opened = open_session(connect=connect or endpoints, **settings)  # type: ignore[arg-type]
+        session = stack.enter_context(opened)
         replayed = stack.enter_context(Replay(reader, session, name=name, speed=speed, selected=selected))
         bars = stack.enter_context(progress())
         task = bars.add_task(f"replaying {file.name} as {replayed.manifest.node}", total=reader.manifest.steps, rate="")

@@ -33,7 +33,7 @@ from bridge.runtime import affinity
 from bridge.runtime.affinity import Affinity
 from bridge.transport.access_control import Permission, may
 from bridge.transport.request import ask
-from bridge.transport.session import DEFAULT_ENDPOINT, FORKED, open_session
+from bridge.transport.session import DEFAULT_ENDPOINT, FORKED, OpenSession, open_session
 from topics import codec, keys
 from topics.errors import (
     BusError,
@@ -107,7 +107,7 @@ class Bus(BranchRequests, PaceRequests, PriorityRequests, RecordingRequests, Ser
         session: The Zenoh session.
     """
 
-    def __init__(self, endpoint: str, session: zenoh.Session, affinity: Affinity, role: Role | None = None) -> None:
+    def __init__(self, endpoint: str, session: OpenSession, affinity: Affinity, role: Role | None = None) -> None:
         self.endpoint = endpoint
         self.role = role
         self._close, self._closed = ExitStack(), False

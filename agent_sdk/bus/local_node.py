@@ -110,6 +110,11 @@ class LocalNode:
             return f"killed by {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
         return "killed by SIGKILL, which the system also sends when memory runs out"
 
+    @property
+    def is_suspended(self) -> bool:
+        """Whether its process is suspended, for example by Ctrl-Z or a debugger, and so cannot answer."""
+        return _is_suspended(self.pid)
+
     def close(self) -> None:
         """End the node and remove its folder; idempotent."""
         self._release()

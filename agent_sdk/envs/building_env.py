@@ -163,7 +163,7 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
             UsageError: Another thread is in `step` or `reset`.
 
         Warns:
-            UserWarning: Another node was started, with the reason.
+            UserWarning: Another node was started, or the recording has stopped, with the reason.
         """
         busy, self._busy = self._busy, True  # one statement without a call: CPython switches no threads within it
         if busy:
@@ -180,6 +180,7 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
         super().reset(seed=seed)
         self._connection.check_open()
         self._connection.restart_if_ended()
+        self._connection.check_recording(stacklevel=3)
         snapshot, self._pending = self._snapshot_of(options), None
         if snapshot is None:
             sample = self._sample = self._connection.reset(seed=seed)

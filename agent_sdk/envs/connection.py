@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Mapping
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import AbstractContextManager, ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,8 +21,8 @@ from agent_sdk.envs.space_names import SpaceNames
 from agent_sdk.rewards import AnyReward, Reward, read_reward
 from bridge.recording.file import next_recording
 from bridge.runtime.affinity import Affinity
-from topics.errors import BusError, EpisodeChanged, InvalidConfig
-from topics.messages import Manifest
+from topics.errors import BusError, EpisodeChanged, InvalidConfig, RequestRejected
+from topics.messages import Manifest, RecordingState, RecordingStatus
 
 NAME = "building"
 AGENT = "agent"
@@ -77,6 +77,7 @@ class NodeConnection:
         slots: int = 1,
     ) -> None:
         self._close, self.closed, self._has_monitor = ExitStack(), False, False
+        self._stopped_recording = ""
         self.local_node: LocalNode | None = None
         self._link, self._slots = link, slots
         self._keys = None if keys is None else Path(keys)
@@ -150,6 +151,23 @@ class NodeConnection:
             sample = self.link.reset(seed=seed)
         self.manifest = self.link.manifest
         return sample
+
+    def check_recording(self, stacklevel: int) -> None:
+        """Warn if the recording that the user asked for has stopped; `stacklevel` is the caller's."""
+        if self._is_recording():
+            with suppress(BusError):
+                self._warn_of_recording(self._connected_bus().status(self._target.node).recording, stacklevel + 1)
+
+    def _is_recording(self) -> bool:
+        return self.local_node is not None and self._bus is not None and self._settings.get("record") is not None
+
+    def _warn_of_recording(self, status: RecordingStatus | None, stacklevel: int) -> None:
+        if status is not None and status.state is RecordingState.STOPPED and status.path != self._stopped_recording:
+            self._stopped_recording = status.path
+            warnings.warn(
+                f"the recording to {status.path} stopped: {status.reason}; what came later is not in it",
+                stacklevel=stacklevel + 1,
+            )
 
     def _has_ended(self, local_node: LocalNode) -> bool:
         deadline = time.monotonic() + _EXIT_TIMEOUT_S
@@ -241,9 +259,21 @@ class NodeConnection:
             self.close()
 
     def close(self) -> None:
-        """Disconnect from the node, and end it if it is local; idempotent."""
-        self.closed = True
-        self._close.close()
+        """Disconnect from the node, and end it if it is local; idempotent. Warn if a recording is not complete."""
+        try:
+            if self.local_node is not None and self.local_node.is_suspended:
+                self.local_node.close()  # the bus cannot be closed while the other side does not answer
+            elif not self.closed:
+                self._complete_recording()
+        finally:
+            self.closed = True
+            self._close.close()
+
+    def _complete_recording(self) -> None:
+        self.check_recording(4)
+        if self._is_recording():
+            with suppress(BusError, RequestRejected):
+                self._warn_of_recording(self._connected_bus().stop_recording(self._target.node), 4)
 
 
 class ConnectedEnv(SpaceNames):

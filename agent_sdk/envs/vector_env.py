@@ -139,7 +139,8 @@ class BuildingVectorEnv(ConnectedEnv, VectorEnv[Observations, Any, NDArray[Any]]
             NodeNotFound, NodeLost, UsageError: As for `BuildingEnv.reset`.
 
         Warns:
-            UserWarning: The local node had ended and another one was started, with the reason.
+            UserWarning: The local node had ended and another one was started, or the recording has stopped, with the
+                reason.
         """
         busy, self._busy = self._busy, True  # one statement without a call: CPython switches no threads within it
         if busy:
@@ -156,6 +157,7 @@ class BuildingVectorEnv(ConnectedEnv, VectorEnv[Observations, Any, NDArray[Any]]
         self._connection.check_open()
         if self._connection.restart_if_ended():
             self.manifest, self._sample = self._connection.manifest, None
+        self._connection.check_recording(stacklevel=3)
         snapshot = from_options(options, self.manifest, ["reset_mask"])
         if snapshot is not None and "reset_mask" in options:
             raise InvalidConfig("a snapshot contains all slots; leave out reset_mask")

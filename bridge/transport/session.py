@@ -1,8 +1,7 @@
 """Zenoh sessions with Zenostat's settings: explicit endpoints, loopback by default, no multicast.
 
 A node listens (mode peer) and routes messages between the clients that connect to it. All other programs connect (mode
-client), as does a node that does not listen. A router (mode router) routes messages for nodes and controllers. Always
-use `with open_session(...)`: a session that is not closed can block the interpreter's exit.
+client), as does a node that does not listen. A router (mode router) routes messages for nodes and controllers.
 """
 
 from __future__ import annotations
@@ -11,6 +10,7 @@ import json
 import os
 import re
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, suppress
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -82,6 +82,23 @@ def default_endpoint(keys: Path | None) -> str:
     return DEFAULT_TLS_ENDPOINT if keys else DEFAULT_ENDPOINT
 
 
+class OpenSession(AbstractContextManager[zenoh.Session]):
+    """An open session, to be entered: one that is not closed can block the interpreter's exit.
+
+    Zenoh gives up closing a session after 10 s if the other side is frozen; it then ends with its process.
+    """
+
+    def __init__(self, session: zenoh.Session) -> None:
+        self._session = session
+
+    def __enter__(self) -> zenoh.Session:
+        return self._session
+
+    def __exit__(self, *_: object) -> None:
+        with suppress(zenoh.ZError):
+            self._session.close()  # type: ignore[no-untyped-call]
+
+
 def open_session(
     *,
     listen: Sequence[str] = (),
@@ -92,8 +109,8 @@ def open_session(
     role: Role | None = None,
     certificate: str | None = None,
     mode: Mode | None = None,
-) -> zenoh.Session:
-    """Open a session.
+) -> OpenSession:
+    """Open a session, to be entered with `with`.
 
     Args:
         listen: endpoints to listen on; none for a client.
@@ -129,7 +146,7 @@ def open_session(
     for key, value in settings.items():
         config.insert_json5(key, json.dumps(value))
     try:
-        return zenoh.open(config)
+        return OpenSession(zenoh.open(config))
     except zenoh.ZError as error:
         raise _bus_error(error, listen, connect, identity) from None
     except BaseException as error:  # a panic in Zenoh is no `Exception`

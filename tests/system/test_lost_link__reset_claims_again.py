@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
+import psutil
 import pytest
 from support.links import CuttableLink
 from support.nodes import SMALL, NodeProgram, begin_new_episode, free_port, until
@@ -118,6 +119,30 @@ def test_an_own_node_that_was_frozen(slots: int) -> None:
     steps_again(env)
     assert env.unwrapped.local_node.pid == node
     env.close()
+
+
+@pytest.mark.parametrize("recorded", [False, True])
+def test_an_own_node_that_is_frozen_is_ended(recorded: bool, scratch: Path) -> None:
+    env = make(1, **SMALL, record=str(scratch / "run.mcap") if recorded else None)
+    env.reset(seed=0)
+    node = psutil.Process(env.unwrapped.local_node.pid)
+    node.suspend()
+    until(lambda: node.status() == psutil.STATUS_STOPPED, "it is frozen")
+    env.close()
+    assert not node.is_running()
+
+
+@pytest.mark.slow
+def test_an_environment_closes_while_the_other_side_is_frozen(scratch: Path) -> None:
+    with NodeProgram(scratch / "node", **SMALL) as node:
+        env = make(1, connect=node.endpoint, node="office")
+        env.reset(seed=0)
+        psutil.Process(node.pid).suspend()
+        try:
+            step_until_lost(env)
+            env.close()
+        finally:
+            psutil.Process(node.pid).resume()
 
 
 def answer_for_ever(controller: agent_sdk.ControllerLink) -> None:

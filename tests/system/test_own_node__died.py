@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +14,15 @@ import psutil
 import pytest
 from support.nodes import SMALL, until
 
-import agent_sdk  # noqa: F401  # registers the environments
+import agent_sdk
 from bridge.recording.reader import RecordingReader
 from eplus_node.verification import verify
 from topics.errors import EpisodeChanged, InvalidConfig, InvalidRecording, NodeLost, NodeNotFound
+from topics.messages import RecordingState
 
 pytestmark = pytest.mark.usefixtures("scratch")
 
+VECTOR = "vector_entry_point"
 STARTED = r"own node had ended \(killed by SIGKILL.*\), and another one was started"
 
 
@@ -118,3 +121,30 @@ def test_a_node_of_somebody_elses_is_not_started_again() -> None:
         env.reset()
     env.close()
     own.close()
+
+
+@pytest.mark.parametrize("slots", [1, 2])
+def test_a_recording_that_stops_is_a_warning(slots: int, scratch: Path) -> None:
+    path = scratch / "run.mcap"
+    settings: dict[str, Any] = {**SMALL, "affinity": "off", "record": str(path)}
+    make: Any = gym.make if slots == 1 else partial(gym.make_vec, num_envs=slots, vectorization_mode=VECTOR)
+    for on_reset in (True, False):
+        env = make("zenostat/Building-v1", **settings)
+        env.reset(seed=1)
+        let_recording_stop(env, path)
+        with pytest.warns(UserWarning, match=rf"the recording to {re.escape(str(path))} stopped: cannot write"):
+            env.reset() if on_reset else env.close()
+        env.close()  # it warns once
+        assert not psutil.pid_exists(env.unwrapped.local_node.pid)
+        path.unlink()
+
+
+def let_recording_stop(env: Any, path: Path) -> None:
+    """Let the file not grow any more, which is what a full disk does, and step until the node has noticed."""
+    node = env.unwrapped.local_node
+    with agent_sdk.connect(node.endpoint, affinity="off") as bus:
+        until(lambda: bus.status("building").recording.messages, "the first chunk is written")
+        psutil.Process(node.pid).rlimit(psutil.RLIMIT_FSIZE, (path.stat().st_size + 1000, -1))
+        for _ in range(50):
+            env.step(env.action_space.sample())
+        until(lambda: bus.status("building").recording.state is RecordingState.STOPPED, "it has stopped")
