@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import socket
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, suppress
 from enum import StrEnum
@@ -263,5 +264,26 @@ def _bus_error(
             from bridge.transport.tls_diagnosis import diagnose_tls
 
             return NodeNotFound("\n".join(diagnose_tls(endpoint, identity) for endpoint in connect))
+        if answerless := [endpoint for endpoint in connect if _accepts(endpoint)]:
+            return NodeNotFound(
+                f"a program listens on {' and '.join(answerless)}, but does not answer: it is suspended, needs "
+                "--keys, or is no node or router of Zenostat"
+            )
         return NodeNotFound(f"nobody listens on {' or '.join(connect)}; start a node there: zenostat node --help")
     return BusError(text.split(" at /")[0])
+
+
+def _accepts(endpoint: str) -> bool:
+    """Return whether a program accepts connections at an endpoint without TLS."""
+    protocol, _, address = endpoint.partition("/")
+    try:
+        if protocol == "unixsock-stream":
+            with socket.socket(socket.AF_UNIX) as link:
+                link.settimeout(_CONNECT_MS / 1000)
+                link.connect(address)
+        else:
+            host, _, port = address.rpartition(":")
+            socket.create_connection((host.strip("[]"), int(port)), _CONNECT_MS / 1000).close()
+    except (OSError, ValueError):
+        return False
+    return True

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import socket
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from topics import errors
 from topics.errors import (
     AddressInUse,
     InvalidConfig,
+    NodeNotFound,
     RequestRejected,
     UsageError,
     ZenostatError,
@@ -159,6 +161,20 @@ def test_what_is_no_endpoint_is_refused_with_the_form(endpoint: str) -> None:
 def test_listening_beyond_this_machine_must_be_asked_for(endpoint: str) -> None:
     with pytest.raises(UsageError, match="can be reached from other machines"):
         open_session(listen=[endpoint])
+
+
+@pytest.mark.parametrize("family", [socket.AF_INET, socket.AF_UNIX])
+def test_a_program_that_does_not_answer_is_told_from_none(family: int, tmp_path: Path) -> None:
+    path = str(tmp_path / "bus")
+    with socket.socket(family) as silent:
+        silent.bind(path if family == socket.AF_UNIX else ("127.0.0.1", 0))
+        silent.listen()
+        address = path if family == socket.AF_UNIX else f"127.0.0.1:{silent.getsockname()[1]}"
+        endpoint = f"{'unixsock-stream' if family == socket.AF_UNIX else 'tcp'}/{address}"
+        with pytest.raises(NodeNotFound, match=rf"a program listens on {re.escape(endpoint)}, but does not answer"):
+            open_session(connect=[endpoint])
+    with pytest.raises(NodeNotFound, match=rf"nobody listens on {re.escape(endpoint)}; start a node there"):
+        open_session(connect=[endpoint])
 
 
 def test_the_path_of_a_unix_socket_is_not_taken_over(tmp_path: Path) -> None:
