@@ -80,7 +80,7 @@ class PlanSimulation:
         if holder is None or not holder.required:
             raise RequestRejected(f"{plan.controller!r} has no required claim; claim first")
         if exchange.state is not State.WAITING:
-            raise RequestRejected("the episode is over" if exchange.state is State.ENDED else f"it is {exchange.state}")
+            raise RequestRejected("the episode is over" if exchange.state is State.ENDED else "the branch has failed")
         if exchange.awaiting() != [plan.controller]:
             others = [name for name in exchange.awaiting() if name != plan.controller]
             raise RequestRejected(
