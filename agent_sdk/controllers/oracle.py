@@ -28,6 +28,8 @@ from topics.errors import InvalidConfig, SimulatorError, did_you_mean
 from topics.messages import Manifest
 
 METHODS = ("mppi", "cem")
+SHIFT_K = 1.5
+"""By how much the setpoints of a plan move apart, or together in its first block, relative to the rule, K."""
 _LEAD_H = 24.0
 """Lead time of the forecast error's standard deviation."""
 _CORRELATION_H = 12.0
@@ -41,6 +43,10 @@ class OracleController(Controller):
     the plans is what the rule would do, so the chosen plan is never worse than the rule in its horizon. The branches
     have the weather and occupancy that follow, so the foresight is perfect, unless `forecast_error` disturbs their
     outdoor temperature.
+
+    For zone setpoints among continuous actions, the first iteration also has the plans that building control knows: the
+    widest setpoints for a time, then the rule (setback with optimum start and stop), and the rule with its setpoints
+    moved apart or together by `SHIFT_K` (load shedding; preheating and precooling). The others are drawn at random.
 
     Args:
         manifest: manifest of the node.
@@ -94,6 +100,7 @@ class OracleController(Controller):
         self._step_h = step_h
         self._rule = Agent(self._seed_rule(rule))
         self._pairs = _setpoint_pairs(manifest)
+        self._directions = _directions(manifest)
         self._seed = seed
         self._planner: Planner | None = None
         self._begin()
@@ -140,7 +147,9 @@ class OracleController(Controller):
         if self._plan is not None and 0 <= age < len(self._plan):
             continued = np.concatenate([self._plan[age:], rule[len(self._plan) - age :]])
             candidates.append(continued[:timesteps][None])
-        search = self._search(planner.action_space, candidates[-1][0])
+        center = candidates[-1][0]
+        candidates.append(self._known_plans(planner.action_space, rule)[: self._samples - len(candidates) - 1])
+        search = self._search(planner.action_space, center)
         best, best_return = rule, -np.inf
         for iteration in range(self._iterations):
             known = candidates if iteration == 0 else [search.center()]
@@ -157,6 +166,20 @@ class OracleController(Controller):
                 best, best_return = actions[first], float(returns[first])
             search.update(actions.reshape(*actions.shape[:2], -1), self._weights(returns))
         return best
+
+    def _known_plans(self, space: gym.Space[Any], rule: Actions) -> Actions:
+        """Return variants of the rule's plan, shape (variants, timesteps, *action shape); none without setpoints."""
+        if not isinstance(space, gym.spaces.Box) or not self._directions.any():
+            return np.empty((0, *rule.shape), rule.dtype)
+        apart = SHIFT_K * self._directions
+        low, high = space.low.astype(rule.dtype), space.high.astype(rule.dtype)
+        widest = np.where(self._directions > 0.0, high, np.where(self._directions < 0.0, low, rule))
+        blocks = -(-len(rule) // self._block)
+        plans = [_switched(widest, rule, self._block * count) for count in sorted({blocks, 1, (blocks + 1) // 2})]
+        plans += [_switched(rule - apart, rule, self._block), rule + apart]
+        known: Actions = np.clip(np.stack(plans), low, high).astype(rule.dtype)
+        self._repair(known)
+        return known
 
     def _weights(self, returns: NDArray[np.float64]) -> NDArray[np.float64]:
         if self._method == "cem":
@@ -205,6 +228,17 @@ class OracleController(Controller):
         for shock in drawn.tolist():
             errors.append(float(errors[-1] * decay + shock))
         return errors[1:]
+
+
+def _switched(first: Actions, then: Actions, timesteps: int) -> Actions:
+    """Return a plan that is the first one for some timesteps, and then the other one."""
+    return np.concatenate([first[:timesteps], then[timesteps:]])
+
+
+def _directions(manifest: Manifest) -> NDArray[np.float64]:
+    """Return the direction in which each action saves energy: 1 for cooling setpoints, -1 for heating, else 0."""
+    directions = {Role.COOLING: 1.0, Role.HEATING: -1.0}
+    return np.array([directions.get(binding.role, 0.0) for binding in bind_actions(manifest)])
 
 
 def _setpoint_pairs(manifest: Manifest) -> list[tuple[int, int]]:
