@@ -28,7 +28,7 @@ from topics.errors import InvalidConfig, SimulatorError, did_you_mean
 from topics.messages import Manifest
 
 METHODS = ("mppi", "cem")
-SHIFT_K = 1.5
+SHIFT_K = 0.7
 """By how much the setpoints of a plan move apart, or together in its first block, relative to the rule, K."""
 _LEAD_H = 24.0
 """Lead time of the forecast error's standard deviation."""
@@ -175,8 +175,8 @@ class OracleController(Controller):
         low, high = space.low.astype(rule.dtype), space.high.astype(rule.dtype)
         widest = np.where(self._directions > 0.0, high, np.where(self._directions < 0.0, low, rule))
         blocks = -(-len(rule) // self._block)
-        plans = [_switched(widest, rule, self._block * count) for count in sorted({blocks, 1, (blocks + 1) // 2})]
-        plans += [_switched(rule - apart, rule, self._block), rule + apart]
+        plans = [_switched(widest, rule, self._block * count) for count in sorted({1, blocks // 2, blocks - 1} - {0})]
+        plans += [_switched(rule - 2.0 * apart, rule, self._block), rule + apart]
         known: Actions = np.clip(np.stack(plans), low, high).astype(rule.dtype)
         self._repair(known)
         return known
