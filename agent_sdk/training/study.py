@@ -47,14 +47,19 @@ OnTrial = Callable[[FrozenTrial], None]
 
 @contextmanager
 def database_errors(url: str) -> Iterator[None]:
-    """Report errors of the database as one sentence, without its password.
+    """Report errors of the database as one sentence, with the URL as the user wrote it, but without its password.
 
     Raises:
-        InvalidConfig: the database cannot be reached, was lost, or is not Optuna's.
+        InvalidConfig: the URL is invalid; or the database cannot be reached, was lost, or is not Optuna's.
     """
     try:
         yield
-    except (optuna.exceptions.StorageInternalError, sqlalchemy.exc.SQLAlchemyError, ImportError) as error:
+    except (sqlalchemy.exc.ArgumentError, ImportError) as error:
+        raise InvalidConfig(
+            f"storage: {_without_password(url)}: {error.__cause__ or error}; expected a URL as "
+            "postgresql://user@host/name, which needs the extra postgresql, or sqlite:///study.db"
+        ) from None
+    except (optuna.exceptions.StorageInternalError, sqlalchemy.exc.SQLAlchemyError) as error:
         cause: BaseException = error.__cause__ or error
         reason = str(getattr(cause, "orig", None) or cause).strip().partition("\n")[0]
         raise InvalidConfig(
@@ -64,13 +69,19 @@ def database_errors(url: str) -> Iterator[None]:
 
 
 def _without_password(url: str) -> str:
-    return re.sub(r"(://[^:/@]*):[^@]*@", r"\1@", url)
+    return re.sub(r"([?&]password)=[^&]*", r"\1=...", re.sub(r"(://[^:/@]*):.*@", r"\1@", url))
+
+
+def _with_driver(url: str) -> str:
+    """Return the URL for SQLAlchemy, which has another default driver for PostgreSQL."""
+    return re.sub(r"^postgres(ql)?://", "postgresql+psycopg://", url)
 
 
 def open_storage(url: str) -> Any:
     """Open the database of a study, with heartbeats by which trials of lost machines are recognized."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
+        url = _with_driver(url)
         is_sqlite = url.startswith("sqlite")
         limits: Mapping[str, int] = {"timeout": 60} if is_sqlite else _POSTGRESQL if "+psycopg" in url else {}
         options = sqlalchemy.make_url(url).query  # those in the URL override

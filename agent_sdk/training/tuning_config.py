@@ -125,9 +125,7 @@ class TuningConfig(_Part):
     @property
     def url(self) -> str:
         """URL of the database."""
-        if self.storage is None:
-            return f"sqlite:///{(self.folder / 'study.db').absolute()}"
-        return self.storage.replace("postgresql://", "postgresql+psycopg://", 1)
+        return self.storage or f"sqlite:///{(self.folder / 'study.db').absolute()}"
 
     def identity(self) -> dict[str, Any]:
         """Return what must not change while a study exists: training, search space, sampler and metric."""

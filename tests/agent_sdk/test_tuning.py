@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import threading
 from pathlib import Path
@@ -96,8 +97,25 @@ def test_a_database_that_is_not_there_is_one_sentence_without_its_password(tmp_p
     pytest.importorskip("psycopg")
     url = "postgresql://me:secret@127.0.0.1:1/none?connect_timeout=2"
     with pytest.raises(
-        InvalidConfig, match=r"the database postgresql\+psycopg://me@127\.0\.0\.1:1/none.* cannot be used"
+        InvalidConfig, match=r"the database postgresql://me@127\.0\.0\.1:1/none.* cannot be used"
     ) as error:
+        open_study(study(tmp_path, storage=url))
+    assert "secret" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("url", "text"),
+    [
+        ("postgresql://me:a@b/secret@127.0.0.1:1/none", "the database postgresql://me@127.0.0.1:1/none cannot be used"),
+        ("postgresql://me@127.0.0.1:1/none?password=secret", "none?password=... cannot be used"),
+        ("postgres://me:secret@127.0.0.1:1/none", "the database postgres://me@127.0.0.1:1/none cannot be used"),
+        ("study.db", "storage: study.db: Could not parse SQLAlchemy URL"),
+        ("oracel://me:secret@host/none", "storage: oracel://me@host/none: Can't load plugin"),
+    ],
+)
+def test_errors_name_the_database_as_the_user_did(url: str, text: str, tmp_path: Path) -> None:
+    pytest.importorskip("psycopg")
+    with pytest.raises(InvalidConfig, match=re.escape(text)) as error:
         open_study(study(tmp_path, storage=url))
     assert "secret" not in str(error.value)
 
