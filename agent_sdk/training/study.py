@@ -30,6 +30,8 @@ with requires_extra("tune", "tuning", "Optuna"):
     import sqlalchemy
     from optuna.trial import FrozenTrial, TrialState
 
+    from agent_sdk.training.study_sampler import RETRY_OF, make_sampler
+
 _IDENTITY = "zenostat"
 _HEARTBEAT_S, _GRACE_S = 30, 120
 _POLL_S = 0.2
@@ -99,13 +101,6 @@ def make_pruner(settings: Pruner | Any) -> optuna.pruners.BasePruner:
     if settings.kind == "halving":
         return optuna.pruners.SuccessiveHalvingPruner(min_resource=max(settings.warmup_steps, 1))
     return optuna.pruners.MedianPruner(settings.startup_trials, settings.warmup_steps)
-
-
-def make_sampler(config: TuningConfig) -> optuna.samplers.BaseSampler:
-    """Return the sampler of a study; the points of a grid are queued when the study is created."""
-    if config.sampler == "tpe":
-        return optuna.samplers.TPESampler(seed=config.seed)
-    return optuna.samplers.RandomSampler(seed=config.seed)
 
 
 def distribution(searched: Range) -> optuna.distributions.BaseDistribution:
@@ -238,7 +233,7 @@ class Tuning:
         trials = self.study.get_trials(deepcopy=False)
         if any(trial.state is TrialState.WAITING for trial in trials):
             return True
-        repeated: int = sum("retry_of" in trial.user_attrs for trial in trials)
+        repeated: int = sum(RETRY_OF in trial.user_attrs for trial in trials)
         return self._config.sampler != "grid" and len(trials) - repeated < (self._config.trials or 0)
 
     def _start(self) -> None:
@@ -280,8 +275,8 @@ class Tuning:
         with suppress(optuna.exceptions.UpdateFinishedTrialError):  # another machine took it for lost
             self.study.tell(worker.trial, value, state=states[result["state"]])
         if result.get("again"):
-            of = worker.trial.user_attrs.get("retry_of", worker.trial.number)
-            self.study.enqueue_trial(worker.trial.params, user_attrs={"retry_of": of})
+            of = worker.trial.user_attrs.get(RETRY_OF, worker.trial.number)
+            self.study.enqueue_trial(worker.trial.params, user_attrs={RETRY_OF: of})
         if self._on_trial is not None:
             self._on_trial(self.study.trials[worker.trial.number])
         self._check_first_trials(reason)
@@ -296,8 +291,8 @@ class Tuning:
                 raise InvalidConfig(f"no trial of the study can be trained: {reason}")
 
     def _may_retry(self, trial: optuna.Trial) -> bool:
-        of = trial.user_attrs.get("retry_of", trial.number)
-        retries: int = sum(other.user_attrs.get("retry_of") == of for other in self.study.get_trials(deepcopy=False))
+        of = trial.user_attrs.get(RETRY_OF, trial.number)
+        retries: int = sum(other.user_attrs.get(RETRY_OF) == of for other in self.study.get_trials(deepcopy=False))
         return retries < self._config.retries
 
     def _heartbeat(self) -> None:

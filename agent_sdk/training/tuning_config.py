@@ -104,7 +104,7 @@ class TuningConfig(_Part):
         training: path of a training file, or its fields.
         parameters: what to search, by field of the training: `parameters.learning_rate`, `slots`, `wrappers`.
         sampler: `tpe`, `random` or `grid`.
-        seed: seed of the sampler; with one worker, the same study gives the same trials.
+        seed: seed of the sampler; with one worker, the same study gives the same trials, also if it was interrupted.
         trials: number of trials; of a grid by default all its points.
         workers: number of trials at the same time on this machine.
         metric: metric of the evaluations to optimize, as `reward` or `hvac_electricity_kwh`.

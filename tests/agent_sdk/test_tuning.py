@@ -120,6 +120,22 @@ def test_errors_name_the_database_as_the_user_did(url: str, text: str, tmp_path:
     assert "secret" not in str(error.value)
 
 
+@pytest.mark.filterwarnings("ignore:Heartbeat of storage")
+@pytest.mark.parametrize("sampler", ["tpe", "random"])
+def test_processes_with_one_seed_draw_what_one_process_draws(sampler: str, tmp_path: Path) -> None:
+    config, other = study(tmp_path / "a", sampler=sampler), study(tmp_path / "b", sampler=sampler)
+    searched = {name: distribution(parameter) for name, parameter in config.parameters.items()}
+    alone = open_study(other)
+    expected = [alone.ask(searched).params for _ in range(4)]
+    assert len({params["parameters.learning_rate"] for params in expected}) == 4
+    first, second = open_study(config), open_study(config)
+    interrupted = first.ask(searched)
+    first.tell(interrupted, state=optuna.trial.TrialState.FAIL)
+    first.enqueue_trial(interrupted.params, user_attrs={"retry_of": interrupted.number})
+    drawn = [process.ask(searched).params for process in (second, first, second, open_study(config))]
+    assert drawn == expected
+
+
 @pytest.mark.slow
 @pytest.mark.process
 def test_a_killed_process_fails_its_trial_and_no_other(tmp_path: Path) -> None:
