@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import sysconfig
 import traceback
 from pathlib import Path
@@ -12,11 +14,14 @@ from topics.errors import UsageError, ZenostatError
 
 _ROOT = Path(__file__).resolve().parent.parent
 _PACKAGES = ("agent_sdk", "bridge", "cli", "eplus_node", "models", "topics")
+_DISK_ERRORS = (
+    errno.EACCES, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.ENAMETOOLONG, errno.ENOSPC, errno.EPERM, errno.EROFS,
+)  # fmt: skip
 _NOT_USER_CODE = (*(_ROOT / name for name in _PACKAGES), Path(sysconfig.get_path("stdlib")))
 
 
 def print_failure(error: Exception) -> int:
-    """Print the error that ended a command, and return the exit code; no memory and no threads are one sentence.
+    """Print the error that ended a command, and return the exit code; a full disk or memory is one sentence.
 
     Raises:
         Exception: the error itself, if it is not a `ZenostatError` and the user's code did not raise it.
@@ -28,7 +33,7 @@ def print_failure(error: Exception) -> int:
     if isinstance(error, ZenostatError):
         print_error(str(error))
         return 2 if isinstance(error, UsageError) else 1
-    if (text := describe_exhaustion(error)) is not None:
+    if (text := describe_exhaustion(error) or _describe_disk_error(error)) is not None:
         print_error(text)
         return 1
     if not frames:
@@ -36,6 +41,14 @@ def print_failure(error: Exception) -> int:
     last = frames[-1]
     print_error(f"{Path(last.filename).name}, line {last.lineno}: {type(error).__name__}: {error}")
     return 1
+
+
+def _describe_disk_error(error: BaseException) -> str | None:
+    """Return a sentence about a file that cannot be written or read; None if the error has another cause."""
+    if not isinstance(error, OSError) or error.errno not in _DISK_ERRORS:
+        return None
+    where = f"{error.filename}: " if error.filename is not None else ""
+    return f"{where}{os.strerror(error.errno)}"
 
 
 def user_frames(error: BaseException) -> list[traceback.FrameSummary]:

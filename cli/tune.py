@@ -10,6 +10,7 @@ import typer
 from cli.console import out, progress
 from cli.tables import show
 from cli.train import SetFields, override_fields, stop_signals
+from topics.file_kinds import FileKind
 
 if TYPE_CHECKING:
     from agent_sdk.training.tuning_config import TuningConfig
@@ -42,7 +43,8 @@ def tune(
     options: dict[str, Any] = {"workers": workers, "trials": trials, "storage": storage}
     options["output"] = None if output is None else str(output)
     overrides = {name: value for name, value in options.items() if value is not None}
-    config = read_tuning(override_fields(read_file(file), overrides, fields or ()), str(file), file.parent)
+    read = override_fields(read_file(file, FileKind.TUNING), overrides, fields or ())
+    config = read_tuning(read, str(file), file.parent)
     from agent_sdk.training.study import Tuning
     from agent_sdk.training.study_figures import write_results
 

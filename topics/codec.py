@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import itertools
 import reprlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 import msgpack
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from topics.errors import BadMessage, did_you_mean
 from topics.messages import SCHEMA_VERSION, AlarmList, Batch, Claim, Geometry, Manifest, Message, Sample, Status
@@ -40,6 +40,11 @@ MAX_ITEMS = {
 """Larger limits of entries, for messages that list points, zones or many slots."""
 
 _MAX_ERRORS = 10
+_RULES = {
+    **dict.fromkeys(("tuple_type", "list_type"), "a list expected"),
+    **dict.fromkeys(("dict_type", "model_type", "model_attributes_type"), "a mapping expected"),
+}
+"""Rules whose text by pydantic names classes of Python."""
 FLOAT = np.dtype("<f8")
 INDEX = np.dtype("<u2")
 _MEDIA = "application/msgpack"
@@ -153,27 +158,43 @@ def describe_validation_errors(error: ValidationError, known: Iterable[str] = ()
     """Describe the errors of a pydantic validation in one line: the path, the rule and the value of each.
 
     Of many errors, only the first ones are described. `known`: names of the top-level fields, of which similar ones
-    are suggested for an unknown one.
+    are suggested for an unknown one; the `model_fields` of a model also have those of nested models.
     """
     texts = []
     errors = error.errors(include_url=False)
     for detail in errors[:_MAX_ERRORS]:
         loc = [str(part) for part in detail["loc"] if not str(part).startswith("@")]
-        path, rule = _cut(".".join(loc)), detail["msg"].removeprefix("Value error, ")
+        path = _cut(".".join(loc))
+        rule = _RULES.get(detail["type"], detail["msg"].removeprefix("Value error, "))
         if not path:  # a rule on several fields
             is_fields = isinstance(detail["input"], (dict, Message))
             texts.append(rule if is_fields else f"{rule}, got {_short(detail['input'])}")
         elif detail["type"] == "missing":
             texts.append(f"{path}: it is missing")
         elif detail["type"] == "extra_forbidden":
-            texts.append(
-                f"{path}: there is no such field"
-                + (f"; {did_you_mean(loc[0], known)}" if len(loc) == 1 and known else "")
-            )
+            names = _names_beside(loc, known)
+            texts.append(f"{path}: there is no such field" + (f"; {did_you_mean(loc[-1], names)}" if names else ""))
         else:
             texts.append(f"{path}: {rule}, got {_short(detail['input'])}")
     more = len(errors) - len(texts)
     return "; ".join(texts) + (f"; and {more} more" if more else "")
+
+
+def _names_beside(loc: Sequence[str], known: Iterable[str]) -> list[str]:
+    """Return the names of the fields of the model in which `loc` is unknown; none if it is one of several models."""
+    for part in loc[:-1]:
+        if isinstance(known, Mapping) and part in known:  # else an index, or a key of a mapping
+            models = _models_in(known[part].annotation)
+            known = models[0].model_fields if len(models) == 1 else ()
+        elif not isinstance(known, Mapping):
+            return []
+    return list(known)
+
+
+def _models_in(annotation: Any) -> list[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [model for argument in get_args(annotation) for model in _models_in(argument)]
 
 
 class _Repr(reprlib.Repr):

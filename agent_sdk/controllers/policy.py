@@ -94,8 +94,8 @@ class PolicyController(Controller):
                 names = _dimension_names(manifest, kind)
                 raise InvalidConfig(
                     f"the model was trained on other {kind} than those of {manifest.node!r}: "
-                    f"{_difference(trained, current, names)}; use the scenario of its training; a model trained behind "
-                    "wrappers is evaluated by agent_sdk.training.evaluate_model"
+                    f"{describe_difference(trained, current, names)}; use the scenario of its training; a model "
+                    "trained behind wrappers is evaluated by agent_sdk.training.evaluate_model"
                 )
         self._normalization = normalization if normalization is not None else normalization_of(model)
         self._model, self._predictor = model, Predictor(model)
@@ -131,12 +131,15 @@ def _dimension_names(manifest: Manifest, kind: str) -> list[str]:
     )
 
 
-def _difference(trained: gym.Space[Any], current: gym.Space[Any], names: Sequence[str]) -> str:
+def describe_difference(trained: gym.Space[Any], current: gym.Space[Any], names: Sequence[str] = ()) -> str:
     """Describe how two spaces differ; with the same number of dimensions, by the names whose bounds differ."""
     if not (isinstance(trained, gym.spaces.Box) and isinstance(current, gym.spaces.Box)):
         return f"{trained}, now {current}"
-    if trained.shape != current.shape or len(names) != current.low.size:
-        return f"{trained.low.size} of them, now {current.low.size}: {', '.join(names)}"
+    if trained.shape != current.shape:
+        listed = f": {', '.join(names)}" if names else ""
+        return f"{trained.low.size} of them, now {current.low.size}{listed}"
+    if len(names) != current.low.size:
+        names = [f"number {index}" for index in range(current.low.size)]
     before, now = (np.stack([box.low.ravel(), box.high.ravel()], 1) for box in (trained, current))
     rows = zip(names, before.tolist(), now.tolist(), strict=True)
     return "; ".join(f"{name} was {a[0]:g} to {a[1]:g}, now {b[0]:g} to {b[1]:g}" for name, a, b in rows if a != b)

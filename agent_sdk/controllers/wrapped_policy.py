@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from agent_sdk.bus.sample import SampleView
 from agent_sdk.controllers.base import Controller, Values
-from agent_sdk.controllers.policy import Predictor
+from agent_sdk.controllers.policy import Predictor, describe_difference
 from agent_sdk.envs.building_env import BuildingEnv
 from agent_sdk.wrappers.checkpoint import frozen_statistics, set_wrapper_states
 from agent_sdk.wrappers.serialization import apply_wrappers
@@ -58,11 +58,12 @@ class WrappedPolicy(Controller):
         self._states = [state for state in states if state["wrapper"] not in _LOGS]
         self._link: _SampleQueue | None = None
         with self._environment(_SampleQueue(manifest)) as env:
-            for kind in ("observation_space", "action_space"):
-                if (current := getattr(env, kind)) != (trained := getattr(model, kind)):
+            for kind in ("observation", "action"):
+                current, trained = getattr(env, f"{kind}_space"), getattr(model, f"{kind}_space")
+                if current != trained:
                     raise InvalidConfig(
-                        f"the model was trained on another {kind.replace('_', ' ')} than that of {manifest.node!r} "
-                        f"within the wrappers of its training: {trained}, now {current}; use its scenario"
+                        f"the model was trained on other {kind}s than those of {manifest.node!r} within the wrappers "
+                        f"of its training: {describe_difference(trained, current)}; use the scenario of its training"
                     )
 
     @contextmanager

@@ -256,10 +256,15 @@ def branch_request(
     """Return the request for a branch.
 
     Raises:
-        InvalidConfig: a number of slots or an error out of range.
+        InvalidConfig: a number of slots or an error out of range, or errors that are not a sequence of numbers.
     """
     count = 1 if slots is None else check_count(slots, "slots")
-    errors = [float(error) for error in forecast_error]
+    try:
+        errors = [float(error) for error in forecast_error]
+    except (TypeError, ValueError):
+        raise InvalidConfig(
+            f"forecast_error = {forecast_error!r}; a sequence of numbers in K expected, one for each timestep"
+        ) from None
     if not all(abs(error) <= MAX_ERROR_K for error in errors):  # NaN is not
         raise InvalidConfig(f"forecast_error = {errors}; numbers from -{MAX_ERROR_K:g} to {MAX_ERROR_K:g} K expected")
     return CreateBranch(

@@ -6,12 +6,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError, model_validator
 
 from agent_sdk.envs.arguments import of_scenario
 from topics import yaml12
 from topics.codec import describe_validation_errors
 from topics.errors import InvalidConfig, UnknownName
+from topics.file_kinds import FileKind, check_file_kind
 from topics.keys import safe_name
 from topics.seeds import MAX_SEED
 
@@ -26,6 +27,15 @@ EVALUATIONS = 10
 
 class _Part(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+def _switch(value: Any) -> str:
+    return "@false" if value is False else "@fields"
+
+
+No = Annotated[Literal[False], Tag("@false")]
+FIELDS, FIELDS_OR_FALSE = Tag("@fields"), Discriminator(_switch)
+"""Marks of a field that is false or has fields of its own; errors are those of the form that was used."""
 
 
 class Normalization(_Part):
@@ -102,8 +112,8 @@ class TrainingConfig(_Part):
     slots: Annotated[int, Field(strict=True, ge=1, le=256)] = 1
     policy: str | None = None
     parameters: dict[str, Any] = Field(default_factory=dict)
-    normalization: Normalization | Literal[False] = Field(default_factory=Normalization)
-    evaluation: Evaluation | Literal[False] = Field(default_factory=Evaluation)
+    normalization: Annotated[Annotated[Normalization, FIELDS] | No, FIELDS_OR_FALSE] = Normalization()
+    evaluation: Annotated[Annotated[Evaluation, FIELDS] | No, FIELDS_OR_FALSE] = Evaluation()
     checkpoint_steps: Count | None = None
     log: tuple[Literal["tensorboard", "wandb"], ...] = ()
     wandb: dict[str, Any] = Field(default_factory=dict)
@@ -150,22 +160,24 @@ def read_training(fields: Mapping[str, Any], what: str = "the training") -> Trai
         raise InvalidConfig(f"{what}: {describe_validation_errors(error, TrainingConfig.model_fields)}") from None
 
 
-def read_file(path: str | Path) -> dict[str, Any]:
-    """Return the fields of a YAML file; paths in it are relative to the working directory.
+def read_file(path: str | Path, kind: FileKind = FileKind.TRAINING) -> dict[str, Any]:
+    """Return the fields of a training or tuning file; paths in it are relative to the working directory.
 
     Raises:
         UnknownName: there is no such file, or it cannot be read.
-        InvalidConfig: it is not YAML.
+        InvalidConfig: it is not YAML, or a file of another kind.
     """
     path = Path(path)
     try:
-        return yaml12.parse(yaml12.read_text(path), str(path))
+        fields = yaml12.parse(yaml12.read_text(path), str(path))
     except FileNotFoundError:
         raise UnknownName(f"there is no file {path.absolute()}") from None
     except IsADirectoryError:
         raise UnknownName(f"{path.absolute()} is a folder; expected a YAML file") from None
     except (OSError, UnicodeDecodeError) as error:
         raise UnknownName(f"cannot read {path.absolute()}: {error}") from None
+    check_file_kind(fields, kind, str(path))
+    return fields
 
 
 def load_training(path: str | Path) -> TrainingConfig:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import typing
+import warnings
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -44,6 +45,8 @@ _POSITIVE = (
     "stats_window_size", "target_kl", "target_update_interval", "train_freq",
 )  # fmt: skip
 _CONTINUOUS = ("ddpg", "sac", "td3")
+_OF_SPACES = ("observation_space", "action_space", "lr_schedule")
+"""Arguments of policies that algorithms supply."""
 
 
 def algorithm_class(name: str) -> type[BaseAlgorithm]:
@@ -80,7 +83,8 @@ def check_algorithm(config: TrainingConfig) -> None:
     errors.raise_if_any()
     is_discrete = config.algorithm == "dqn"
     action: gym.Space[Any] = gym.spaces.Discrete(2) if is_discrete else gym.spaces.Box(-1, 1, (1,))
-    with preserve_random_state():
+    with preserve_random_state(), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the training itself repeats them
         make_model(config, DummyVecEnv([lambda: _EmptyEnv(action)] * config.slots))
 
 
@@ -137,10 +141,27 @@ def _check_names(algorithm: type[BaseAlgorithm], config: TrainingConfig) -> None
             errors.append(f"parameters.{name} is code and cannot be written in a file")
         elif name not in known:
             errors.append(f"parameters: {config.algorithm} has no {name!r}; {did_you_mean(name, known)}")
+        elif name == "policy_kwargs" and isinstance(value, Mapping):
+            errors += _check_policy_names(algorithm, config, value)
         elif name not in ("action_noise", "policy_kwargs") and not _is_schedule(value):
             errors += _check_value(f"parameters.{name}", hints[name], value)
     if errors:
         raise InvalidConfig("\n".join(errors))
+
+
+def _check_policy_names(
+    algorithm: type[BaseAlgorithm], config: TrainingConfig, arguments: Mapping[str, Any]
+) -> list[str]:
+    """Return an error for each name that the policy does not have; `policy_name` reports an unknown policy."""
+    if config.policy is not None and config.policy not in algorithm.policy_aliases:
+        return []
+    policy = algorithm.policy_aliases[policy_name(config)]
+    known = [name for name in list(inspect.signature(policy.__init__).parameters)[1:] if name not in _OF_SPACES]
+    return [
+        f"parameters.policy_kwargs: {config.algorithm} has no {name!r}; {did_you_mean(name, known)}"
+        for name in arguments
+        if name not in known
+    ]
 
 
 def _hints(algorithm: type[BaseAlgorithm]) -> dict[str, Any]:

@@ -30,6 +30,8 @@ with requires_extra("tune", "tuning", "Optuna"):
     import sqlalchemy
     from optuna.trial import FrozenTrial, TrialState
 
+    from agent_sdk.training.study_sampler import RETRY_OF, make_sampler
+
 _IDENTITY = "zenostat"
 _HEARTBEAT_S, _GRACE_S = 30, 120
 _POLL_S = 0.2
@@ -47,14 +49,19 @@ OnTrial = Callable[[FrozenTrial], None]
 
 @contextmanager
 def database_errors(url: str) -> Iterator[None]:
-    """Report errors of the database as one sentence, without its password.
+    """Report errors of the database as one sentence, with the URL as the user wrote it, but without its password.
 
     Raises:
-        InvalidConfig: the database cannot be reached, was lost, or is not Optuna's.
+        InvalidConfig: the URL is invalid; or the database cannot be reached, was lost, or is not Optuna's.
     """
     try:
         yield
-    except (optuna.exceptions.StorageInternalError, sqlalchemy.exc.SQLAlchemyError, ImportError) as error:
+    except (sqlalchemy.exc.ArgumentError, ImportError) as error:
+        raise InvalidConfig(
+            f"storage: {_without_password(url)}: {error.__cause__ or error}; expected a URL as "
+            "postgresql://user@host/name, which needs the extra postgresql, or sqlite:///study.db"
+        ) from None
+    except (optuna.exceptions.StorageInternalError, sqlalchemy.exc.SQLAlchemyError) as error:
         cause: BaseException = error.__cause__ or error
         reason = str(getattr(cause, "orig", None) or cause).strip().partition("\n")[0]
         raise InvalidConfig(
@@ -64,13 +71,19 @@ def database_errors(url: str) -> Iterator[None]:
 
 
 def _without_password(url: str) -> str:
-    return re.sub(r"(://[^:/@]*):[^@]*@", r"\1@", url)
+    return re.sub(r"([?&]password)=[^&]*", r"\1=...", re.sub(r"(://[^:/@]*):.*@", r"\1@", url))
+
+
+def _with_driver(url: str) -> str:
+    """Return the URL for SQLAlchemy, which has another default driver for PostgreSQL."""
+    return re.sub(r"^postgres(ql)?://", "postgresql+psycopg://", url)
 
 
 def open_storage(url: str) -> Any:
     """Open the database of a study, with heartbeats by which trials of lost machines are recognized."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
+        url = _with_driver(url)
         is_sqlite = url.startswith("sqlite")
         limits: Mapping[str, int] = {"timeout": 60} if is_sqlite else _POSTGRESQL if "+psycopg" in url else {}
         options = sqlalchemy.make_url(url).query  # those in the URL override
@@ -88,13 +101,6 @@ def make_pruner(settings: Pruner | Any) -> optuna.pruners.BasePruner:
     if settings.kind == "halving":
         return optuna.pruners.SuccessiveHalvingPruner(min_resource=max(settings.warmup_steps, 1))
     return optuna.pruners.MedianPruner(settings.startup_trials, settings.warmup_steps)
-
-
-def make_sampler(config: TuningConfig) -> optuna.samplers.BaseSampler:
-    """Return the sampler of a study; the points of a grid are queued when the study is created."""
-    if config.sampler == "tpe":
-        return optuna.samplers.TPESampler(seed=config.seed)
-    return optuna.samplers.RandomSampler(seed=config.seed)
 
 
 def distribution(searched: Range) -> optuna.distributions.BaseDistribution:
@@ -227,7 +233,7 @@ class Tuning:
         trials = self.study.get_trials(deepcopy=False)
         if any(trial.state is TrialState.WAITING for trial in trials):
             return True
-        repeated: int = sum("retry_of" in trial.user_attrs for trial in trials)
+        repeated: int = sum(RETRY_OF in trial.user_attrs for trial in trials)
         return self._config.sampler != "grid" and len(trials) - repeated < (self._config.trials or 0)
 
     def _start(self) -> None:
@@ -269,8 +275,8 @@ class Tuning:
         with suppress(optuna.exceptions.UpdateFinishedTrialError):  # another machine took it for lost
             self.study.tell(worker.trial, value, state=states[result["state"]])
         if result.get("again"):
-            of = worker.trial.user_attrs.get("retry_of", worker.trial.number)
-            self.study.enqueue_trial(worker.trial.params, user_attrs={"retry_of": of})
+            of = worker.trial.user_attrs.get(RETRY_OF, worker.trial.number)
+            self.study.enqueue_trial(worker.trial.params, user_attrs={RETRY_OF: of})
         if self._on_trial is not None:
             self._on_trial(self.study.trials[worker.trial.number])
         self._check_first_trials(reason)
@@ -285,8 +291,8 @@ class Tuning:
                 raise InvalidConfig(f"no trial of the study can be trained: {reason}")
 
     def _may_retry(self, trial: optuna.Trial) -> bool:
-        of = trial.user_attrs.get("retry_of", trial.number)
-        retries: int = sum(other.user_attrs.get("retry_of") == of for other in self.study.get_trials(deepcopy=False))
+        of = trial.user_attrs.get(RETRY_OF, trial.number)
+        retries: int = sum(other.user_attrs.get(RETRY_OF) == of for other in self.study.get_trials(deepcopy=False))
         return retries < self._config.retries
 
     def _heartbeat(self) -> None:

@@ -41,7 +41,7 @@ def _run(request: dict[str, Any]) -> dict[str, Any]:
     from agent_sdk.training.run import train
     from agent_sdk.training.study import database_errors, make_pruner, open_storage
     from agent_sdk.training.tuning_config import Pruner
-    from topics.errors import InvalidConfig
+    from topics.errors import InvalidConfig, did_you_mean
 
     settings = request["pruner"] and Pruner.model_validate(request["pruner"])
     with database_errors(request["url"]):
@@ -53,8 +53,8 @@ def _run(request: dict[str, Any]) -> dict[str, Any]:
     def report(step: int, results: Any) -> None:
         episodes = [result.metrics().get(metric) for result in results]
         if None in episodes:
-            names = ", ".join(name for name, value in results[0].metrics().items() if value is not None)
-            raise InvalidConfig(f"metric: the evaluations have no {metric!r}; they have: {names}")
+            names = [name for name, value in results[0].metrics().items() if value is not None]
+            raise InvalidConfig(f"metric: the evaluations have no {metric!r}; {did_you_mean(metric, names)}")
         values.append(float(np.mean(np.array(episodes, np.float64))))
         with database_errors(request["url"]):
             trial.report(values[-1], step)

@@ -9,9 +9,19 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
-from agent_sdk.training.config import Count, TrainingConfig, read_file, read_training, with_field
+from agent_sdk.training.config import (
+    FIELDS,
+    FIELDS_OR_FALSE,
+    Count,
+    No,
+    TrainingConfig,
+    read_file,
+    read_training,
+    with_field,
+)
 from topics.codec import describe_validation_errors
 from topics.errors import InvalidConfig
+from topics.file_kinds import FileKind
 
 Scalar = bool | int | float | str | None
 _Number = Annotated[float, Field(strict=True)]
@@ -67,6 +77,8 @@ class Range(_Part):
 
 
 def _as_choices(value: Any) -> Any:
+    if not isinstance(value, list | Mapping | Range):
+        raise ValueError("a range as {low: 1, high: 9}, or a list of choices expected")
     return {"choices": value} if isinstance(value, list) else value
 
 
@@ -92,7 +104,7 @@ class TuningConfig(_Part):
         training: path of a training file, or its fields.
         parameters: what to search, by field of the training: `parameters.learning_rate`, `slots`, `wrappers`.
         sampler: `tpe`, `random` or `grid`.
-        seed: seed of the sampler; with one worker, the same study gives the same trials.
+        seed: seed of the sampler; with one worker, the same study gives the same trials, also if it was interrupted.
         trials: number of trials; of a grid by default all its points.
         workers: number of trials at the same time on this machine.
         metric: metric of the evaluations to optimize, as `reward` or `hvac_electricity_kwh`.
@@ -112,7 +124,7 @@ class TuningConfig(_Part):
     workers: Annotated[int, Field(strict=True, ge=1, le=256)] = 1
     metric: str = "reward"
     direction: Literal["maximize", "minimize"] = "maximize"
-    pruner: Pruner | Literal[False] = Field(default_factory=Pruner)
+    pruner: Annotated[Annotated[Pruner, FIELDS] | No, FIELDS_OR_FALSE] = Pruner()
     retries: Annotated[int, Field(strict=True, ge=0)] = 0
     storage: str | None = None
     output: str | None = None
@@ -125,9 +137,7 @@ class TuningConfig(_Part):
     @property
     def url(self) -> str:
         """URL of the database."""
-        if self.storage is None:
-            return f"sqlite:///{(self.folder / 'study.db').absolute()}"
-        return self.storage.replace("postgresql://", "postgresql+psycopg://", 1)
+        return self.storage or f"sqlite:///{(self.folder / 'study.db').absolute()}"
 
     def identity(self) -> dict[str, Any]:
         """Return what must not change while a study exists: training, search space, sampler and metric."""
@@ -185,4 +195,4 @@ def read_tuning(fields: Mapping[str, Any], what: str = "the study", folder: Path
 
 def load_tuning(path: Path) -> TuningConfig:
     """Read a tuning file; errors as of `read_file` and `read_tuning`."""
-    return read_tuning(read_file(path), str(path), path.parent)
+    return read_tuning(read_file(path, FileKind.TUNING), str(path), path.parent)

@@ -222,9 +222,9 @@ class RecordingReader:
                     )
                     return
             elif opcode == Opcode.METADATA:
-                metadata = Metadata.read(ReadDataStream(io.BytesIO(body)))
-                if metadata.name == recording.SUMMARY:
-                    end.metadata, end.text = metadata.metadata, metadata.metadata.get("reason", "")
+                _read_summary(body, at, expected, end)
+                if end.is_damaged:
+                    return
             elif opcode == Opcode.DATA_END:
                 self._file.seek(-len(MAGIC), io.SEEK_END)
                 end.is_complete = self._file.read() == MAGIC
@@ -273,6 +273,20 @@ class RecordingReader:
         except BlockingIOError:
             return "it is still being recorded"
         return f"it was cut off after byte {at:,}, because the node was killed or its disk was full"
+
+
+def _read_summary(body: bytes, at: int, messages: int, end: RecordingEnd) -> None:
+    """Read the metadata record at byte `at`, and compare the number of messages before it."""
+    try:
+        metadata = Metadata.read(ReadDataStream(io.BytesIO(body)))
+    except Exception:  # the library raises what its parsing meets
+        end.text, end.is_damaged = f"it is damaged at byte {at:,}: its summary cannot be read", True
+        return
+    if metadata.name != recording.SUMMARY:
+        return
+    end.metadata, end.text = metadata.metadata, metadata.metadata.get("reason", "")
+    if end.metadata.get("messages", str(messages)) != str(messages):
+        end.text, end.is_damaged = f"messages are missing before byte {at:,}", True
 
 
 def _chunk_data(body: bytes) -> bytes:

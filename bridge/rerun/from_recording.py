@@ -14,7 +14,7 @@ from bridge.rerun.samples import ComfortFactory, RewardFactory
 from bridge.rerun.stream import ROWS
 from topics import codec
 from topics.atomic_file import atomic_file
-from topics.errors import BadMessage, InvalidRecording
+from topics.errors import BadMessage, InvalidRecording, ViewerError
 from topics.messages import Event, EventKind, Manifest, Sample
 
 _SCHEMAS = frozenset(("Sample", "Event", "Manifest"))
@@ -37,18 +37,26 @@ def write_rrd(
 
     Raises:
         InvalidRecording: the recording has no samples, or is damaged.
+        ViewerError: the file cannot be written.
     """
     with atomic_file(path) as temporary:
         stream = rr.RecordingStream("zenostat")
         stream.set_sinks(rr.FileSink(str(temporary)))
         try:
             count = _log(reader, stream, comfort, reward)
-            stream.flush()
+            _flush(stream, path)
         finally:
             stream.disconnect()
         if not count:
             raise InvalidRecording(f"{reader.path} has no samples")
     return count
+
+
+def _flush(stream: rr.RecordingStream, path: Path) -> None:
+    try:
+        stream.flush()
+    except RuntimeError as error:  # the thread that writes has ended; Rerun does not say why
+        raise ViewerError(f"cannot write {path}: {error}; its disk may be full") from None
 
 
 def _log(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
 from models.building.model import Building
 from models.points.selection import Points
@@ -46,6 +47,8 @@ def find_scenario(text: str) -> Scenario:
 
         return paper_scenarios()[name]
     match = _ID.fullmatch(name)
+    if not match and (Path(text).expanduser() / "scenario.yaml").is_file():
+        raise UnknownName(f"no scenario {text!r}; that folder has one: {Path(text) / 'scenario.yaml'}")
     if not match:
         raise UnknownName(f"no scenario {text!r}; {did_you_mean(name, all_ids())}")
     building, weather, form, stochastic = match.groups()

@@ -28,6 +28,7 @@ from models.catalog import MODEL_SUFFIXES, WEATHER_SUFFIXES
 from models.weather.noise import ColumnNoise
 from topics.codec import describe_validation_errors
 from topics.errors import ErrorCollector, InvalidConfig, UnknownName
+from topics.file_kinds import FileKind, check_file_kind
 from topics.messages import Aggregation, SafeName, TimeField
 from topics.points import check_order
 
@@ -224,7 +225,9 @@ def load_yaml(path: Path) -> dict[str, Any]:
 
 def load_scenario(path: Path, errors: ErrorCollector | None = None) -> Scenario:
     """Read a scenario file, whose paths are relative to its folder; `errors` is as in `read_scenario`."""
-    return read_scenario(resolve_paths(load_yaml(path), path.parent), str(path), errors)
+    fields = load_yaml(path)
+    check_file_kind(fields, FileKind.SCENARIO, str(path))
+    return read_scenario(resolve_paths(fields, path.parent), str(path), errors)
 
 
 def resolve_paths(fields: Mapping[str, Any], folder: Path) -> dict[str, Any]:

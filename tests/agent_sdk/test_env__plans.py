@@ -176,6 +176,9 @@ def test_forecast_error__changes_the_outdoor_temperature_alone(office: BuildingE
     assert not np.array_equal(outcomes[2].rewards, outcomes[0].rewards)
     with pytest.raises(InvalidConfig, match="forecast_error"):
         office.plan(actions, forecast_error=[float("nan")])
+    for bad in (3.0, "warm", [None]):
+        with pytest.raises(InvalidConfig, match="a sequence of numbers in K expected"):
+            office.plan(actions, forecast_error=bad)  # type: ignore[arg-type]
 
 
 @pytest.mark.slow

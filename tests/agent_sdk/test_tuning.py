@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import threading
 from pathlib import Path
@@ -96,10 +97,43 @@ def test_a_database_that_is_not_there_is_one_sentence_without_its_password(tmp_p
     pytest.importorskip("psycopg")
     url = "postgresql://me:secret@127.0.0.1:1/none?connect_timeout=2"
     with pytest.raises(
-        InvalidConfig, match=r"the database postgresql\+psycopg://me@127\.0\.0\.1:1/none.* cannot be used"
+        InvalidConfig, match=r"the database postgresql://me@127\.0\.0\.1:1/none.* cannot be used"
     ) as error:
         open_study(study(tmp_path, storage=url))
     assert "secret" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("url", "text"),
+    [
+        ("postgresql://me:a@b/secret@127.0.0.1:1/none", "the database postgresql://me@127.0.0.1:1/none cannot be used"),
+        ("postgresql://me@127.0.0.1:1/none?password=secret", "none?password=... cannot be used"),
+        ("postgres://me:secret@127.0.0.1:1/none", "the database postgres://me@127.0.0.1:1/none cannot be used"),
+        ("study.db", "storage: study.db: Could not parse SQLAlchemy URL"),
+        ("oracel://me:secret@host/none", "storage: oracel://me@host/none: Can't load plugin"),
+    ],
+)
+def test_errors_name_the_database_as_the_user_did(url: str, text: str, tmp_path: Path) -> None:
+    pytest.importorskip("psycopg")
+    with pytest.raises(InvalidConfig, match=re.escape(text)) as error:
+        open_study(study(tmp_path, storage=url))
+    assert "secret" not in str(error.value)
+
+
+@pytest.mark.filterwarnings("ignore:Heartbeat of storage")
+@pytest.mark.parametrize("sampler", ["tpe", "random"])
+def test_processes_with_one_seed_draw_what_one_process_draws(sampler: str, tmp_path: Path) -> None:
+    config, other = study(tmp_path / "a", sampler=sampler), study(tmp_path / "b", sampler=sampler)
+    searched = {name: distribution(parameter) for name, parameter in config.parameters.items()}
+    alone = open_study(other)
+    expected = [alone.ask(searched).params for _ in range(4)]
+    assert len({params["parameters.learning_rate"] for params in expected}) == 4
+    first, second = open_study(config), open_study(config)
+    interrupted = first.ask(searched)
+    first.tell(interrupted, state=optuna.trial.TrialState.FAIL)
+    first.enqueue_trial(interrupted.params, user_attrs={"retry_of": interrupted.number})
+    drawn = [process.ask(searched).params for process in (second, first, second, open_study(config))]
+    assert drawn == expected
 
 
 @pytest.mark.slow

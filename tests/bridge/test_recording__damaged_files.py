@@ -9,11 +9,13 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from mcap.opcode import Opcode
 from mcap.writer import Writer
 from support.recordings import chunk_ends, record_samples, rewrite
 
 from bridge.recording.reader import RecordingReader
 from topics.errors import InvalidRecording
+from topics.recording import SUMMARY
 
 SAMPLES = 700
 
@@ -77,6 +79,30 @@ def test_a_missing_chunk_is_a_gap(whole: Path, tmp_path: Path) -> None:
     assert found == [*range(150)]
     assert reader.end.is_damaged
     assert "messages are missing" in reader.end.text
+
+
+def test_a_last_chunk_that_is_not_recognized_is_a_gap(whole: Path, tmp_path: Path) -> None:
+    data, end = bytearray(whole.read_bytes()), chunk_ends(whole)[-1]
+    heads = (at for at in range(end - 9) if at + 9 + int.from_bytes(data[at + 1 : at + 9], "little") == end)
+    data[next(at for at in heads if data[at] == Opcode.CHUNK)] = Opcode.MESSAGE_INDEX
+    (tmp_path / "gap.mcap").write_bytes(data)
+    found, reader = read(tmp_path / "gap.mcap")
+    assert found == [*range(SAMPLES - 50)]
+    assert reader.end.is_damaged
+    assert "messages are missing" in reader.end.text
+
+
+def test_a_summary_that_cannot_be_read_is_named(whole: Path, tmp_path: Path) -> None:
+    data = bytearray(whole.read_bytes())
+    place = data.index(SUMMARY.encode())
+    for at, byte in ((place - 1, 0xFF), (place, 0x85), (place + len(SUMMARY), 0xFF)):  # lengths, and no UTF-8
+        changed = data.copy()
+        changed[at] = byte
+        (tmp_path / "damaged.mcap").write_bytes(changed)
+        found, reader = read(tmp_path / "damaged.mcap")
+        assert found == [*range(SAMPLES)]
+        assert reader.end.is_damaged
+        assert "its summary cannot be read" in reader.end.text
 
 
 def foreign() -> bytes:

@@ -66,6 +66,7 @@ def rewrite(
                 writer.add(channels[item.topic], item.time_ns, payload)
             if number % 50 == 49:
                 writer.flush()
+        writer.flush()
         writer.add_metadata(recording.SUMMARY, {"messages": str(writer.messages), "reason": ""})
         writer.finish()
         os.fsync(file.fileno())

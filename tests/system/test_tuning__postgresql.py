@@ -110,7 +110,7 @@ def test_a_server_that_goes_away_ends_the_study_with_one_sentence(server: Server
         process.kill()
         process.wait()
     assert process.returncode == 2, err
-    assert plain(err).startswith("error: the database postgresql+psycopg://me@127.0.0.1")
+    assert plain(err).startswith("error: the database postgresql://me@127.0.0.1")
     assert "finished trials are kept" in plain(err)
     assert "Traceback" not in err
     assert "secret" not in err
