@@ -29,7 +29,7 @@ from topics.messages import Manifest
 
 METHODS = ("mppi", "cem")
 SHIFT_K = 0.7
-"""By how much the setpoints of a plan move apart, or together in its first block, relative to the rule, K."""
+"""Shift of the rule's setpoints in a plan, K: the default margin of 1 K of `rbc` becomes 0.3 K."""
 _LEAD_H = 24.0
 """Lead time of the forecast error's standard deviation."""
 _CORRELATION_H = 12.0
@@ -46,7 +46,8 @@ class OracleController(Controller):
 
     For zone setpoints among continuous actions, the first iteration also has the plans that building control knows: the
     widest setpoints for a time, then the rule (setback with optimum start and stop), and the rule with its setpoints
-    moved apart or together by `SHIFT_K` (load shedding; preheating and precooling). The others are drawn at random.
+    `SHIFT_K` further apart (load shedding), or twice that closer together in the first block (preheating and
+    precooling). The others are drawn at random.
 
     Args:
         manifest: manifest of the node.

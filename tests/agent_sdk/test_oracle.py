@@ -134,14 +134,14 @@ def test_search__finds_the_optimum_of_a_linear_reward() -> None:
 @pytest.mark.parametrize(
     ("coefficients", "plan"),
     [
-        # Heating and cooling cost all the time: setback.
-        ([[-1.0, 1.0]] * 12, [[15.0, 30.0]] * 12),
-        # They cost in the first hour and pay later: setback, then the rule (optimum start).
-        ([[-1.0, 1.0]] * 4 + [[1.0, -1.0]] * 8, [[15.0, 30.0]] * 4 + [[20.0, 26.0]] * 8),
+        # Heating and cooling cost in the first hour and pay later: setback, then the rule (optimum start).
+        ([[-1.0, 1.0]] * 4 + [[1.0, -1.0]] * 12, [[15.0, 30.0]] * 4 + [[20.0, 26.0]] * 12),
+        ([[-1.0, 1.0]] * 8 + [[1.0, -1.0]] * 8, [[15.0, 30.0]] * 8 + [[20.0, 26.0]] * 8),
+        ([[-1.0, 1.0]] * 12 + [[1.0, -1.0]] * 4, [[15.0, 30.0]] * 12 + [[20.0, 26.0]] * 4),
         # They pay in the first hour: preheating and precooling.
-        ([[1.0, -1.0]] * 4 + [[0.0, 0.0]] * 8, [[21.5, 24.5]] * 4 + [[20.0, 26.0]] * 8),
+        ([[1.0, -1.0]] * 4 + [[0.0, 0.0]] * 12, [[21.4, 24.6]] * 4 + [[20.0, 26.0]] * 12),
         # Setpoints a little wider are the optimum: load shedding.
-        (None, [[18.5, 27.5]] * 12),
+        (None, [[19.3, 26.7]] * 16),
     ],
 )
 def test_first_iteration__has_setback_optimum_start_preheating_and_load_shedding(
@@ -149,11 +149,11 @@ def test_first_iteration__has_setback_optimum_start_preheating_and_load_shedding
 ) -> None:
     toy = Toy(NODE, 1)
     if coefficients is None:
-        toy.numbers = lambda actions: -np.abs(np.asarray(actions, float) - [18.5, 27.5])  # type: ignore[method-assign]
+        toy.numbers = lambda actions: -np.abs(np.asarray(actions, float) - [19.3, 26.7])  # type: ignore[method-assign]
         toy.coefficients[:] = 1.0
     else:
-        toy.coefficients[:12] = coefficients
-    episode(toy, 1, horizon=3.0, iterations=1, samples=8, spread=0.0)
+        toy.coefficients[:16] = coefficients
+    episode(toy, 1, horizon=4.0, iterations=1, samples=8, spread=0.0)
     actions, returns = toy.plans[0]
     assert len(actions) == 8
     assert np.allclose(actions[returns.sum(axis=1).argmax()], plan)
