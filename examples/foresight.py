@@ -33,10 +33,13 @@ parser.add_argument("--iterations", type=int, default=1)
 parser.add_argument("--error", type=float, default=4.0, help="standard deviation of the forecast after 24 h, K")
 arguments = parser.parse_args()
 
+close_rule = partial(RuleBasedController, setback=0.0, margin=0.3)
+"""The rule that the oracle improves on: setpoints 0.3 K within the comfort band, day and night."""
 search = {"horizon": arguments.horizon, "samples": arguments.samples, "iterations": arguments.iterations}
+search |= {"rule": close_rule}
 controllers = {
     "rbc": "rbc",
-    "rbc, setback=0": partial(RuleBasedController, setback=0.0, margin=0.3),
+    "rbc, margin=0.3": close_rule,
     "fixed": "fixed",
     "oracle": partial(OracleController, **search),
     f"oracle, {arguments.error:g} K": partial(OracleController, forecast_error=arguments.error, **search),

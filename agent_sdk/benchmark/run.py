@@ -7,7 +7,9 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from itertools import product
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
@@ -162,6 +164,7 @@ def _pool(workers: int) -> Iterator[RunAll]:
         if workers > 1:
             executor = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"))
             stack.callback(executor.shutdown, cancel_futures=True)
+            stack.push(partial(_end_workers, others=multiprocessing.active_children()))
 
         def run_all(
             function: Callable[..., Any], items: Sequence[Any], stage: str, progress: Progress | None, errors: list[str]
@@ -181,6 +184,14 @@ def _pool(workers: int) -> Iterator[RunAll]:
                     progress(stage, done, len(items))
 
         yield run_all
+
+
+def _end_workers(error: type[BaseException] | None, *_: object, others: Sequence[BaseProcess]) -> None:
+    """After an error or a signal, end the workers instead of waiting for their present episodes."""
+    if error is not None:
+        for process in multiprocessing.active_children():
+            if process not in others:
+                process.terminate()
 
 
 def _result(future: Future[tuple[Any, str]]) -> tuple[Any, str]:

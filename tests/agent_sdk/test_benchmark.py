@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import multiprocessing
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +25,7 @@ from agent_sdk.benchmark import (
     run_benchmark,
     score_rows,
 )
+from agent_sdk.benchmark import run as benchmark_run
 from agent_sdk.benchmark.figures import write_figures
 from agent_sdk.benchmark.page import write_page
 from agent_sdk.benchmark.scores import bootstrap_interval
@@ -241,6 +244,27 @@ def test_the_published_tables_and_figures_are_those_of_the_published_rows(tmp_pa
 
 
 # Episodes
+
+
+def wait_for_ever_after_the_first(item: int) -> int:
+    if item:
+        threading.Event().wait()
+    return item
+
+
+def interrupt_after_the_first() -> None:
+    with benchmark_run._pool(2) as run_all:
+        for _ in run_all(wait_for_ever_after_the_first, [0, 1], "episodes", None, []):
+            raise KeyboardInterrupt
+
+
+@pytest.mark.process
+def test_workers_end_with_an_error_or_signal() -> None:
+    """Without waiting for their present episodes."""
+    before = multiprocessing.active_children()
+    with pytest.raises(KeyboardInterrupt):
+        interrupt_after_the_first()
+    assert multiprocessing.active_children() == before
 
 
 @pytest.fixture
