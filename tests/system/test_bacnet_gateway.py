@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import math
-import os
-import signal
 import socket
 from collections.abc import Coroutine
 from pathlib import Path
@@ -333,21 +331,6 @@ def test_a_paused_node_steps_on_command_and_a_running_one_does_not(
             assert await reader.write(ADVANCE, 1.0) == "property write-access-denied"
 
     run(main())
-
-
-def test_a_frozen_node_is_an_operational_problem_of_each_write(tmp_path: Path) -> None:
-    plant = f"{Path(__file__).parents[2]}/examples/own_plant.py:HeatPumpRoom"
-
-    async def main() -> None:
-        async with served(node.endpoint, "room") as (_, reader, _):
-            os.kill(node.pid, signal.SIGSTOP)
-            assert await reader.write("compressor", 500.0) == "device operational-problem"
-
-    with NodeProgram(tmp_path / "room", plant=plant, name="room") as node:
-        try:
-            run(main())
-        finally:
-            os.kill(node.pid, signal.SIGCONT)
 
 
 def test_a_node_that_is_gone_is_a_fault_and_one_that_returns_is_served_again(tmp_path: Path) -> None:
