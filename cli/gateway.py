@@ -202,6 +202,8 @@ async def _ends_before(task: asyncio.Task[Any], stopped: asyncio.Future[int]) ->
 
 async def _relinquish(client: NodeClient) -> None:
     """Relinquish the commands of a gateway that ends: nobody could relinquish them through it afterwards."""
+    if not client.is_online:
+        return  # the operator has been told, and a node that has ended has no commands
     try:
         async with asyncio.timeout(_RELINQUISH_S):
             count = await client.relinquish_written()

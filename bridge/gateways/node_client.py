@@ -115,7 +115,7 @@ class NodeClient:
             )
             stack.callback(watch.undeclare)
             stack.callback(self._cancel)
-            self._set_first_sample(await self.ask(keys.SAMPLE, None, Sample))
+            await self._fetch_sample()
             self._close = stack.pop_all()
         return self
 
@@ -330,8 +330,12 @@ class NodeClient:
         for notify in self.listeners.samples:
             notify(sample)
 
-    def _set_first_sample(self, message: Sample) -> None:
-        """Set the sample that was queried, unless a newer one has been received meanwhile."""
+    async def _fetch_sample(self) -> None:
+        """Query the sample, and set it unless a newer one has been received meanwhile."""
+        try:
+            message = await self.ask(keys.SAMPLE, None, Sample)
+        except RequestRejected:  # there is none yet, for example at the beginning of a replay
+            return
         latest = self.sample
         if latest is None or (latest.episode, latest.step) < (message.episode[0], message.step[0]):
             self._set_sample(message)
@@ -358,7 +362,7 @@ class NodeClient:
             if manifest.instance == self._instance and self.is_online:
                 return
             self._set_manifest(manifest)
-            self._set_first_sample(await self.ask(keys.SAMPLE, None, Sample))
+            await self._fetch_sample()
         except ZenostatError:  # it has left already; the next token reports its return
             return
         self._set_online(value=True)
