@@ -216,18 +216,36 @@ def test_a_response_topic_that_is_none_costs_the_other_clients_nothing(
         # One more: the answer on the topic of commands is no command, and rejected.
         until(lambda: len(lines(file, f"{topic}/result")) == len(answers) + 1, "all are answered")
         assert [json.loads(line)["accepted"] for line in lines(file, f"{topic}/result")].count(False) == 1
-    assert bus.priorities("office")[COOLING][7].value == 25.5
-    properties.ResponseTopic = "/" * 300  # mosquitto ends the connection of a client that publishes on so many levels
-    client.publish(f"{topic}/set", "26", qos=1, properties=properties).wait_for_publish(60)
     client.disconnect()
     client.loop_stop()
-
-    def is_carried_out() -> bool:
-        broker.publish(f"{topic}/set", "27")
-        return bus.priorities("office")[COOLING][7].value == 27.0
-
-    until(is_carried_out, "the gateway has reconnected for good")
+    assert bus.priorities("office")[COOLING][7].value == 25.5
     assert served.poll() is None
+
+
+def test_a_response_topic_for_which_the_broker_ends_the_connection_is_given_up(
+    bus: Bus, shared_node: NodeProgram, broker: Broker, tmp_path: Path
+) -> None:
+    topic = f"levels/actuator/{COOLING}"
+    properties = Properties(PacketTypes.PUBLISH)
+    properties.ResponseTopic = "/" * 300  # mosquitto has at most 200 levels
+    options = ["--topic", "levels", "--source", "levels"]
+    with (
+        broker.subscribed("levels/actuator/+/result", tmp_path) as file,
+        gateway(shared_node.endpoint, broker, *options),
+    ):
+        until(lambda: broker.retained("levels/status") == "online", "it is online")
+        client = paho.Client(paho.CallbackAPIVersion.VERSION2, protocol=paho.MQTTv5)
+        client.connect("127.0.0.1", broker.port)
+        client.loop_start()
+        client.publish(f"{topic}/set", "26", qos=1, properties=properties).wait_for_publish(60)
+        client.disconnect()
+        client.loop_stop()
+
+        def is_answered() -> bool:
+            broker.publish(f"{topic}/set", "27")
+            return any('"value": 27.0' in line for line in lines(file, f"{topic}/result"))
+
+        until(is_answered, "a later command is answered")
 
 
 def test_a_retained_command_is_rejected_while_the_gateway_is_connected_too(
@@ -385,6 +403,10 @@ def test_tls_and_password(bus: Bus, shared_node: NodeProgram, tmp_path: Path) ->
         (("--broker", "broker.example"), "--tls"),
         (("--broker", "127.0.0.1:x"), "expected HOST:PORT"),
         (("--topic", "a/+/b"), "without wildcards"),
+        (("--topic", "x" * 70_000), "at most 1000"),
+        (("--topic", "$SYS/office"), "begin with '$'"),
+        (("--source", ""), "expected 1 to 128"),
+        (("--source", "x" * 129), "expected 1 to 128"),
         (("--ca", "nothing.pem"), "--ca needs --tls"),
         (("--tls", "--ca", "nothing.pem"), "no such file"),
         (("--password-file", "/dev/null"), "--password-file needs --username"),

@@ -44,6 +44,7 @@ T = TypeVar("T")
 _RETRY_S = (0.5, 1.0, 2.0, 5.0, 10.0)
 _END_S = 2.0
 _MAX_TOPIC_BYTES = 65_535
+_MAX_ROOT = 1000
 _ATTEMPTS = 2  # a broker may end the connection because of a response topic, for example one with too many levels
 
 
@@ -373,8 +374,12 @@ def check_root(root: str) -> str:
     """Return a topic without its slash at the end.
 
     Raises:
-        InvalidConfig: it has wildcards or empty levels.
+        InvalidConfig: it has wildcards or empty levels, is one of the broker's own (`$SYS`), or is too long.
     """
+    if len(root) > _MAX_ROOT:
+        raise InvalidConfig(f"a topic of {len(root)} characters; at most {_MAX_ROOT} are accepted")
+    if root.startswith("$"):
+        raise InvalidConfig(f"topic {root!r}: brokers accept no messages on topics that begin with '$'")
     bare = root.removesuffix("/")
     if not bare or any(char in bare for char in "+#\0") or "" in bare.split("/"):
         raise InvalidConfig(f"topic {root!r}: expected levels without wildcards, for example buildings/office")
