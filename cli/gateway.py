@@ -4,24 +4,29 @@ from __future__ import annotations
 
 import asyncio
 import importlib.util
-from collections.abc import Callable
-from contextlib import AbstractAsyncContextManager
+from collections.abc import Callable, Mapping
+from contextlib import AbstractAsyncContextManager, AsyncExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, Protocol
 
 import typer
 
 from bridge.runtime.signals import TERMINATION_SIGNALS, override_signals
 from bridge.transport.session import default_endpoint
 from cli.boptest import boptest
-from cli.console import out
+from cli.console import err, out
 from cli.options import CertificateName, Connect, Keys
-from topics.errors import InvalidConfig
+from topics.errors import InvalidConfig, RequestRejected, ZenostatError
 from topics.extras import install_command
 from topics.keys import Role
 
 if TYPE_CHECKING:
+    import zenoh
+
     from bridge.gateways.node_client import NodeClient
+
+_RELINQUISH_S = 2.0
+_END_S = 5.0  # more than a gateway takes to answer its clients
 
 app = typer.Typer(add_completion=False, rich_markup_mode="markdown", no_args_is_help=True)
 
@@ -97,8 +102,11 @@ def serve(
     connect: str | None,
     keys: Path | None,
     certificate: str | None,
+    exclusive: Mapping[str, str] | None = None,
 ) -> None:
     """Run a gateway of one node until Ctrl-C or SIGTERM; print a line that begins with `ready:`, and counts at the end.
+
+    In the end it relinquishes the commands that its clients have written through it.
 
     Args:
         node: name of the node.
@@ -107,37 +115,103 @@ def serve(
         connect: endpoint of the bus.
         keys: folder of keys; with it, the gateway uses the controller role.
         certificate: name of another certificate of that role.
+        exclusive: further names that no other gateway of the node may have, with what to do if one has.
+
+    Raises:
+        InvalidConfig: a source that is empty or too long.
+        NameInUse: another gateway of the node has the source, or another of the names.
+        SystemExit: a signal arrived before the gateway was ready.
     """
-    asyncio.run(_serve(node, gateway, source, connect or default_endpoint(keys), keys, certificate))
+    from bridge.exchange.state import MAX_SOURCE_NAME
+
+    if not 0 < len(source) <= MAX_SOURCE_NAME:
+        raise InvalidConfig(f"--source has {len(source)} characters; expected 1 to {MAX_SOURCE_NAME}")
+    names = {source: "choose another name with --source", **(exclusive or {})}
+    number = asyncio.run(_serve(node, gateway, source, names, connect or default_endpoint(keys), keys, certificate))
+    if number:
+        raise SystemExit(128 + number)
 
 
 async def _serve(
     node: str,
     gateway: Callable[[NodeClient], AbstractAsyncContextManager[NodeGateway]],
     source: str,
+    names: Mapping[str, str],
     connect: str,
     keys: Path | None,
     certificate: str | None,
-) -> None:
-    from bridge.gateways.node_client import NodeClient
+) -> int:
+    """Return the number of the signal that arrived before the gateway was ready; 0 if it was ready."""
     from bridge.transport.session import open_session
 
-    loop, stopped = asyncio.get_running_loop(), asyncio.Event()
+    loop = asyncio.get_running_loop()
+    stopped: asyncio.Future[int] = loop.create_future()
+
+    def stop(number: int) -> None:
+        if not stopped.done():
+            stopped.set_result(number)
+
     for number in TERMINATION_SIGNALS:
-        loop.add_signal_handler(number, stopped.set)
+        loop.add_signal_handler(number, stop, number)
     with open_session(connect=[connect], keys=keys, role=Role.CONTROLLER, certificate=certificate) as session:
-        async with NodeClient(session, node, source=source) as client, gateway(client) as running:
+        async with AsyncExitStack() as stack:
+            starting = asyncio.create_task(_start(stack, session, node, gateway, source, names))
+            if not await _ends_before(starting, stopped):
+                return stopped.result()
+            client, running = await starting
             client.listeners.presence.append(
                 lambda is_online: out.print(f"{node}: {'on the bus again' if is_online else 'gone; waiting for it'}")
             )
             out.print(f"ready: {running.description}; press Ctrl-C to stop", soft_wrap=True, markup=False)
-            serving, waiting = asyncio.create_task(running.run()), asyncio.create_task(stopped.wait())
-            try:
-                await asyncio.wait((serving, waiting), return_when=asyncio.FIRST_COMPLETED)
-            finally:
-                waiting.cancel()
-                serving.cancel()
-                await asyncio.gather(serving, waiting, return_exceptions=True)
-        if not serving.cancelled() and serving.exception() is not None:
-            raise serving.exception()  # type: ignore[misc]
-        out.print(running.summary(), soft_wrap=True, markup=False)
+            serving = asyncio.create_task(running.run())
+            if await _ends_before(serving, stopped):
+                await serving  # it has failed
+        missed = f"; {client.counts.missed} messages of the node missed" if client.counts.missed else ""
+        out.print(running.summary() + missed, soft_wrap=True, markup=False)
+    return 0
+
+
+async def _start(
+    stack: AsyncExitStack,
+    session: zenoh.Session,
+    node: str,
+    gateway: Callable[[NodeClient], AbstractAsyncContextManager[NodeGateway]],
+    source: str,
+    names: Mapping[str, str],
+) -> tuple[NodeClient, NodeGateway]:
+    """Enter the contexts of a gateway."""
+    from bridge.gateways.exclusive_names import reserved_names
+    from bridge.gateways.node_client import NodeClient
+
+    client = await stack.enter_async_context(NodeClient(session, node, source=source))
+    await stack.enter_async_context(reserved_names(session, node, names))
+    stack.push_async_callback(_relinquish, client)
+    return client, await stack.enter_async_context(gateway(client))
+
+
+async def _ends_before(task: asyncio.Task[Any], stopped: asyncio.Future[int]) -> bool:
+    """Wait for a task, or for a signal, which cancels it; return whether the task has ended by itself."""
+    from bridge.gateways.tasks import cancel
+
+    await asyncio.wait((task, stopped), return_when=asyncio.FIRST_COMPLETED)
+    if task.done():
+        return True
+    await cancel(task, retry_s=_END_S)
+    return False
+
+
+async def _relinquish(client: NodeClient) -> None:
+    """Relinquish the commands of a gateway that ends: nobody could relinquish them through it afterwards."""
+    if not client.is_online:
+        return  # the operator has been told, and a node that has ended has no commands
+    try:
+        async with asyncio.timeout(_RELINQUISH_S):
+            count = await client.relinquish_written()
+    except RequestRejected:  # the episode is over, and the next one has no commands
+        return
+    except (ZenostatError, TimeoutError) as error:
+        reason = str(error) or f"node {client.name!r} does not answer"
+        err.print(f"commands through this gateway are not relinquished: {reason}", soft_wrap=True, markup=False)
+        return
+    if count:
+        out.print(f"relinquished {count} command{'s' * (count > 1)} of this gateway")

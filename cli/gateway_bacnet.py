@@ -60,11 +60,18 @@ def bacnet(
     )
     serve(
         node,
-        lambda client: BacnetGateway(client, interface, instance=number, source=source),
+        lambda client: BacnetGateway(
+            client,
+            interface,
+            instance=number,
+            source=source,
+            notify=lambda text: err.print(text, markup=False, soft_wrap=True),
+        ),
         source=source,
         connect=connect,
         keys=keys,
         certificate=certificate,
+        exclusive={f"BACnet device {number}": "choose another number with --instance"},
     )
 
 

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from bridge.transport.session import default_endpoint
-from cli.console import out
+from cli.console import err, out
 from cli.gateway import serve
 from cli.options import CertificateName, Connect, Keys
 from topics.errors import InvalidConfig
@@ -53,7 +53,14 @@ def modbus(
     host, port = parse_address(address, "Modbus TCP", expose=expose, default_port=DEFAULT_PORT)
     serve(
         node,
-        lambda client: ModbusGateway(client, host, port, priority=priority, is_little_endian=word_order == "little"),
+        lambda client: ModbusGateway(
+            client,
+            host,
+            port,
+            priority=priority,
+            is_little_endian=word_order == "little",
+            notify=lambda text: err.print(text, markup=False, soft_wrap=True),
+        ),
         source=source,
         connect=connect,
         keys=keys,

@@ -55,7 +55,8 @@ def mqtt(
     """
     with requires_extra("mqtt", "the MQTT gateway", "aiomqtt"):
         import aiomqtt
-    from bridge.gateways.mqtt.gateway import Broker, MqttGateway, check_root
+    from bridge.gateways.mqtt.broker import Broker
+    from bridge.gateways.mqtt.gateway import MqttGateway, check_root
 
     versions = {"5": 5, "3.1.1": 3}
     if mqtt_version not in versions:
@@ -75,7 +76,7 @@ def mqtt(
     ca_file, certificate_file, key_file = (str(file) if file is not None else None for file in files.values())
     parameters = aiomqtt.TLSParameters(ca_certs=ca_file, certfile=certificate_file, keyfile=key_file) if tls else None
     at = Broker(host, port, username, _password(username, password_file), parameters, versions[mqtt_version])
-    root = None if topic is None else check_root(topic)
+    root = check_root(f"zenostat/{node}" if topic is None else topic)
     prefix = check_root(discovery_prefix) if home_assistant else None
     serve(
         node,
@@ -84,6 +85,7 @@ def mqtt(
             notify=lambda text: err.print(text, markup=False, soft_wrap=True),
         ),
         source=source, connect=connect, keys=keys, certificate=certificate,
+        exclusive={f"{root} on {at}": "choose another topic with --topic"},
     )  # fmt: skip
 
 

@@ -11,6 +11,7 @@ Then: `python examples/bacnet_client.py` (needs bacpypes3, but not Zenostat)
 import argparse
 import asyncio
 
+from bacpypes3.apdu import ErrorPDU
 from bacpypes3.app import Application
 from bacpypes3.local.device import DeviceObject
 from bacpypes3.local.networkport import NetworkPortObject
@@ -36,7 +37,10 @@ async def main() -> None:
             NetworkPortObject(arguments.own, objectIdentifier=("network-port", 1), objectName="port"),
         ]
     )
-    (answer,) = await app.who_is(address=device)
+    answers = await app.who_is(address=device)
+    if not answers:
+        raise SystemExit(f"no BACnet device answers at {device}; start the gateway first")
+    (answer,) = answers
     print(f"{answer.iAmDeviceIdentifier} on {answer.pduSource}")
     identifiers = await app.read_property(device, answer.iAmDeviceIdentifier, "object-list")
     objects = {await app.read_property(device, each, "object-name"): each for each in identifiers}
@@ -49,13 +53,16 @@ async def main() -> None:
 
     print(f"{len(objects)} objects; {arguments.output} is {ObjectIdentifier(objects[arguments.output])}")
     await write("node/paused", "active")
-    for _ in range(arguments.steps):
-        time = await read("node/time")
-        await write(arguments.output, 28.0 if 14 <= time.time[0] < 18 else Null(()))
-        await write("node/advance", 1)
-        temperature, setpoint = await read(arguments.input), await read(arguments.output)
-        print(f"{time.time}  {temperature:5.1f} degC  setpoint {setpoint:.1f} degC")
-    await write(arguments.output, Null(()))
+    try:
+        for _ in range(arguments.steps):
+            time = await read("node/time")
+            await write(arguments.output, 28.0 if 14 <= time.time[0] < 18 else Null(()))
+            await write("node/advance", 1)
+            temperature, setpoint = await read(arguments.input), await read(arguments.output)
+            print(f"{time.time}  {temperature:5.1f} degC  setpoint {setpoint:.1f} degC")
+        await write(arguments.output, Null(()))
+    except ErrorPDU:  # write-access-denied
+        print("the episode is over")
     await write("node/paused", "inactive")
     app.close()
 

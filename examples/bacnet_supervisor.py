@@ -33,7 +33,10 @@ async def main() -> None:
     supervisor = DeviceObject(objectIdentifier=("device", 2), objectName="supervisor", vendorIdentifier=999)
     app = Application.from_object_list([supervisor, port])
     device = Address(arguments.device)
-    (answer,) = await app.who_is(address=device)
+    answers = await app.who_is(address=device)
+    if not answers:
+        raise SystemExit(f"no BACnet device answers at {device}; start the gateway first")
+    (answer,) = answers
     identifiers = await app.read_property(device, answer.iAmDeviceIdentifier, "object-list")
     objects = {await app.read_property(device, each, "object-name"): each for each in identifiers}
     output, begin_end, is_active = objects[arguments.output], tuple(arguments.hours), False

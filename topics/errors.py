@@ -20,7 +20,7 @@
     │   └── ForkFailed          a plant or its engine could not be copied: too little memory, or no way to copy it
     ├── BusError                a peer cannot be reached
     │   ├── AddressInUse        another program listens at that endpoint
-    │   ├── NameInUse           a node of that name is already on the bus
+    │   ├── NameInUse           a node or a gateway of that name is already on the bus
     │   ├── NodeNotFound        no node answers at that endpoint or under that name
     │   └── NodeLost            the node disconnected
     └── ViewerError             a recording cannot be shown or drawn
@@ -119,7 +119,7 @@ class AddressInUse(BusError):
 
 
 class NameInUse(BusError):
-    """A node of that name is already on the bus."""
+    """A node of that name is already on the bus, or a gateway of the node has that name."""
 
 
 class NodeNotFound(BusError):

@@ -125,6 +125,7 @@ GEOMETRY = Topic("rpc/geometry", Role.ANYONE, Query, Delivery.QUERY, reply=Geome
 PRIORITIES = Topic("rpc/priorities", Role.ANYONE, Query, Delivery.QUERY, reply=PriorityArrays)
 NODE_TOKEN = Topic("@live/node/{name}", Role.NODE, None, Delivery.TOKEN)
 CONTROLLER_TOKEN = Topic("@live/controller/{name}", Role.CONTROLLER, None, Delivery.TOKEN)
+GATEWAY_TOKEN = Topic("@live/gateway/{name}", Role.CONTROLLER, None, Delivery.TOKEN)
 
 TOPICS = (
     MANIFEST,
@@ -161,6 +162,7 @@ TOPICS = (
     PRIORITIES,
     NODE_TOKEN,
     CONTROLLER_TOKEN,
+    GATEWAY_TOKEN,
 )
 
 OWN_STREAM = "*"

@@ -6,7 +6,6 @@ import asyncio
 from collections import deque
 from collections.abc import Callable
 from contextlib import AsyncExitStack, suppress
-from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 import zenoh
@@ -16,6 +15,9 @@ from zenoh.handlers import Callback
 from agent_sdk.bus.priorities import PriorityValue, decode_priorities
 from agent_sdk.bus.sample import SampleView
 from bridge.gateways.bus_side import BusMessage, BusSide
+from bridge.gateways.exclusive_names import liveliness_tokens
+from bridge.gateways.node_listeners import Counts, Listeners
+from bridge.gateways.written_commands import WrittenCommands
 from topics import codec, keys
 from topics.errors import (
     BadMessage,
@@ -24,6 +26,7 @@ from topics.errors import (
     NodeNotFound,
     RequestRejected,
     ZenostatError,
+    did_you_mean,
     from_wire,
 )
 from topics.messages import (
@@ -52,40 +55,6 @@ MAX_PENDING = 256
 
 _MAX_WAITING_MESSAGES = 4096
 _MESSAGES_PER_TURN = 256  # then other tasks of the loop have their turn
-
-
-@dataclass(slots=True)
-class Counts:
-    """Numbers of messages between a gateway and its node.
-
-    Attributes:
-        samples: samples received.
-        missed: messages dropped because the gateway lagged by more than 4,096 of them.
-        writes: accepted writes.
-        rejected: rejected writes and requests.
-    """
-
-    samples: int = 0
-    missed: int = 0
-    writes: int = 0
-    rejected: int = 0
-
-
-@dataclass(slots=True)
-class Listeners:
-    """Functions that are called in the loop's thread; they must not block.
-
-    Attributes:
-        samples: called with each sample.
-        events: called with each event of the node.
-        presence: called with whether the node is on the bus, at each change.
-        manifests: called with each new manifest: that of another instance of the node, or of changed settings.
-    """
-
-    samples: list[Callable[[SampleView], None]] = field(default_factory=list)
-    events: list[Callable[[Event], None]] = field(default_factory=list)
-    presence: list[Callable[[bool], None]] = field(default_factory=list)
-    manifests: list[Callable[[Manifest], None]] = field(default_factory=list)
 
 
 class NodeClient:
@@ -122,6 +91,7 @@ class NodeClient:
         self._index = PointIndex((), "sensor or meter")
         self._instance = ""
         self._pending: set[asyncio.Future[Any]] = set()
+        self._written = WrittenCommands()
         self._tasks: set[asyncio.Task[None]] = set()
         self._changed = asyncio.Event()
         self._messages: deque[BusMessage] = deque(maxlen=_MAX_WAITING_MESSAGES)
@@ -145,7 +115,7 @@ class NodeClient:
             )
             stack.callback(watch.undeclare)
             stack.callback(self._cancel)
-            self._set_first_sample(await self.ask(keys.SAMPLE, None, Sample))
+            await self._fetch_sample()
             self._close = stack.pop_all()
         return self
 
@@ -180,21 +150,43 @@ class NodeClient:
         """
         try:
             actuator_index(self.manifest.actuators).require([actuator])
+            source = self.source if source is None else source
             try:
-                message = Write(
-                    value=value,
-                    priority=priority,
-                    duration_s=duration_s,
-                    source=self.source if source is None else source,
-                )
+                message = Write(value=value, priority=priority, duration_s=duration_s, source=source)
             except ValidationError as error:
                 raise InvalidAction(f"{actuator}: {codec.describe_validation_errors(error)}") from None
+            if value is not None:
+                self._written.add(actuator, priority, source)
             ack = await self.ask(keys.WRITE_REQUEST, message, Ack, name=actuator)
         except ZenostatError:
             self.counts.rejected += 1
             raise
         self.counts.writes += 1
+        if value is None:
+            self._written.remove(actuator, priority)
         return ack
+
+    async def relinquish_written(self) -> int:
+        """Relinquish the commands that were written through this client and are still in force; return their number.
+
+        Raises:
+            RequestRejected: the node rejected it, for example since its episode is over.
+            NodeLost, PeerError: as for `ask`.
+        """
+        if not self._written:
+            return 0
+        arrays = await self.ask(keys.PRIORITIES, Query(), PriorityArrays)
+        slots = range(self.manifest.slots)
+        remaining = {
+            command
+            for slot in slots
+            for command in self._written.remaining(decode_priorities(arrays, self.manifest, slot))
+        }
+        for actuator, priority, source in sorted(remaining):
+            relinquishment = Write(value=None, priority=priority, source=source)
+            await self.ask(keys.WRITE_REQUEST, relinquishment, Ack, name=actuator)
+            self._written.remove(actuator, priority)
+        return len(remaining)
 
     async def priorities(self) -> dict[str, list[PriorityValue]]:
         """Return each actuator's priority array in slot 0 by its name: 16 entries, that of priority 1 first."""
@@ -280,8 +272,9 @@ class NodeClient:
         if reply is None:  # nobody answers to this key
             if self._instance:
                 raise NodeLost(f"node {self.name!r} is gone")
-            await asyncio.to_thread(self._bus.nodes, self.name)  # raises NodeNotFound with similar names
-            raise NodeNotFound(f"no node {self.name!r} on the bus")
+            tokens = await liveliness_tokens(self._session, keys.NODE_TOKEN.at("*", name="*"))
+            names = sorted(set(map(keys.node_of, tokens)))
+            raise NodeNotFound(f"no node {self.name!r} on the bus; {did_you_mean(self.name, names)}")
         if reply.denied:
             raise from_wire(codec.decode(ErrorReply, reply.payload, reply.encoding).__dict__)
         return codec.decode(reply_type, reply.payload, reply.encoding)
@@ -337,17 +330,19 @@ class NodeClient:
         for notify in self.listeners.samples:
             notify(sample)
 
-    def _set_first_sample(self, message: Sample) -> None:
-        """Set the sample that was queried, unless a newer one has been received meanwhile."""
+    async def _fetch_sample(self) -> None:
+        """Query the sample, and set it unless a newer one has been received meanwhile."""
+        try:
+            message = await self.ask(keys.SAMPLE, None, Sample)
+        except RequestRejected:  # there is none yet, for example at the beginning of a replay
+            return
         latest = self.sample
-        if (
-            latest is None
-            or latest.manifest.instance != self._instance
-            or (latest.episode, latest.step) < (message.episode[0], message.step[0])
-        ):
+        if latest is None or (latest.episode, latest.step) < (message.episode[0], message.step[0]):
             self._set_sample(message)
 
     def _set_manifest(self, manifest: Manifest) -> None:
+        if manifest.instance != self._instance:
+            self.sample = None  # another building, perhaps with other points
         self.manifest, self._instance, self._index = manifest, manifest.instance, value_index(manifest)
         for notify in self.listeners.manifests:
             notify(manifest)
@@ -367,7 +362,7 @@ class NodeClient:
             if manifest.instance == self._instance and self.is_online:
                 return
             self._set_manifest(manifest)
-            self._set_first_sample(await self.ask(keys.SAMPLE, None, Sample))
+            await self._fetch_sample()
         except ZenostatError:  # it has left already; the next token reports its return
             return
         self._set_online(value=True)

@@ -31,9 +31,8 @@ async def _client(endpoint: str, **options: Any) -> AsyncIterator[NodeClient]:
 def test_a_paused_node_steps_on_command_and_a_write_takes_effect(
     episode_bus: agent_sdk.Bus, shared_node: NodeProgram
 ) -> None:
-    episode_bus.pace("office", mode="free")
     episode_bus.pause("office")
-    episode_bus.reset("office", agent_sdk.bus.bus.Reset())
+    episode_bus.pace("office", mode="free")
     events: list[Event] = []
 
     async def main() -> None:

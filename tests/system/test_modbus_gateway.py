@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import csv
 import math
 import random
@@ -11,7 +12,7 @@ import struct
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import datetime
 from pathlib import Path
 
@@ -22,6 +23,10 @@ from support.run_cli import ZENOSTAT, run_in_process
 
 import agent_sdk
 from agent_sdk import Bus
+from bridge.gateways.modbus import server
+from bridge.gateways.modbus.gateway import ModbusGateway
+from bridge.gateways.node_client import NodeClient
+from bridge.transport.session import open_session
 
 COOLING = "core_zn_cooling_setpoint"
 UNIT = 1
@@ -29,7 +34,7 @@ UNIT = 1
 
 @contextmanager
 def gateway(endpoint: str, *options: str) -> Iterator[int]:
-    """A running gateway of the node `office`; yields its port. It must end without an error."""
+    """A running gateway of the node `office`; yields its port. It must end without an error but rejected writes."""
     command = [*ZENOSTAT, "gateway", "modbus", "office", "--connect", endpoint, "--address", "127.0.0.1:0", *options]
     program = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
@@ -40,7 +45,8 @@ def gateway(endpoint: str, *options: str) -> Iterator[int]:
     finally:
         program.terminate()
         out, err = program.communicate(timeout=60)
-    assert (program.returncode, err) == (0, ""), err
+    assert program.returncode == 0, err
+    assert all(line.startswith("a write was rejected: ") for line in err.splitlines()), err
     assert "requests" in out
 
 
@@ -251,6 +257,33 @@ def test_more_than_32_clients_are_turned_away_and_room_is_found_again(bus: Bus, 
     until(has_room, "there is room again")
 
 
+def test_clients_that_do_not_receive_or_have_lost_their_power_do_not_keep_connections(
+    bus: Bus, shared_node: NodeProgram, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server, "FRAME_TIMEOUT_S", 0.2)
+    read = struct.pack(">HHHBBHH", 1, 0, 6, UNIT, 4, 0, 90)
+
+    async def main() -> None:
+        with open_session(connect=[shared_node.endpoint]) as session, socket.socket() as client:
+            async with NodeClient(session, "office") as node, ModbusGateway(node, "127.0.0.1", 0) as gateway:
+                client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+                client.connect(("127.0.0.1", gateway.server.port))
+                client.setblocking(False)
+                async with asyncio.timeout(60):
+                    while not gateway.server._connections:
+                        await asyncio.sleep(0.01)
+                    (writer,) = gateway.server._connections
+                    connection = writer.get_extra_info("socket")
+                    assert connection.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE) == 1
+                    connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
+                    while gateway.server._connections:
+                        with suppress(BlockingIOError, ConnectionError):
+                            client.send(read * 1000)
+                        await asyncio.sleep(0.01)
+
+    asyncio.run(main())
+
+
 def test_the_example_raises_the_setpoint_while_nobody_is_there(
     bus: Bus, port: int, shared_node: NodeProgram, tmp_path: Path
 ) -> None:
@@ -353,7 +386,7 @@ def test_bad_settings_have_one_error(shared_node: NodeProgram, options: tuple[st
 
 
 def test_a_port_in_use_is_named(shared_node: NodeProgram, port: int) -> None:
-    address = ["--address", f"127.0.0.1:{port}", "--connect", shared_node.endpoint]
+    address = ["--address", f"127.0.0.1:{port}", "--connect", shared_node.endpoint, "--source", "another"]
     done = subprocess.run(
         [*ZENOSTAT, "gateway", "modbus", "office", *address], capture_output=True, text=True, timeout=60
     )

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -13,86 +13,25 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import aiomqtt
+import paho.mqtt.client as paho
 import pytest
-from support.nodes import NodeProgram, begin_new_episode, free_port, until
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.properties import Properties
+from support.mosquitto import Broker, lines, needs_mosquitto
+from support.nodes import NodeProgram, begin_new_episode, until
 from support.run_cli import ZENOSTAT, run_in_process
 
 import agent_sdk
 from agent_sdk import Bus
+from bridge.gateways.mqtt.broker import Broker as GatewayBroker
+from bridge.gateways.mqtt.gateway import MqttGateway
+from bridge.gateways.node_client import NodeClient
+from bridge.gateways.tasks import cancel
+from bridge.transport.session import open_session
 
-MOSQUITTO = shutil.which("mosquitto", path=f"{os.environ['PATH']}:/usr/sbin")
-pytestmark = pytest.mark.skipif(
-    MOSQUITTO is None or shutil.which("mosquitto_pub") is None,
-    reason="mosquitto is not installed; on Debian: apt install mosquitto mosquitto-clients",
-)
+pytestmark = needs_mosquitto
 COOLING, TEMPERATURE = "core_zn_cooling_setpoint", "core_zn_air_temperature"
-
-
-class Broker:
-    """A mosquitto of one test module, on loopback."""
-
-    def __init__(self, folder: Path, *lines: str) -> None:
-        self.port = free_port()
-        self._file = folder / "mosquitto.conf"
-        self._file.write_text(
-            "\n".join(
-                [f"listener {self.port} 127.0.0.1", "max_queued_messages 0", *(lines or ["allow_anonymous true"])]
-            )
-        )
-        self.options = ["-h", "127.0.0.1", "-p", str(self.port)]
-        self.start()
-
-    def start(self) -> None:
-        self.process = subprocess.Popen(
-            [MOSQUITTO or "", "-c", str(self._file)], stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL
-        )
-
-    def __enter__(self) -> Broker:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.stop()
-
-    def stop(self) -> None:
-        self.process.send_signal(signal.SIGKILL)
-        self.process.wait()
-
-    def is_up(self) -> bool:
-        command = ["mosquitto_pub", *self.options, "-q", "1", "-t", "up", "-m", "1"]
-        return subprocess.run(command, capture_output=True, timeout=30).returncode == 0
-
-    def publish(self, topic: str, payload: str, *options: str) -> None:
-        command = ["mosquitto_pub", *self.options, "-q", "1", "-t", topic, "-m", payload, *options]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=30)
-        assert done.returncode == 0, done.stderr
-
-    def retained(self, topic: str, *options: str) -> str | None:
-        """The retained message of a topic; None without one."""
-        command = ["mosquitto_sub", *self.options, "-t", topic, "-C", "1", "-W", "3", "--retained-only", *options]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=30)
-        return done.stdout.rstrip("\n") if done.returncode == 0 else None
-
-    @contextmanager
-    def subscribed(self, topic: str, folder: Path) -> Iterator[Path]:
-        """All messages of a topic go to a file, as lines `TOPIC PAYLOAD`, once this has been entered."""
-        file = folder / f"{topic.replace('/', '_').replace('+', 'x').replace('#', 'all')}.txt"
-        command = ["mosquitto_sub", *self.options, "-q", "1", "-t", topic, "-t", f"ready/{file.name}", "-v"]
-        with file.open("w") as out, subprocess.Popen(command, stdout=out) as program:
-            try:
-
-                def is_subscribed() -> bool:
-                    self.publish(f"ready/{file.name}", "yes")
-                    return "yes" in file.read_text()
-
-                until(is_subscribed, "the client has subscribed")
-                yield file
-            finally:
-                program.terminate()
-
-
-def lines(file: Path, topic: str) -> list[str]:
-    """Payloads of a topic in a file of `Broker.subscribed`."""
-    return [line.partition(" ")[2] for line in file.read_text().splitlines() if line.partition(" ")[0] == topic]
 
 
 @contextmanager
@@ -239,7 +178,7 @@ def test_a_retained_command_is_not_carried_out(
     endpoint = shared_node.endpoint
     topic = f"second/actuator/{COOLING}/set"
     broker.publish(topic, "26.5", "-r")
-    options = ["--topic", "second", "--mqtt-version", "3.1.1"]
+    options = ["--topic", "second", "--source", "second", "--mqtt-version", "3.1.1"]
     with broker.subscribed("second/actuator/+/result", tmp_path) as file, gateway(endpoint, broker, *options):
         until(lambda: lines(file, f"second/actuator/{COOLING}/result"), "it is answered")
         assert "retained" in lines(file, f"second/actuator/{COOLING}/result")[0]
@@ -259,6 +198,96 @@ def test_an_mqtt_5_client_gets_the_result_where_it_wants_it(
     ]  # fmt: skip
     done = subprocess.run(command, capture_output=True, text=True, timeout=30)
     assert json.loads(done.stdout)["accepted"], done.stderr
+
+
+def test_a_response_topic_that_is_none_costs_the_other_clients_nothing(
+    bus: Bus, served: subprocess.Popen[str], broker: Broker, tmp_path: Path
+) -> None:
+    client = paho.Client(paho.CallbackAPIVersion.VERSION2, protocol=paho.MQTTv5)
+    client.connect("127.0.0.1", broker.port)
+    client.loop_start()
+    topic = f"zenostat/office/actuator/{COOLING}"
+    answers = ["a/#", "+", "", "x" * 65_000, f"{topic}/set", "right"]
+    with broker.subscribed("zenostat/office/actuator/+/result", tmp_path) as file:
+        for number, answer in enumerate(answers):
+            properties = Properties(PacketTypes.PUBLISH)
+            properties.ResponseTopic = answer
+            client.publish(f"{topic}/set", str(25.0 + number / 10), qos=1, properties=properties).wait_for_publish(60)
+        # One more: the answer on the topic of commands is no command, and rejected.
+        until(lambda: len(lines(file, f"{topic}/result")) == len(answers) + 1, "all are answered")
+        assert [json.loads(line)["accepted"] for line in lines(file, f"{topic}/result")].count(False) == 1
+    client.disconnect()
+    client.loop_stop()
+    assert bus.priorities("office")[COOLING][7].value == 25.5
+    assert served.poll() is None
+
+
+def test_a_response_topic_for_which_the_broker_ends_the_connection_is_given_up(
+    bus: Bus, shared_node: NodeProgram, broker: Broker, tmp_path: Path
+) -> None:
+    topic = f"levels/actuator/{COOLING}"
+    properties = Properties(PacketTypes.PUBLISH)
+    properties.ResponseTopic = "/" * 300  # mosquitto has at most 200 levels
+    options = ["--topic", "levels", "--source", "levels"]
+    with (
+        broker.subscribed("levels/actuator/+/result", tmp_path) as file,
+        gateway(shared_node.endpoint, broker, *options),
+    ):
+        until(lambda: broker.retained("levels/status") == "online", "it is online")
+        client = paho.Client(paho.CallbackAPIVersion.VERSION2, protocol=paho.MQTTv5)
+        client.connect("127.0.0.1", broker.port)
+        client.loop_start()
+        client.publish(f"{topic}/set", "26", qos=1, properties=properties).wait_for_publish(60)
+        client.disconnect()
+        client.loop_stop()
+
+        def is_answered() -> bool:
+            broker.publish(f"{topic}/set", "27")
+            return any('"value": 27.0' in line for line in lines(file, f"{topic}/result"))
+
+        until(is_answered, "a later command is answered")
+
+
+def test_a_retained_command_is_rejected_while_the_gateway_is_connected_too(
+    bus: Bus, served: subprocess.Popen[str], broker: Broker, tmp_path: Path
+) -> None:
+    topic = f"zenostat/office/actuator/{COOLING}"
+    with broker.subscribed("zenostat/office/actuator/+/result", tmp_path) as file:
+        broker.publish(f"{topic}/set", "26.5", "-r")
+        assert "retained" in result(file, 1)["message"]
+        broker.publish(f"{topic}/set", "", "-r")
+        assert not result(file, 2)["accepted"]
+    assert bus.priorities("office")[COOLING][7].value is None
+
+
+def test_commands_that_wait_when_the_gateway_ends_have_a_result(tmp_path: Path) -> None:
+    plant = f"{Path(__file__).parents[2]}/examples/own_plant.py:HeatPumpRoom"
+
+    async def main(node: NodeProgram, port: int) -> None:
+        async with aiomqtt.Client("127.0.0.1", port) as other:
+            await other.subscribe("zenostat/room/+/+/result", qos=1)
+            with open_session(connect=[node.endpoint]) as session:
+                async with (
+                    NodeClient(session, "room", source="mqtt") as client,
+                    MqttGateway(client, GatewayBroker("127.0.0.1", port)) as gateway,
+                ):
+                    running = asyncio.create_task(gateway.run())
+                    os.kill(node.pid, signal.SIGSTOP)
+                    while gateway.waiting < 2:  # the gateway subscribes meanwhile
+                        await other.publish("zenostat/room/actuator/compressor/set", "500", qos=1)
+                        await asyncio.sleep(0.05)
+                    await cancel(running, retry_s=60.0)
+            results.extend([json.loads((await anext(other.messages)).payload) for _ in range(gateway.counts.rejected)])
+
+    results: list[dict[str, Any]] = []
+    with Broker(tmp_path) as broker, NodeProgram(tmp_path / "room", plant=plant, name="room") as node:
+        try:
+            asyncio.run(main(node, broker.port))
+        finally:
+            os.kill(node.pid, signal.SIGCONT)
+    assert [entry["error"] for entry in results] == ["NodeLost", *["RequestRejected"] * (len(results) - 1)]
+    assert "may take effect" in results[0]["message"]
+    assert len(results) >= 3
 
 
 def test_home_assistant_finds_each_point(bus: Bus, served: subprocess.Popen[str], broker: Broker) -> None:
@@ -298,7 +327,7 @@ def test_a_broker_that_returns_has_everything_again_and_no_result_is_lost(
     bus: Bus, shared_node: NodeProgram, tmp_path: Path
 ) -> None:
     topic = f"zenostat/office/actuator/{COOLING}"
-    with Broker(tmp_path) as broker, gateway(shared_node.endpoint, broker):
+    with Broker(tmp_path) as broker, gateway(shared_node.endpoint, broker, "--source", "returning"):
         until(lambda: broker.retained("zenostat/office/status") == "online", "it is online")
         broker.stop()
         bus.step("office")
@@ -326,7 +355,7 @@ def test_the_example_sets_back_at_night(bus: Bus, served: subprocess.Popen[str],
 def test_a_killed_gateway_is_offline_by_its_last_will(bus: Bus, shared_node: NodeProgram, broker: Broker) -> None:
     command = [
         *ZENOSTAT, "gateway", "mqtt", "office", "--connect", shared_node.endpoint, "--topic", "third",
-        "--broker", f"127.0.0.1:{broker.port}",
+        "--source", "third", "--broker", f"127.0.0.1:{broker.port}",
     ]  # fmt: skip
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as program:
         assert program.stdout.readline().startswith("ready: ")
@@ -352,7 +381,7 @@ def test_tls_and_password(bus: Bus, shared_node: NodeProgram, tmp_path: Path) ->
         f"keyfile {tmp_path}/key.pem", "user root",
     )  # fmt: skip
     (tmp_path / "password").write_text("secret\n")
-    secured = ["--tls", "--ca", str(tmp_path / "cert.pem"), "--username", "gateway"]
+    secured = ["--tls", "--ca", str(tmp_path / "cert.pem"), "--username", "gateway", "--source", "secured"]
     secured += ["--password-file", str(tmp_path / "password")]
     with Broker(tmp_path, *lines_of_tls) as broker:
         broker.options += ["--cafile", str(tmp_path / "cert.pem"), "-u", "gateway", "-P", "secret"]
@@ -370,10 +399,14 @@ def test_tls_and_password(bus: Bus, shared_node: NodeProgram, tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("options", "text"),
     [
-        (("--broker", "127.0.0.1:1"), "no connection to the MQTT broker 127.0.0.1:1"),
+        (("--broker", "127.0.0.1:1", "--source", "other"), "no connection to the MQTT broker 127.0.0.1:1"),
         (("--broker", "broker.example"), "--tls"),
         (("--broker", "127.0.0.1:x"), "expected HOST:PORT"),
         (("--topic", "a/+/b"), "without wildcards"),
+        (("--topic", "x" * 70_000), "at most 1000"),
+        (("--topic", "$SYS/office"), "begin with '$'"),
+        (("--source", ""), "expected 1 to 128"),
+        (("--source", "x" * 129), "expected 1 to 128"),
         (("--ca", "nothing.pem"), "--ca needs --tls"),
         (("--tls", "--ca", "nothing.pem"), "no such file"),
         (("--password-file", "/dev/null"), "--password-file needs --username"),

@@ -152,6 +152,7 @@ RIGHTS = {  # topic: (controller, monitor)
     "rpc/weather": ({ASK}, {ASK}),
     "@live/node/{name}": ({SEE}, {SEE}),
     "@live/controller/{name}": ({SHOW, SEE}, {SEE}),
+    "@live/gateway/{name}": ({SHOW, SEE}, {SEE}),
 }
 
 

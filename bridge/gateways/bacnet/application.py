@@ -35,6 +35,7 @@ from bridge.gateways.bacnet.device import NodeDevice, NodePort
 from bridge.gateways.bacnet.network import Interface, NodeLink, host_and_port
 from bridge.gateways.bacnet.node_state import BacnetRequest, current_request
 from bridge.gateways.bacnet.transactions import TransactionServer
+from bridge.gateways.notices import Notices
 from topics.errors import InvalidAction, NodeLost, NodeNotFound, PeerError, RequestRejected, UnknownName, ZenostatError
 
 MAX_SUBSCRIPTIONS = 1000
@@ -56,13 +57,21 @@ class NodeApplication(Application):
         interface: the network interface.
         source: beginning of the writers' names on the bus; the client's address follows.
         counts: counts of messages.
+        rejections: notices of writes that the node rejected.
     """
 
     def __init__(
-        self, device: NodeDevice, port: NodePort, interface: Interface, *, source: str, counts: BacnetCounts
+        self,
+        device: NodeDevice,
+        port: NodePort,
+        interface: Interface,
+        *,
+        source: str,
+        counts: BacnetCounts,
+        rejections: Notices,
     ) -> None:
         super().__init__()
-        self._source, self._counts = source, counts
+        self._source, self._counts, self._rejections = source, counts, rejections
         self._notifying: dict[Any, bool] = {}
         self._tasks: set[asyncio.Task[None]] = set()
         self.link = NodeLink(interface, counts)
@@ -149,7 +158,7 @@ class NodeApplication(Application):
         """Write a property; raises BACnet's error of ASHRAE 135, clause 15.9, if it is not possible."""
         attr = identifier.attr
         kind = obj.get_property_type(identifier)
-        if kind is None or (await _read(obj, attr)) is None:
+        if kind is None or getattr(obj, attr, None) is None:
             raise PropertyError("unknownProperty")
         is_array = issubclass(kind, Array)
         if index is not None and not is_array:
@@ -161,6 +170,8 @@ class NodeApplication(Application):
         try:
             await obj.write_property(attr, _decoded(value, Unsigned if index == 0 else kind), index, priority)
         except ZenostatError as error:
+            if isinstance(error, RequestRejected):
+                self._rejections.add(f"a write was rejected: {error}")
             raise bacnet_error(error) from None
         self._counts.writes += 1
 
@@ -284,13 +295,6 @@ def bacnet_error(error: ZenostatError) -> ExecutionError:
 
 def _is_wildcard(identifier: Any) -> bool:
     return bool(identifier[0] == ObjectType.device and identifier[1] == _WILDCARD_INSTANCE)
-
-
-async def _read(obj: Any, attr: str) -> Any:
-    try:
-        return await obj.read_property(attr)
-    except AttributeError:
-        return None
 
 
 def _decoded(value: Any, kind: type) -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+from collections.abc import Callable
 from typing import Any
 
 from bridge.gateways.bacnet.application import NodeApplication
@@ -16,6 +17,7 @@ from bridge.gateways.bacnet.node_state import NodeState
 from bridge.gateways.bacnet.objects import AnalogInput, AnalogOutput, NodeObject
 from bridge.gateways.bacnet.points import ObjectKind, PointSpec, point_specs
 from bridge.gateways.node_client import NodeClient
+from bridge.gateways.notices import Notices
 from topics.messages import Manifest
 
 
@@ -27,6 +29,7 @@ class BacnetGateway:
         interface: the network interface to listen on.
         instance: instance number of the device, 0 to 4,194,302.
         source: beginning of the writers' names on the bus; the client's address follows.
+        notify: called with the reasons of writes that the node rejected, for which BACnet has only a class and a code.
 
     Raises:
         AddressInUse: on entering the context, another program uses the address.
@@ -35,8 +38,17 @@ class BacnetGateway:
         counts: counts of messages of BACnet clients.
     """
 
-    def __init__(self, node: NodeClient, interface: Interface, *, instance: int, source: str = "bacnet") -> None:
+    def __init__(
+        self,
+        node: NodeClient,
+        interface: Interface,
+        *,
+        instance: int,
+        source: str = "bacnet",
+        notify: Callable[[str], None] = lambda _: None,
+    ) -> None:
         self.counts = BacnetCounts()
+        self._rejections = Notices(notify)
         self._node, self._interface, self._instance, self._source = node, interface, instance, source
         self._changed = asyncio.Event()
         self._specs: list[PointSpec] = []
@@ -50,7 +62,12 @@ class BacnetGateway:
         self._device = NodeDevice(self._state, self._instance)
         port = NodePort(self._interface.bacnet_address, self._interface.name)
         self._application = NodeApplication(
-            self._device, port, self._interface, source=self._source, counts=self.counts
+            self._device,
+            port,
+            self._interface,
+            source=self._source,
+            counts=self.counts,
+            rejections=self._rejections,
         )
         await self._application.link.server.open()
         for control in control_objects(self._state):

@@ -5,13 +5,14 @@ from __future__ import annotations
 import asyncio
 import math
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AsyncExitStack
 from datetime import datetime
 
 from bridge.gateways.modbus.register_map import FIRST_VALUE, HEADER, MAP_VERSION, STATES, RegisterMap, Table
 from bridge.gateways.modbus.server import ExceptionCode, ModbusException, ModbusServer
 from bridge.gateways.node_client import NodeClient
+from bridge.gateways.notices import Notices
 from bridge.gateways.points import effective_value, is_effective, readings
 from topics.errors import InvalidAction, RequestRejected, UnknownName, ZenostatError
 from topics.messages import Actuator, Manifest
@@ -28,10 +29,19 @@ class ModbusGateway:
         host, port: address to listen on.
         priority: priority of all commands, 1 (highest) to 16.
         is_little_endian: whether the low word of a value comes first.
+        notify: called with a text when the map changes, and with the reasons of rejected writes, for which Modbus has
+            only a number.
     """
 
     def __init__(
-        self, node: NodeClient, host: str, port: int, *, priority: int = 8, is_little_endian: bool = False
+        self,
+        node: NodeClient,
+        host: str,
+        port: int,
+        *,
+        priority: int = 8,
+        is_little_endian: bool = False,
+        notify: Callable[[str], None] = lambda _: None,
     ) -> None:
         self._node, self._priority = node, priority
         self._float = "<f" if is_little_endian else ">f"
@@ -40,6 +50,7 @@ class ModbusGateway:
         self.server = ModbusServer(self, host, port, identity)
         self._writing = asyncio.Lock()  # one request's values and their check are not mixed with another one's
         self._close = AsyncExitStack()
+        self._notify, self._rejections = notify, Notices(notify)
         self._set_manifest(node.manifest)
 
     def _set_manifest(self, manifest: Manifest) -> None:
@@ -47,14 +58,25 @@ class ModbusGateway:
         self._readings = readings(manifest)
         self._actuators: tuple[Actuator, ...] = manifest.actuators
 
+    def _on_manifest(self, manifest: Manifest) -> None:
+        """Use a new manifest; with another map, no client may go on as if its addresses were the same."""
+        former = self.map.checksum
+        self._set_manifest(manifest)
+        if self.map.checksum != former:
+            self.server.close_connections()
+            self._notify(
+                f"{manifest.node} has other points: the map and its checksum ({self.map.checksum}) have changed, and "
+                "all connections are closed; write the new map with --map"
+            )
+
     async def __aenter__(self) -> ModbusGateway:
-        self._node.listeners.manifests.append(self._set_manifest)
+        self._node.listeners.manifests.append(self._on_manifest)
         await self._close.enter_async_context(self.server)
         return self
 
     async def __aexit__(self, *_: object) -> None:
         await self._close.aclose()
-        self._node.listeners.manifests.remove(self._set_manifest)
+        self._node.listeners.manifests.remove(self._on_manifest)
 
     @property
     def description(self) -> str:
@@ -178,6 +200,8 @@ class ModbusGateway:
                 for name, value in values.items():
                     await self._node.write(name, value, priority=self._priority)
             except ZenostatError as error:
+                if isinstance(error, RequestRejected):
+                    self._rejections.add(f"a write was rejected: {error}")
                 raise _exception(error) from None
 
     def _float_of(self, words: Sequence[int]) -> float:

@@ -7,6 +7,7 @@ replies, which Modbus TCP permits; pymodbus's server (3.16) answers only one of 
 from __future__ import annotations
 
 import asyncio
+import socket
 import struct
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
@@ -20,7 +21,10 @@ MAX_CONNECTIONS = 32
 """Largest number of connections at a time; further ones are closed at once."""
 
 FRAME_TIMEOUT_S = 10.0
-"""Time after which a connection with an incomplete frame is closed."""
+"""Time after which a connection with an incomplete frame, or whose client does not receive its replies, is closed."""
+
+_KEEPALIVE = {socket.TCP_KEEPIDLE: 30, socket.TCP_KEEPINTVL: 10, socket.TCP_KEEPCNT: 3}
+"""A client that has lost its power or its cable is noticed within a minute, since it would occupy a connection."""
 
 _HEADER = struct.Struct(">HHHB")  # transaction, protocol (0), length of what follows, unit
 _MAX_PDU = 253
@@ -90,7 +94,7 @@ class ModbusServer:
     def __init__(self, model: DataModel, host: str, port: int, identity: dict[int, str] | None = None) -> None:
         self.host, self.port, self.counts = host, port, Counts()
         self._model, self._identity = model, identity or {}
-        self._connections: set[asyncio.StreamWriter] = set()
+        self._connections: dict[asyncio.StreamWriter, asyncio.Task[None]] = {}
         self._functions: dict[int, Callable[[bytes], Awaitable[bytes]]] = {
             1: self._reader_of_bits(Table.COIL),
             2: self._reader_of_bits(Table.DISCRETE_INPUT),
@@ -116,15 +120,26 @@ class ModbusServer:
 
     async def __aexit__(self, *_: object) -> None:
         self._server.close()
-        for writer in [*self._connections]:
-            writer.close()
+        self.close_connections()
+        await asyncio.gather(*self._connections.values())
         await self._server.wait_closed()
+
+    def close_connections(self) -> None:
+        """Close all connections; their requests in progress are not answered."""
+        for task in self._connections.values():
+            task.cancel()
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         if len(self._connections) >= MAX_CONNECTIONS:
             writer.close()
             return
-        self._connections.add(writer)
+        task = asyncio.current_task()
+        assert task is not None
+        self._connections[writer] = task
+        connection = writer.get_extra_info("socket")
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        for option, value in _KEEPALIVE.items():
+            connection.setsockopt(socket.IPPROTO_TCP, option, value)
         try:
             while True:
                 frame = await self._frame(reader)
@@ -133,11 +148,13 @@ class ModbusServer:
                 transaction, unit, pdu = frame
                 reply = await self.answer(pdu)
                 writer.write(_HEADER.pack(transaction, 0, len(reply) + 1, unit) + reply)
-                await writer.drain()
-        except (ConnectionError, asyncio.IncompleteReadError, TimeoutError):  # the client is gone or stuck in a frame
-            pass
+                async with asyncio.timeout(FRAME_TIMEOUT_S):
+                    await writer.drain()
+        # The client is gone or stuck, or the server closes the connection.
+        except (ConnectionError, asyncio.IncompleteReadError, TimeoutError, asyncio.CancelledError):
+            writer.transport.abort()  # unlike `close`, it does not wait for a client that does not receive
         finally:
-            self._connections.discard(writer)
+            del self._connections[writer]
             writer.close()
 
     async def _frame(self, reader: asyncio.StreamReader) -> tuple[int, int, bytes] | None:

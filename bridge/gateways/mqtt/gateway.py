@@ -5,15 +5,17 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from collections.abc import Callable
-from contextlib import AsyncExitStack, suppress
+from contextlib import AsyncExitStack
 from dataclasses import dataclass
 from typing import TypeVar
 
 import aiomqtt
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
+from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from agent_sdk.bus.sample import SampleView
+from bridge.gateways.mqtt.broker import Broker, connect, disconnect
 from bridge.gateways.mqtt.home_assistant import discovery
 from bridge.gateways.mqtt.messages import (
     accepted,
@@ -24,9 +26,11 @@ from bridge.gateways.mqtt.messages import (
     rejected,
     sample_json,
 )
+from bridge.gateways.mqtt.retained import RetainedMessages, point_topics
 from bridge.gateways.node_client import NodeClient
 from bridge.gateways.points import effective_value, readings
-from topics.errors import BadMessage, BusError, InvalidConfig, RequestRejected, ZenostatError
+from bridge.gateways.tasks import cancel
+from topics.errors import BadMessage, BusError, InvalidConfig, NodeLost, RequestRejected, ZenostatError
 from topics.messages import Event, Manifest
 
 MAX_WAITING = 1000
@@ -38,29 +42,10 @@ MAX_RESULTS = 20_000
 T = TypeVar("T")
 
 _RETRY_S = (0.5, 1.0, 2.0, 5.0, 10.0)
-_CONNECT_S = 10.0
-
-
-@dataclass(frozen=True, slots=True)
-class Broker:
-    """Address and credentials of a broker.
-
-    Attributes:
-        host, port: its address.
-        username, password: None for anonymous access.
-        tls: certificates for an encrypted connection; None for a plain one.
-        version: 5 or 3 (for 3.1.1), of the protocol.
-    """
-
-    host: str
-    port: int
-    username: str | None = None
-    password: str | None = None
-    tls: aiomqtt.TLSParameters | None = None
-    version: int = 5
-
-    def __str__(self) -> str:
-        return f"{self.host}:{self.port}"
+_END_S = 2.0
+_MAX_TOPIC_BYTES = 65_535
+_MAX_ROOT = 1000
+_ATTEMPTS = 2  # a broker may end the connection because of a response topic, for example one with too many levels
 
 
 @dataclass(slots=True)
@@ -83,6 +68,16 @@ class _Received:
     is_retained: bool
     reply_topic: str | None
     correlation: bytes | None
+
+
+@dataclass(slots=True)
+class _Result:
+    """A result to be published; `attempts_left` on its topic, None for any number."""
+
+    topic: str
+    text: str
+    correlation: bytes | None
+    attempts_left: int | None = None
 
 
 class MqttGateway:
@@ -122,10 +117,12 @@ class MqttGateway:
         self._home_assistant, self._notify = home_assistant, notify
         self._samples: deque[str] = deque(maxlen=MAX_WAITING)
         self._events: deque[str] = deque(maxlen=MAX_WAITING)
-        self._results: deque[tuple[str, str, bytes | None]] = deque(maxlen=MAX_RESULTS)
+        self._results: deque[_Result] = deque(maxlen=MAX_RESULTS)
         self._commands: deque[_Received] = deque()
         self._has_output, self._has_commands = asyncio.Event(), asyncio.Event()
-        self._published: dict[str, str] = {}
+        self._retained = RetainedMessages()
+        self._cleared_for: Manifest | None = None
+        self._executing: asyncio.Task[None] | None = None
         self._close = AsyncExitStack()
 
     async def __aenter__(self) -> MqttGateway:
@@ -134,7 +131,8 @@ class MqttGateway:
         self._listen(listeners.events, self._on_event)
         self._listen(listeners.presence, self._on_change)
         self._listen(listeners.manifests, self._on_change)
-        self._client = await self._connect()
+        self._client = await connect(self._broker, f"{self._root}/status")
+        self._close.push_async_callback(self._say_goodbye)
         return self
 
     def _listen(self, functions: list[Callable[[T], None]], function: Callable[[T], None]) -> None:
@@ -143,6 +141,11 @@ class MqttGateway:
 
     async def __aexit__(self, *_: object) -> None:
         await self._close.aclose()
+
+    @property
+    def waiting(self) -> int:
+        """Number of commands that wait for the one that is carried out."""
+        return len(self._commands)
 
     @property
     def description(self) -> str:
@@ -160,7 +163,7 @@ class MqttGateway:
         )
 
     async def run(self) -> None:
-        """Publish and carry out commands until cancelled."""
+        """Publish and carry out commands until cancelled; then answer those that wait."""
         executing = asyncio.create_task(self._execute())
         try:
             attempt = 0
@@ -169,13 +172,12 @@ class MqttGateway:
                     await self._serve(self._client)
                 except aiomqtt.MqttError as error:
                     self._notify(f"the broker {self._broker} is lost ({error}); reconnecting")
-                    with suppress(aiomqtt.MqttError):
-                        await self._client.__aexit__(None, None, None)
+                    await disconnect(self._client)
                 while True:
                     await asyncio.sleep(_RETRY_S[min(attempt, len(_RETRY_S) - 1)])
                     attempt += 1
                     try:
-                        self._client = await self._connect()
+                        self._client = await connect(self._broker, f"{self._root}/status")
                     except BusError:
                         continue
                     break
@@ -184,37 +186,36 @@ class MqttGateway:
                 self._notify(f"connected to the broker {self._broker} again")
         finally:
             executing.cancel()
-            await self._say_goodbye()
+            await self._reject_waiting()
 
     # Connection
 
-    async def _connect(self) -> aiomqtt.Client:
-        broker = self._broker
-        is_v5 = broker.version == 5
-        client = aiomqtt.Client(
-            broker.host, broker.port, username=broker.username, password=broker.password, tls_params=broker.tls,
-            protocol=aiomqtt.ProtocolVersion.V5 if is_v5 else aiomqtt.ProtocolVersion.V311,
-            clean_session=None if is_v5 else True, timeout=_CONNECT_S, keepalive=15,
-            will=aiomqtt.Will(f"{self._root}/status", b"offline", qos=1, retain=True),
-        )  # fmt: skip
-        try:
-            await client.__aenter__()
-        except (aiomqtt.MqttError, OSError, ValueError) as error:
-            raise BusError(f"no connection to the MQTT broker {broker}: {error}") from None
-        return client
+    async def _reject_waiting(self) -> None:
+        """Wait a moment for the command in progress, and reject those after it."""
+        if self._executing is not None:
+            await asyncio.wait((self._executing,), timeout=_END_S)
+            await cancel(self._executing, retry_s=_END_S)
+        while self._commands:
+            error = RequestRejected("the gateway has ended")
+            self._reply(self._commands.popleft(), rejected(error), is_accepted=False)
 
     async def _say_goodbye(self) -> None:
-        """Publish that the node is not served any more, and disconnect; a lost broker publishes the last will."""
+        """Publish the last results and that the node is not served any more, and disconnect.
+
+        A lost broker publishes the last will.
+        """
         try:
-            async with asyncio.timeout(2.0):
+            async with asyncio.timeout(_END_S):
+                while self._results:
+                    await self._publish_next(self._client)
                 await self._client.publish(f"{self._root}/status", b"offline", qos=1, retain=True)
-                await self._client.__aexit__(None, None, None)
         except (aiomqtt.MqttError, TimeoutError):
             pass
+        await disconnect(self._client)
 
     async def _serve(self, client: aiomqtt.Client) -> None:
         """Serve one connection until it is lost."""
-        self._published.clear()
+        self._retained.reconnected()
         self._has_output.set()
         tasks = [asyncio.create_task(self._receive(client)), asyncio.create_task(self._publish(client))]
         try:
@@ -222,9 +223,9 @@ class MqttGateway:
             for task in done:
                 task.result()
         finally:
-            for task in tasks:
-                task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
+            await cancel(*tasks, retry_s=0.2)
+            while len(client.messages):  # received, and confirmed to the broker
+                self._take(await anext(client.messages))
 
     # From the node
 
@@ -255,12 +256,7 @@ class MqttGateway:
 
     async def _publish_next(self, client: aiomqtt.Client) -> None:
         if self._results:
-            topic, text, correlation = self._results[0]
-            properties = None
-            if correlation is not None:
-                properties = Properties(PacketTypes.PUBLISH)  # type: ignore[no-untyped-call]
-                properties.CorrelationData = correlation
-            await client.publish(topic, text, qos=1, properties=properties)
+            await self._publish_result(client, self._results[0])
             self._results.popleft()  # only now: it is published again if the connection was lost meanwhile
         elif self._events:
             await client.publish(f"{self._root}/event", self._events[0], qos=1)
@@ -269,56 +265,63 @@ class MqttGateway:
             await client.publish(f"{self._root}/sample", self._samples.popleft())
             self.counts.samples += 1
 
+    async def _publish_result(self, client: aiomqtt.Client, result: _Result) -> None:
+        if result.attempts_left is not None:
+            if result.attempts_left == 0:
+                return
+            result.attempts_left -= 1
+        properties = None
+        if result.correlation is not None:
+            properties = Properties(PacketTypes.PUBLISH)  # type: ignore[no-untyped-call]
+            properties.CorrelationData = result.correlation
+        await client.publish(result.topic, result.text, qos=1, properties=properties)
+
     async def _publish_state(self, client: aiomqtt.Client) -> None:
-        manifest = self._node.manifest
-        await self._publish_changed(
-            client, f"{self._root}/manifest", manifest_json(manifest, readings(manifest)), qos=1
-        )
-        if self._home_assistant is not None:
-            for topic, text in discovery(manifest, self._root, self._home_assistant):
-                await self._publish_changed(client, topic, text, qos=1)
-        await self._publish_changed(
-            client, f"{self._root}/status", "online" if self._node.is_online else "offline", qos=1
-        )
+        manifest, root, publish = self._node.manifest, self._root, self._retained.publish
+        await publish(client, f"{root}/manifest", manifest_json(manifest, readings(manifest)), qos=1)
+        discovered = [] if self._home_assistant is None else [*discovery(manifest, root, self._home_assistant)]
+        for topic, text in discovered:
+            await publish(client, topic, text, qos=1)
+        await publish(client, f"{root}/status", "online" if self._node.is_online else "offline", qos=1)
+        if self._cleared_for is not manifest:  # another building may not have all points of the former one
+            own = [f"{root}/manifest", f"{root}/status", *(topic for topic, _ in discovered)]
+            await self._retained.clear_others(client, [*own, *point_topics(manifest, root)])
+            self._cleared_for = manifest
 
     async def _publish_points(self, client: aiomqtt.Client) -> None:
         sample = self._node.sample
         if sample is None or not self._node.is_online:
             return
-        manifest = sample.manifest
-        for reading in readings(manifest):
-            kind = "sensor" if reading.index < len(manifest.sensors) else "meter"
-            await self._publish_changed(client, f"{self._root}/{kind}/{reading.name}", number(reading.of(sample)))
-        for index, actuator in enumerate(manifest.actuators):
-            await self._publish_changed(
-                client, f"{self._root}/actuator/{actuator.name}", number(effective_value(sample, index))
-            )
-
-    async def _publish_changed(self, client: aiomqtt.Client, topic: str, text: str, *, qos: int = 0) -> None:
-        """Publish a retained text unless it is on the broker already."""
-        if self._published.get(topic) != text:
-            await client.publish(topic, text, qos=qos, retain=True)
-            self._published[topic] = text
+        values = [reading.of(sample) for reading in readings(sample.manifest)]
+        values += [effective_value(sample, index) for index in range(len(sample.manifest.actuators))]
+        for topic, value in zip(point_topics(sample.manifest, self._root), values, strict=True):
+            await self._retained.publish(client, topic, number(value))
 
     # Commands
 
     async def _receive(self, client: aiomqtt.Client) -> None:
-        await client.subscribe(f"{self._root}/actuator/+/set", qos=1)
+        # Else a broker shows only at the next connection that a command is retained; MQTT 3.1.1 has no such option.
+        flags = {"options": SubscribeOptions(1, retainAsPublished=True)} if self._broker.version == 5 else {"qos": 1}
+        await client.subscribe(f"{self._root}/actuator/+/set", **flags)
         async for message in client.messages:
-            properties = message.properties
-            received = _Received(
-                str(message.topic).split("/")[-2],
-                message.payload if isinstance(message.payload, bytes) else str(message.payload or "").encode(),
-                bool(message.retain),
-                getattr(properties, "ResponseTopic", None),
-                getattr(properties, "CorrelationData", None),
-            )
-            if len(self._commands) >= MAX_WAITING:
-                error = RequestRejected(f"{MAX_WAITING} commands are waiting; try again later")
-                self._reply(received, rejected(error), is_accepted=False)
-            else:
-                self._commands.append(received)
-                self._has_commands.set()
+            self._take(message)
+
+    def _take(self, message: aiomqtt.Message) -> None:
+        """Queue a command."""
+        properties = message.properties
+        received = _Received(
+            str(message.topic).split("/")[-2],
+            message.payload if isinstance(message.payload, bytes) else str(message.payload or "").encode(),
+            bool(message.retain),
+            _valid_topic(getattr(properties, "ResponseTopic", None)),
+            getattr(properties, "CorrelationData", None),
+        )
+        if len(self._commands) >= MAX_WAITING:
+            error = RequestRejected(f"{MAX_WAITING} commands are waiting; try again later")
+            self._reply(received, rejected(error), is_accepted=False)
+        else:
+            self._commands.append(received)
+            self._has_commands.set()
 
     async def _execute(self) -> None:
         """Carry out commands one after another, in the order received, also while the broker is away."""
@@ -326,7 +329,8 @@ class MqttGateway:
             await self._has_commands.wait()
             self._has_commands.clear()
             while self._commands:
-                await self._carry_out(self._commands.popleft())
+                self._executing = asyncio.create_task(self._carry_out(self._commands.popleft()))
+                await asyncio.shield(self._executing)
 
     async def _carry_out(self, received: _Received) -> None:
         try:
@@ -337,6 +341,10 @@ class MqttGateway:
                 received.actuator, command.value, priority=command.priority, duration_s=command.duration_s,
                 source=command.source,
             )  # fmt: skip
+        except asyncio.CancelledError:
+            error = NodeLost("the gateway has ended before the node answered; the command may take effect")
+            self._reply(received, rejected(error), is_accepted=False)
+            raise
         except ZenostatError as error:
             self._reply(received, rejected(error), is_accepted=False)
         else:
@@ -347,18 +355,31 @@ class MqttGateway:
         """Queue the result for `…/actuator/NAME/result`, and for the response topic of an MQTT 5 client."""
         self.counts.accepted += is_accepted
         self.counts.rejected += not is_accepted
-        self._results.append((f"{self._root}/actuator/{received.actuator}/result", text, received.correlation))
+        own = _valid_topic(f"{self._root}/actuator/{received.actuator}/result")
+        if own is not None:  # it is longer than the topic of the command
+            self._results.append(_Result(own, text, received.correlation))
         if received.reply_topic:
-            self._results.append((received.reply_topic, text, received.correlation))
+            self._results.append(_Result(received.reply_topic, text, received.correlation, _ATTEMPTS))
         self._has_output.set()
+
+
+def _valid_topic(topic: str | None) -> str | None:
+    """Return a topic to which a message can be published, or None: a client may name any text as response topic."""
+    if not topic or any(char in topic for char in "+#\0") or len(topic.encode()) > _MAX_TOPIC_BYTES:
+        return None
+    return topic
 
 
 def check_root(root: str) -> str:
     """Return a topic without its slash at the end.
 
     Raises:
-        InvalidConfig: it has wildcards or empty levels.
+        InvalidConfig: it has wildcards or empty levels, is one of the broker's own (`$SYS`), or is too long.
     """
+    if len(root) > _MAX_ROOT:
+        raise InvalidConfig(f"a topic of {len(root)} characters; at most {_MAX_ROOT} are accepted")
+    if root.startswith("$"):
+        raise InvalidConfig(f"topic {root!r}: brokers accept no messages on topics that begin with '$'")
     bare = root.removesuffix("/")
     if not bare or any(char in bare for char in "+#\0") or "" in bare.split("/"):
         raise InvalidConfig(f"topic {root!r}: expected levels without wildcards, for example buildings/office")

@@ -1,0 +1,75 @@
+"""Names that only one gateway of a node can have: sources, topics on a broker, BACnet device instances."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import socket
+from collections.abc import AsyncIterator, Callable, Mapping
+from contextlib import asynccontextmanager, suppress
+from urllib.parse import quote, unquote
+
+import zenoh
+from zenoh.handlers import Callback
+
+from topics import keys
+from topics.errors import NameInUse
+
+
+@asynccontextmanager
+async def reserved_names(session: zenoh.Session, node: str, names: Mapping[str, str]) -> AsyncIterator[None]:
+    """Reserve names for a gateway of a node for as long as the context or the session lasts.
+
+    Each name is a liveliness token, so the name of a gateway that dies is free again.
+
+    Args:
+        session: an open session.
+        node: name of the node.
+        names: the names, each with advice for the case that it is in use: `choose another name with --source`.
+
+    Raises:
+        NameInUse: another gateway of the node has one of the names; the text has its host and process.
+    """
+    own = str(session.zid())
+    await _check(session, node, names, lambda instance: instance != own)
+    declare = session.liveliness().declare_token
+    declared = [declare(keys.GATEWAY_TOKEN.at(node, name=_token_name(name, own))) for name in names]
+    try:
+        # Of two gateways that start at the same time, the one with the lower id remains.
+        await _check(session, node, names, lambda instance: instance < own)
+        yield
+    finally:
+        for token in declared:
+            token.undeclare()  # type: ignore[no-untyped-call]
+
+
+async def liveliness_tokens(session: zenoh.Session, key: str) -> list[str]:
+    """Return the keys of the liveliness tokens that match a key expression."""
+    loop = asyncio.get_running_loop()
+    is_complete, tokens = asyncio.Event(), list[str]()
+
+    def on_reply(reply: zenoh.Reply) -> None:
+        if reply.ok is not None:
+            tokens.append(str(reply.ok.key_expr))
+
+    def on_end() -> None:
+        with suppress(RuntimeError):  # the loop is closed
+            loop.call_soon_threadsafe(is_complete.set)
+
+    session.liveliness().get(key, Callback(on_reply, on_end, indirect=False))
+    await is_complete.wait()
+    return tokens
+
+
+def _token_name(name: str, instance: str) -> str:
+    parts = (name, socket.gethostname(), str(os.getpid()), instance)
+    return ":".join(quote(part, safe="") for part in parts)
+
+
+async def _check(session: zenoh.Session, node: str, names: Mapping[str, str], precedes: Callable[[str], bool]) -> None:
+    for token in await liveliness_tokens(session, keys.GATEWAY_TOKEN.at(node, name="*")):
+        name, host, process, instance = map(unquote, keys.last_chunk(token).split(":"))
+        if name in names and precedes(instance):
+            raise NameInUse(
+                f"a gateway of node {node!r} uses {name!r} already (process {process} on {host}); {names[name]}"
+            )

@@ -1,0 +1,55 @@
+"""A BACnet device whose node is frozen, or the replay of a recording."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import subprocess
+from pathlib import Path
+
+from support.bacnet import served
+from support.nodes import NodeProgram, until
+from support.run_cli import ZENOSTAT
+
+import agent_sdk
+from topics.messages import State
+
+
+def test_a_replayed_recording_is_reliable_and_takes_no_writes(tmp_path: Path) -> None:
+    plant = f"{Path(__file__).parents[2]}/examples/own_plant.py:HeatPumpRoom"
+    record, bus = tmp_path / "room.mcap", f"unixsock-stream/{tmp_path}/bus"
+    with (
+        NodeProgram(tmp_path / "room", plant=plant, name="room", mode="free", record=str(record)) as node,
+        agent_sdk.connect(node.endpoint, affinity="off") as recorded,
+    ):
+        until(lambda: recorded.status("room").state is State.ENDED, "the episode is over")
+        node.interrupt()
+
+    async def main() -> None:
+        async with served(bus, "room") as (_, reader, _):
+            assert await reader.write("compressor", 500.0) == "property write-access-denied"
+            assert await reader.read("compressor", "priority-array")
+            assert await reader.read("room_temperature", "reliability") == "no-fault-detected"
+
+    with subprocess.Popen([*ZENOSTAT, "replay", str(record), "--speed", "1", "--listen", bus]) as replay:
+        try:
+            until(lambda: Path(f"{tmp_path}/bus").exists(), "the replay listens")
+            asyncio.run(main())
+        finally:
+            replay.terminate()
+
+
+def test_a_frozen_node_is_an_operational_problem_of_each_write(tmp_path: Path) -> None:
+    plant = f"{Path(__file__).parents[2]}/examples/own_plant.py:HeatPumpRoom"
+
+    async def main() -> None:
+        async with served(node.endpoint, "room") as (_, reader, _):
+            os.kill(node.pid, signal.SIGSTOP)
+            assert await reader.write("compressor", 500.0) == "device operational-problem"
+
+    with NodeProgram(tmp_path / "room", plant=plant, name="room") as node:
+        try:
+            asyncio.run(main())
+        finally:
+            os.kill(node.pid, signal.SIGCONT)
