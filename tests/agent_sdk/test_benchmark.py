@@ -119,6 +119,7 @@ def test_all_names_exist() -> None:
     assert {find_weather(name).name for name in weathers} == weathers
 
 
+@pytest.mark.slow
 def test_trainings_of_all_sets_are_valid() -> None:
     from agent_sdk.training import read_training
     from agent_sdk.training.run import check_training

@@ -483,6 +483,7 @@ def _until_as_it_was(env: Any, scratch: Path, before: dict[str, Any]) -> None:
         raise AssertionError(f"{error}: {changed}") from None
 
 
+@pytest.mark.slow
 def test_nothing_is_left_of_forks_that_were_closed(scratch: Path) -> None:
     """Closed at once, in the middle, at their end, with a command on its way, and by a killed engine."""
     env = make(**FOUR)

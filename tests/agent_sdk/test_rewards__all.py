@@ -150,6 +150,7 @@ def test_the_reward_is_the_sum_of_its_terms_and_none_is_positive(
         assert all(np.ndim(number) == 0 for number in got.metrics.values())
 
 
+@pytest.mark.slow
 @settings(max_examples=examples(100), deadline=None)
 @given(kinds, st.lists(st.tuples(samples, moments), min_size=1, max_size=4))
 def test_slots_are_what_each_of_them_is_alone(kind: str, slots: list[tuple[Array, datetime]]) -> None:

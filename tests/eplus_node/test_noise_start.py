@@ -177,6 +177,7 @@ def test_snapshots_and_branches__continue_with_the_episodes_weather(scratch: Pat
     env.close()
 
 
+@pytest.mark.slow
 def test_slots__have_noise_of_their_own_from_one_engine(scratch: Path) -> None:
     envs = gym.make_vec(
         SMALL, num_envs=2, vectorization_mode="vector_entry_point", affinity="off", begin="07-03", **LATE

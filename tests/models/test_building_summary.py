@@ -25,7 +25,7 @@ from models.points.discovery import discover, locations
 from models.scenario.run_period import Period
 
 # Multipliers of zones and of a list of zones, plenums, attics, no heating in some zones, condenser loops.
-ASKED = ("hotel-small", "office-large", "ref-midrise-apartment", "ref-outpatient", "restaurant-fast-food", "warehouse")
+ASKED = ("restaurant-fast-food", "hotel-small", "office-large", "ref-midrise-apartment", "ref-outpatient", "warehouse")
 
 _RUN = """
 import sys

@@ -83,6 +83,7 @@ def test_modbus_clients_of_the_former_map_are_disconnected(router: str, tmp_path
     assert "building has other points" in err
 
 
+@pytest.mark.slow
 @needs_mosquitto
 def test_mqtt_removes_the_retained_values_of_points_that_are_gone(router: str, tmp_path: Path) -> None:
     with Building(router, tmp_path) as building, Broker(tmp_path) as broker:

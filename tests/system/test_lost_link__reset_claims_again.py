@@ -121,6 +121,7 @@ def test_an_own_node_that_was_frozen(slots: int) -> None:
     env.close()
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("recorded", [False, True])
 def test_an_own_node_that_is_frozen_is_ended(recorded: bool, scratch: Path) -> None:
     env = make(1, **SMALL, record=str(scratch / "run.mcap") if recorded else None)

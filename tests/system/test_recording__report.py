@@ -63,6 +63,7 @@ def test_the_numbers_are_those_of_the_evaluation_to_the_bit(evaluated: Any) -> N
         assert not np.array_equal(ours.weathers[0].temperature, ours.weathers[1].temperature)  # the noise
 
 
+@pytest.mark.slow
 def test_the_command_writes_the_report_of_the_evaluation(evaluated: Any, scratch: Path) -> None:
     evaluation, files = evaluated
     page, other = scratch / "report.html", scratch / "evaluation.html"

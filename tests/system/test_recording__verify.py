@@ -139,6 +139,7 @@ def test_noise_from_the_third_day_two_controllers_and_a_fallback_policy_verify_t
     assert not np.array_equal(outdoors[0][2 * 96 : 2 * 96 + 20], outdoors[1][2 * 96 : 2 * 96 + 20])
 
 
+@pytest.mark.slow
 def test_what_is_not_here_is_named_before_anything_is_simulated(eventful: Path, scratch: Path) -> None:
     with RecordingReader(eventful) as reader:
         provenance = reader.provenance
