@@ -145,7 +145,9 @@ def let_recording_stop(env: Any, path: Path) -> None:
     node = env.unwrapped.local_node
     with agent_sdk.connect(node.endpoint, affinity="off") as bus:
         until(lambda: bus.status("building").recording.messages, "the first chunk is written")
-        psutil.Process(node.pid).rlimit(psutil.RLIMIT_FSIZE, (path.stat().st_size + 1000, -1))
+        process = psutil.Process(node.pid)
+        _, hard = process.rlimit(psutil.RLIMIT_FSIZE)
+        process.rlimit(psutil.RLIMIT_FSIZE, (path.stat().st_size + 1000, hard))
         for _ in range(50):
             env.step(env.action_space.sample())
         until(lambda: bus.status("building").recording.state is RecordingState.STOPPED, "it has stopped")
