@@ -172,6 +172,11 @@ WAKE = "wake"
 """Key, below a node's root, with which a process wakes its own receiving thread; never sent to other processes."""
 
 
+def is_streamed(topic: Topic) -> bool:
+    """Return whether a topic is one of a node's stream: manifest, sample or event."""
+    return "/" not in topic.key
+
+
 def stream(node: str) -> str:
     """Return the key expression of a node's topics with one chunk; `*` matches all nodes."""
     return f"{root(node)}/{OWN_STREAM}"

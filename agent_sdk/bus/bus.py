@@ -31,6 +31,7 @@ from agent_sdk.bus.sample import SampleView
 from agent_sdk.bus.series_requests import SeriesRequests
 from bridge.runtime import affinity
 from bridge.runtime.affinity import Affinity
+from bridge.runtime.timer import Timer
 from bridge.transport.access_control import Permission, may
 from bridge.transport.request import ask
 from bridge.transport.session import DEFAULT_ENDPOINT, FORKED, OpenSession, open_session
@@ -105,6 +106,7 @@ class Bus(BranchRequests, PaceRequests, PriorityRequests, RecordingRequests, Ser
     Attributes:
         endpoint, role: Its endpoint, and the role of its certificate (None without TLS).
         session: The Zenoh session.
+        timer: For the checks of controllers that have waited for long; its thread starts with the first controller.
     """
 
     def __init__(self, endpoint: str, session: OpenSession, affinity: Affinity, role: Role | None = None) -> None:
@@ -113,6 +115,7 @@ class Bus(BranchRequests, PaceRequests, PriorityRequests, RecordingRequests, Ser
         self._close, self._closed = ExitStack(), False
         self._affinity = affinity
         self._links: set[ControllerLink] = set()
+        self.timer = self._close.enter_context(Timer())
         self.session = self._close.enter_context(session)
         fork_guard.open_buses.add(self)
 

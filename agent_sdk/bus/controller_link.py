@@ -15,7 +15,8 @@ from zenoh.handlers import FifoChannel
 
 from agent_sdk.bus.command_encoding import CommandEncoder
 from agent_sdk.bus.presence import NodeWatch, undeclare
-from agent_sdk.bus.sample import SampleView
+from agent_sdk.bus.sample import SampleView, interface, is_after
+from agent_sdk.bus.silence import SilenceWatch, ask_for_sample
 from bridge.runtime import affinity
 from bridge.runtime.affinity import Affinity
 from bridge.runtime.polling import Polling
@@ -38,7 +39,6 @@ from topics.messages import (
     Event,
     EventKind,
     Flag,
-    Manifest,
     Reset,
     Sample,
     State,
@@ -54,16 +54,6 @@ _TRUNCATED = int(Flag.TRUNCATED)
 _INBOX = 1024
 
 _BUSY = "another thread is in receive() or reset() of this controller; one thread at a time, or a controller for each"
-
-
-def _interface(manifest: Manifest) -> tuple[Any, ...]:
-    """Return the parts of a manifest that a controller relies on; weather and run period may differ after a restart."""
-    return manifest.slots, manifest.sensors, manifest.meters, manifest.actuators, manifest.task, manifest.step_s
-
-
-def _is_after(new: Sample, old: Sample) -> bool:
-    """Return whether any slot of the same episodes has advanced."""
-    return new.step > old.step or any(step > before for step, before in zip(new.step, old.step, strict=True))
 
 
 class ControllerLink:
@@ -92,6 +82,8 @@ class ControllerLink:
         self._closed: ZenostatError | None = None
         self._latest: SampleView | None = None
         self._answered, self._done = True, False
+        self._silence = SilenceWatch(bus.timer, lambda: self._busy and self._latest, self._wake)
+        self._close.callback(self._silence.close)
         with ExitStack() as undo:
             undo.callback(self.close)
             self.manifest = bus.manifest(node)
@@ -150,7 +142,7 @@ class ControllerLink:
         manifest = self.bus.manifest(self.manifest.node)
         self._node.lost = False  # first, so that a second loss from here on is noticed
         if manifest.instance != self.manifest.instance:
-            if _interface(manifest) != _interface(self.manifest):
+            if interface(manifest) != interface(self.manifest):
                 raise NodeLost(
                     f"node {manifest.node!r} was restarted with other points, slots or actions; "
                     "connect another controller, or make another environment"
@@ -245,14 +237,19 @@ class ControllerLink:
 
     def current(self) -> SampleView:
         """Return the node's current sample, for a controller that has just connected."""
-        status = self.bus.status(self.manifest.node)
+        node, sample = self.manifest.node, None
+        with suppress(RequestRejected):  # there is none yet
+            sample = self._view(self.bus.latest(node))
+        status = self.bus.status(node)
         if status.state is State.FAILED:
             raise from_wire({"error": status.failure_error, "message": status.failure})
         if status.state is State.ENDED:
             return self.reset()
-        if status.state is not State.WAITING:
-            return self.receive()  # the current sample is answered already; the next one follows
-        return self._keep(self._view(self.bus.latest(self.manifest.node)))
+        if sample is not None and sample.message.episode == status.episode:
+            if status.state is State.WAITING and sample.message.step == status.step:
+                return self._keep(sample)
+            self._latest = sample  # it is answered already; the next one follows
+        return self.receive()
 
     def set_current(self, sample: Sample) -> SampleView:
         """Make `sample` the current one, as for a branch, which continues from its parent's sample."""
@@ -278,7 +275,7 @@ class ControllerLink:
                 if previous is None:
                     return self._keep(sample)
                 episode, current = sample.message.episode, previous.message.episode
-                if episode == current and _is_after(sample.message, previous.message):
+                if episode == current and is_after(sample.message, previous.message):
                     return self._keep(sample)
                 if any(new > old for new, old in zip(episode, current, strict=True)):
                     raise EpisodeChanged(f"node {self.manifest.node!r} was reset by another controller{self._where()}")
@@ -306,6 +303,19 @@ class ControllerLink:
             if key == self._sample_key:
                 return self._view(codec.decode(Sample, message.payload.to_bytes(), str(message.encoding)))
             self._on_message(key, message, resetting=resetting)
+            if self._silence.is_due and (sample := self._ask(resetting=resetting)) is not None:
+                return sample
+
+    def _ask(self, *, resetting: bool) -> SampleView | None:
+        """After a long silence, return the node's current sample, or raise what has ended the stream."""
+        self._silence.is_due = False
+        try:
+            sample = ask_for_sample(self.bus, self.manifest.node, self.name)
+        except ZenostatError as error:
+            self._claimed = False
+            self._ended = None if isinstance(error, RequestRejected) else error
+            raise
+        return None if sample is None or (self._latest is None and not resetting) else self._view(sample)
 
     def _view(self, sample: Sample) -> SampleView:
         return SampleView(sample, self.manifest, self._names, self)

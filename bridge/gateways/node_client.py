@@ -53,6 +53,9 @@ REQUEST_TIMEOUT_S = 30.0
 MAX_PENDING = 256
 """Largest number of requests that wait for replies; further ones are rejected."""
 
+_SILENCE_S = 1.0
+"""Time after which the node is asked for its sample: one that was streamed over a congested link may be lost."""
+
 _MAX_WAITING_MESSAGES = 4096
 _MESSAGES_PER_TURN = 256  # then other tasks of the loop have their turn
 
@@ -234,7 +237,11 @@ class NodeClient:
                     if not self.is_online:
                         raise NodeLost(f"node {self.name!r} is gone")
                     self._changed.clear()
-                    await self._changed.wait()
+                    try:
+                        async with asyncio.timeout(_SILENCE_S):
+                            await self._changed.wait()
+                    except TimeoutError:
+                        await self._fetch_sample()
         except TimeoutError:
             raise RequestRejected(f"node {self.name!r} did not reach {what} within {timeout_s:g} s") from None
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from contextlib import ExitStack
 from datetime import datetime
 from math import isfinite
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import zenoh
-from zenoh import CongestionControl
+from zenoh import CongestionControl, Priority
 from zenoh.handlers import Callback
 
 from bridge.node.batching import SampleBatcher
@@ -22,7 +23,8 @@ if TYPE_CHECKING:
     from bridge.recording.recorder import Recorder
 
 EVENTS_A_STEP = 20
-"""Refusals per step that are published as events; further ones are only counted."""
+"""Refusals per step that are published as events: for each controller with a claim, and for all other senders together;
+further ones are only counted."""
 
 WRITTEN_A_STEP = 1000
 """Accepted writes per step that are published as events; a controller waiting for a reset has a bounded queue."""
@@ -45,7 +47,8 @@ class Publications:
         self.recorder: Recorder | None = None
         self._close = ExitStack()
         self._subscribed: dict[int, zenoh.Publisher] = {}
-        self._events_left, self._written_left = EVENTS_A_STEP, WRITTEN_A_STEP
+        self._refused: Counter[str] = Counter()
+        self._written_left = WRITTEN_A_STEP
         self._put_sample = self._publisher(keys.SAMPLE).put
         self._put_event = self._publisher(keys.EVENT).put
         self._put_manifest = self._publisher(keys.MANIFEST).put
@@ -70,6 +73,8 @@ class Publications:
             topic.at(self._node, name=name),
             encoding=zenoh.Encoding(codec.encoding(topic.message)) if topic.message else None,
             congestion_control=CongestionControl.DROP if drop else CongestionControl.BLOCK,
+            # Each priority has a queue of its own: a large message of another program does not displace a sample.
+            priority=Priority.INTERACTIVE_HIGH if keys.is_streamed(topic) else Priority.DATA,
         )
         return self._close.enter_context(publisher)
 
@@ -100,7 +105,8 @@ class Publications:
         self._put_sample(payload)
         if self._batches.has_listeners:
             self._batches.add(_SAMPLE, payload)
-        self._events_left, self._written_left = EVENTS_A_STEP, WRITTEN_A_STEP
+        self._refused.clear()
+        self._written_left = WRITTEN_A_STEP
 
     def points(self, values: bytes, episode: int, step: int, time: datetime) -> None:
         """Publish the single points of slot 0 that have subscribers; `values` are raw, in manifest order."""
@@ -111,11 +117,16 @@ class Publications:
             point = PointValue(value=value, unit=unit, episode=episode, step=step, time=time.isoformat())
             publisher.put(codec.encode(point))
 
-    def event(self, event: Event) -> None:
-        """Publish an event, unless it is one of too many refusals or writes within a step."""
+    def event(self, event: Event, claimant: str = "") -> None:
+        """Publish an event, unless it is one of too many refusals or writes within a step.
+
+        Args:
+            event: the event.
+            claimant: the controller that it refers to, if that has a claim.
+        """
         if event.kind in REJECTIONS:
-            self._events_left -= 1
-            if self._events_left < 0:
+            self._refused[claimant] += 1
+            if self._refused[claimant] > EVENTS_A_STEP:
                 return
         elif event.kind is EventKind.WRITTEN:
             self._written_left -= 1

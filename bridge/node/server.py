@@ -308,7 +308,7 @@ class NodeServer:
 
     def event(self, event: Event) -> None:
         """Publish an event."""
-        self.publications.event(event)
+        self.publications.event(event, event.source if event.source in self.exchange.claims.by_name else "")
         if self._observer is not None:
             self._observer(self)
 

@@ -1,0 +1,189 @@
+"""Samples and events that are lost on the way, and large messages of strangers, which once displaced them."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import Any
+
+import msgpack
+import numpy as np
+import psutil
+import pytest
+from support.nodes import NodeProgram, Program, until
+
+import agent_sdk
+from agent_sdk.bus import controller_link, silence
+from agent_sdk.bus.controller_link import ControllerLink
+from bridge.gateways.node_client import NodeClient
+from bridge.transport.session import open_session
+from topics import codec, keys
+from topics.errors import EngineDied, EpisodeChanged, RequestRejected
+from topics.messages import Event, EventKind, Reset, Sample, State, Status
+
+POINT = "core_zn_cooling_setpoint"
+
+FLOOD = """
+import sys, time
+import zenoh
+from bridge.transport.session import open_session
+from topics import codec
+with open_session(connect=[sys.argv[1]]) as session:
+    print("floods", flush=True)
+    while True:
+        priority = getattr(zenoh.Priority, sys.argv[2])
+        session.put("zenostat/v2/office/nothing", bytes(codec.MAX_BYTES), priority=priority)
+        time.sleep(float(sys.argv[3]))
+"""
+
+
+def lose(link: ControllerLink, is_lost: Callable[[str, bytes], bool]) -> list[str]:
+    """Discard messages of the link's inbox as if Zenoh had dropped them; return the list of their keys."""
+    lost: list[str] = []
+
+    def without_lost(receive: Callable[[], Any]) -> Callable[[], Any]:
+        def receive_next() -> Any:
+            while True:
+                message = receive()
+                if message is None or not is_lost(key := str(message.key_expr), message.payload.to_bytes()):
+                    return message
+                lost.append(key)
+
+        return receive_next
+
+    link._recv, link._try_recv = without_lost(link._recv), without_lost(link._try_recv)
+    return lost
+
+
+def is_sample(step: int) -> Callable[[str, bytes], bool]:
+    return lambda key, payload: key.endswith("/sample") and codec.decode(Sample, payload).step == [step]
+
+
+def is_event(kind: EventKind) -> Callable[[str, bytes], bool]:
+    return lambda key, payload: key.endswith("/event") and codec.decode(Event, payload).kind is kind
+
+
+def day(link: ControllerLink) -> list[bytes]:
+    sample = link.reset(seed=0)
+    seen = [sample.message.values]
+    while not sample.truncated:
+        zones = len(link.manifest.actuators) // 2
+        link.send(np.array([20.0, 24.0 + sample.step % 5] * zones))
+        sample = link.receive()
+        seen.append(sample.message.values)
+    return seen
+
+
+@pytest.mark.parametrize("step", [0, 40, 96])
+def test_a_lost_sample_is_asked_for(episode_bus: agent_sdk.Bus, step: int) -> None:
+    with episode_bus.controller("office") as link:
+        quiet = day(link)
+        lost = lose(link, is_sample(step))
+        assert day(link) == quiet
+    assert lost == [keys.SAMPLE.at("office")]
+
+
+def test_a_controller_that_connects_late_asks_for_the_sample_after_the_one_that_is_answered(
+    episode_bus: agent_sdk.Bus,
+) -> None:
+    """The node waits for another controller at sample 0, of which this one does not know whether it has answered."""
+    with episode_bus.controller("office", actuators=[POINT], name="a") as first:
+        others = [a.name for a in first.manifest.actuators if a.name != POINT]
+        with episode_bus.controller("office", actuators=others, name="b") as second:
+            assert first.current().step == second.current().step == 0
+            lost = lose(second, is_sample(1))
+            for link in (first, second):
+                link.send()
+            assert [first.receive().step, second.receive().step] == [1, 1]
+            assert lost
+
+
+def test_a_failure_whose_event_is_lost_is_raised(bus: agent_sdk.Bus, node: NodeProgram) -> None:
+    with bus.controller("office") as link:
+        link.reset()
+        lost = lose(link, is_event(EventKind.FAILED))
+        for engine in psutil.Process(node.pid).children(recursive=True):
+            if "engine" in " ".join(engine.cmdline()):
+                engine.kill()
+        link.send()
+        with pytest.raises(EngineDied, match="SIGKILL"):
+            link.receive()
+        assert link.reset().step == 0, "another episode starts"
+    assert lost
+
+
+def test_a_reset_by_another_controller_is_raised_though_its_messages_are_lost(episode_bus: agent_sdk.Bus) -> None:
+    with episode_bus.controller("office", actuators=[POINT]) as link:
+        link.reset()
+        link.send()
+        link.receive()
+        lost = lose(link, lambda key, _: key.rpartition("/")[2] in ("sample", "event"))
+        with episode_bus.controller("office", actuators=[], required=False) as other:
+            other.reset()
+        with pytest.raises(EpisodeChanged, match="was reset by another controller"):
+            link.receive()
+    assert lost
+
+
+def test_a_controller_without_a_claim_does_not_wait_for_ever() -> None:
+    """A rule, with a bus of its own: nobody waits for a controller that the node does not know."""
+
+    class OneSample:
+        def latest(self, _: str) -> str:
+            return "sample"
+
+        def status(self, _: str) -> Any:
+            return Status.model_construct(state=State.WAITING, controllers=[])
+
+    with pytest.raises(RequestRejected, match="node 'office' has no claim of 'c' any more"):
+        silence.ask_for_sample(OneSample(), "office", "c")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("priority", ["DATA", "REAL_TIME"])
+def test_large_messages_of_a_stranger_do_not_displace_samples(
+    episode_bus: agent_sdk.Bus, monkeypatch: pytest.MonkeyPatch, priority: str
+) -> None:
+    """At Zenoh's default priority none is lost; at a higher one than the samples', which are lost is asked for."""
+    regained: list[int] = []
+
+    with episode_bus.controller("office") as link:
+
+        def ask(*arguments: Any) -> Sample | None:
+            sample = silence.ask_for_sample(*arguments)
+            if sample is not None and link._latest is not None and sample.step > link._latest.message.step:
+                regained.extend(sample.step)
+            return sample
+
+        monkeypatch.setattr(controller_link, "ask_for_sample", ask)
+        quiet = day(link)
+        with Program(FLOOD, episode_bus.endpoint, priority, "0.02" if priority == "DATA" else "0.3") as flood:
+            assert flood.line() == "floods"
+            assert day(link) == quiet
+    assert not regained or priority != "DATA"
+
+
+def test_refusals_of_strangers_leave_room_for_those_of_a_controller(episode_bus: agent_sdk.Bus) -> None:
+    """More than are published in a step; the controller's own is, or it would wait for a sample that never comes."""
+    with episode_bus.controller("office") as link, open_session(connect=[episode_bus.endpoint]) as session:
+        link.reset()
+        for _ in range(60):
+            session.put(keys.ACTUATOR.at("office", name=POINT), msgpack.packb({"value": "x"}))
+            session.put(keys.COMMAND.at("office", name="stranger"), b"\xc1")
+        until(lambda: episode_bus.status("office").rejected >= 120, "all of them are refused")
+        link.send(np.full(len(link.manifest.actuators), 99.0))
+        with pytest.raises(RequestRejected, match="= 99; its bounds are"):
+            link.receive()
+
+
+def test_a_gateway_asks_for_a_lost_sample(bus: agent_sdk.Bus, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def main() -> int:
+        with open_session(connect=[bus.endpoint]) as session:
+            async with NodeClient(session, "office") as client:
+                handle = client._handle
+                monkeypatch.setattr(client, "_handle", lambda m: m.key.endswith("/sample") or handle(m))
+                return (await client.step(3)).step
+
+    bus.pause("office")
+    bus.pace("office", mode="free")
+    bus.reset("office", Reset())
+    assert asyncio.run(main()) == 3
