@@ -54,7 +54,7 @@ def record(
 def describe_recording(status: RecordingStatus) -> str:
     """Describe the state of a recording in a line."""
     if status.state is RecordingState.ARMED:
-        return f"the next reset of all slots begins the recording to {status.path}"
+        return f"the next reset of all slots begins the recording to {status.path}; --now begins at once"
     if status.state is RecordingState.RECORDING:
         return f"recording to {status.path}"
     if status.state is RecordingState.ENDED and not status.bytes:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
@@ -83,9 +84,42 @@ def write_dataset(
             "0, and a probability of 0 to 1"
         )
     root = datasets_folder(folder)
+    with _not_left_empty(root):
+        return _write(
+            env, controllers, dataset_id, root, episodes=episodes, seed=seed, epsilon=epsilon,
+            parameters=parameters or {}, author=author, description=description, progress=progress,
+        )  # fmt: skip
+
+
+@contextmanager
+def _not_left_empty(folder: Path) -> Iterator[None]:
+    """Remove a folder that was created meanwhile and is empty."""
+    existed = folder.exists()
+    try:
+        yield
+    finally:
+        if not existed:
+            with suppress(OSError):  # it is not empty
+                folder.rmdir()
+
+
+def _write(
+    env: gym.Env[Any, Any] | Callable[[], gym.Env[Any, Any]],
+    controllers: Sequence[str] | Mapping[str, str | ControllerFactory],
+    dataset_id: str,
+    root: Path,
+    *,
+    episodes: int,
+    seed: int,
+    epsilon: float,
+    parameters: Mapping[str, Any],
+    author: str | None,
+    description: str | None,
+    progress: Progress | None,
+) -> Path:
     path = check_new_dataset(dataset_id, root)
     factories = controller_factories(controllers)
-    arguments = assign_parameters(factories, parameters or {}, seed)
+    arguments = assign_parameters(factories, parameters, seed)
     for name, factory in factories.items():
         if is_baseline_factory(factory):
             raise InvalidConfig(

@@ -100,6 +100,9 @@ class Verification:
             return f"different after {compared}: {self.difference}"
         if not self.episodes:
             return "nothing could be verified"
+        if not self.steps and self.tolerance is None:
+            plural = "s" if self.episodes > 1 else ""
+            return f"identical: the first sample of {self.episodes} episode{plural}; there is no timestep after it"
         if self.tolerance is None:
             return f"identical{' up to the damage' if self.is_damaged else ''}: {compared}"
         above = [name for name, value in self.greatest.items() if not value <= self.tolerance]

@@ -200,6 +200,9 @@ def test_nothing_is_left_of_a_data_set_that_was_not_completed(folder: Path) -> N
     with pytest.raises(KeyboardInterrupt):
         write_dataset(fake(), ["rbc"], ID, episodes=2, progress=stop)
     assert list(folder.rglob("*")) == []
+    with pytest.raises(KeyboardInterrupt):
+        write_dataset(fake(), ["rbc"], ID, episodes=2, progress=stop, folder=folder / "new")
+    assert list(folder.rglob("*")) == []
 
 
 def test_the_environment_that_a_function_makes_is_closed_and_a_given_one_is_not(folder: Path) -> None:

@@ -279,6 +279,17 @@ def test_a_recording_from_within_an_episode_names_what_it_cannot_verify(
     assert "taken before the recording began" in result.skipped[1]
 
 
+def test_a_recording_without_a_timestep_says_so(shared_node: NodeProgram, scratch: Path) -> None:
+    path = scratch / "none.mcap"
+    with agent_sdk.connect(shared_node.endpoint, affinity="off") as bus, bus.controller("office") as link:
+        bus.record("office", path)
+        link.reset()
+        bus.stop_recording("office")
+    result = verify(path)
+    assert (result.passed, result.steps, result.points > 0) == (True, 0, True)
+    assert str(result) == "identical: the first sample of 1 episode; there is no timestep after it"
+
+
 def test_a_full_disk_stops_the_recording_by_name_and_not_the_node(scratch: Path) -> None:
     path = scratch / "full.mcap"
     with (
