@@ -11,7 +11,7 @@ import numpy as np
 import zenoh
 from numpy.typing import NDArray
 from zenoh import CongestionControl
-from zenoh.handlers import FifoChannel
+from zenoh.handlers import RingChannel
 
 from agent_sdk.bus.command_encoding import CommandEncoder
 from agent_sdk.bus.presence import NodeWatch, undeclare
@@ -52,6 +52,7 @@ if TYPE_CHECKING:
 
 _TRUNCATED = int(Flag.TRUNCATED)
 _INBOX = 1024
+"""Messages that wait for `receive`. Beyond them the oldest is dropped; else Zenoh would deliver no reply either."""
 
 _BUSY = "another thread is in receive() or reset() of this controller; one thread at a time, or a controller for each"
 
@@ -100,9 +101,8 @@ class ControllerLink:
         self._sample_key = keys.SAMPLE.at(manifest.node)
         self._wake_key = keys.wake(manifest.node)
         declare = self._close.enter_context
-        self._inbox = session.declare_subscriber(keys.stream(manifest.node), FifoChannel(_INBOX))
+        self._inbox = session.declare_subscriber(keys.stream(manifest.node), RingChannel(_INBOX))
         self._close.callback(undeclare, self._inbox)
-        self._close.callback(self._drain)
         self._recv, self._try_recv = self._inbox.recv, self._inbox.try_recv
         self._node = NodeWatch(session, manifest.node, self._on_loss)
         self._close.callback(self._node.close)
@@ -150,12 +150,6 @@ class ControllerLink:
             self.manifest = manifest
             self._node.watch(manifest.instance)
         self._take_claim()
-
-    def _drain(self) -> None:
-        # A full inbox would block the session's close.
-        with suppress(zenoh.ZError, RuntimeError):  # another thread is receiving, which drains it as well
-            while self._inbox.try_recv() is not None:
-                pass
 
     def __enter__(self) -> ControllerLink:
         return self

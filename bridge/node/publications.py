@@ -27,7 +27,7 @@ EVENTS_A_STEP = 20
 further ones are only counted."""
 
 WRITTEN_A_STEP = 1000
-"""Accepted writes per step that are published as events; a controller waiting for a reset has a bounded queue."""
+"""Accepted writes per step that are published as events; the queues of subscribers are bounded."""
 
 _MANIFEST, _SAMPLE, _EVENT = keys.MANIFEST.key, keys.SAMPLE.key, keys.EVENT.key
 

@@ -125,6 +125,29 @@ def test_a_reset_by_another_controller_is_raised_though_its_messages_are_lost(ep
     assert lost
 
 
+def test_a_controller_that_receives_nothing_for_long_gets_replies_and_the_latest_samples(
+    episode_bus: agent_sdk.Bus,
+) -> None:
+    """More samples than its inbox holds come from another controller's episodes."""
+    with (
+        episode_bus.controller("office", actuators=[], required=False) as link,
+        agent_sdk.connect(episode_bus.endpoint, affinity="off") as elsewhere,
+        elsewhere.controller("office") as other,
+    ):
+        link.current()
+        for _ in range(12):
+            day(other)
+        status = episode_bus.status("office")
+        assert status.state is State.ENDED
+        with pytest.raises(EpisodeChanged):
+            link.receive()
+        sample = link.reset()
+        assert (sample.step, sample.episode) == (0, status.episode[0] + 1)
+        other.reset()
+        with pytest.raises(EpisodeChanged):
+            link.receive()
+
+
 def test_a_controller_without_a_claim_does_not_wait_for_ever() -> None:
     """A rule, with a bus of its own: nobody waits for a controller that the node does not know."""
 
