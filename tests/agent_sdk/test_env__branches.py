@@ -139,6 +139,7 @@ def _can_put_together() -> bool:
     return kernel >= (6, 1) and huge.exists() and "[never]" not in huge.read_text()
 
 
+@pytest.mark.slow
 def test_an_engine_that_is_forked_often_puts_its_pages_together_and_goes_on_the_same(scratch: Path) -> None:
     """Also with branches that live on and share the pages as they were."""
     env = make(**FOUR)
@@ -330,6 +331,7 @@ def test_a_fork_that_fails_leaves_the_episode_as_it_was(
     env.close()
 
 
+@pytest.mark.slow
 def test_an_engine_that_dies_while_it_forks_fails_its_episode_alone(
     scratch: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -412,7 +414,7 @@ def _kept(folder: Path) -> dict[str, Any]:
     return found
 
 
-@pytest.mark.variants
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["five zones", "medium office with EMS", "photovoltaics and battery"])
 def test_the_files_that_are_kept_are_those_of_a_run_that_never_forked(kind: str, scratch: Path) -> None:
     """Branches end before and after it, one with the most that its actuators can be asked for."""

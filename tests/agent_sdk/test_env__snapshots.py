@@ -348,6 +348,7 @@ def test_forks_may_be_closed_after_their_environment(scratch: Path) -> None:
         back(env, snapshot)
 
 
+@pytest.mark.slow
 def test_a_node_that_has_started_again_has_no_snapshots(scratch: Path) -> None:
     """Under the same name, at the same endpoint."""
     node = NodeProgram(scratch / "node", **SMALL_NODE)

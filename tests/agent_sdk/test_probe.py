@@ -148,6 +148,7 @@ def test_all_mistakes_are_said_at_once(scratch: Path) -> None:
     assert "add --high people=VALUE" in said  # its least is 0
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(
     ("given", "says"),
     [

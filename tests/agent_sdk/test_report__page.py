@@ -172,6 +172,7 @@ def test_several_episodes_have_intervals_and_say_which_one_is_drawn() -> None:
     assert "20 ± 0" in text
 
 
+@pytest.mark.slow
 def test_a_year_of_two_controllers_is_below_a_megabyte() -> None:
     of = office([f"zone_{number}" for number in range(26)], steps=35040, begin="2017-01-01T00:00:00")
     hours = np.arange(35040) / 4

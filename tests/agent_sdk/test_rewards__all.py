@@ -894,6 +894,7 @@ def test_other_exceptions_of_a_function_are_its_own(error: Exception) -> None:
     assert error.__notes__ == ["in the reward broken"]
 
 
+@pytest.mark.slow
 def test_the_example() -> None:
     example = Path(__file__).parents[2] / "examples" / "own_reward.py"
     done = subprocess.run([sys.executable, str(example)], capture_output=True, text=True, timeout=120)

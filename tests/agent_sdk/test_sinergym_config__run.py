@@ -58,7 +58,7 @@ def test_arguments_replace_a_reward_and_choices_in_code(scratch: Path) -> None:
         assert reward == pytest.approx(-power)
 
 
-@pytest.mark.variants
+@pytest.mark.slow
 @pytest.mark.parametrize(("given", "kept"), [({}, 4), ({"keep_last": 1}, 2)])
 def test_files_of_the_last_episodes_are_kept(given: dict[str, int], kept: int, scratch: Path) -> None:
     """As many as the configuration says (`max_ep_store: 3`) or the argument, and those of the running episode."""

@@ -571,6 +571,7 @@ def test_a_scenarios_wrappers_are_around_the_vector(scratch: Path) -> None:
         gym.make_vec("zenostat/Scenario-v1", num_envs=2, file=file, affinity="off")
 
 
+@pytest.mark.slow
 def test_files_that_are_kept_are_a_slots_own(scratch: Path) -> None:
     settings = {**SMALL, "steps_per_hour": 1, "affinity": "off", "output_dir": scratch / "runs"}
     env = gym.make_vec("zenostat/Building-v1", num_envs=2, autoreset_mode="SameStep", **settings)
@@ -585,6 +586,7 @@ def test_files_that_are_kept_are_a_slots_own(scratch: Path) -> None:
         env.close()
 
 
+@pytest.mark.slow
 def test_each_slot_tells_the_weather_that_it_reads(scratch: Path) -> None:
     settings = {**ONE_DAY, "building": "ref-small-office", "weather": "USA_CO_Denver", "steps_per_hour": 4}
     settings["weather_noise"] = {"dry_bulb_temperature": {"sigma": 3.0, "mu": 0.0, "tau_h": 24.0}}
@@ -710,6 +712,7 @@ def test_a_slot_that_has_ended_leaves_the_others_time(scratch: Path, mode: Autor
     env.close()
 
 
+@pytest.mark.slow
 def test_rewards_and_limits_know_the_truth_of_what_faults_disturb(scratch: Path) -> None:
     """As the single environment's do, to the bit."""
     plan = scratch / "faults.yaml"

@@ -837,6 +837,7 @@ def test_tensorboards_own_files(tmp_path: Path) -> None:
     assert b"episode/return" in file.read_bytes()
 
 
+@pytest.mark.slow
 def test_weights_and_biases_offline(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("wandb")
     monkeypatch.setenv("WANDB_SILENT", "true")

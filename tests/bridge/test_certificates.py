@@ -205,6 +205,7 @@ def test_a_file_of_something_else(made: Path, name: str, said: str) -> None:
 # The command
 
 
+@pytest.mark.slow
 def test_the_command_makes_adds_and_shows(tmp_path: Path) -> None:
     def zenostat(*arguments: str) -> subprocess.CompletedProcess[str]:
         return subprocess.run([*ZENOSTAT, "keys", *arguments], capture_output=True, text=True, cwd=tmp_path)

@@ -37,6 +37,7 @@ def test_300_controllers_of_300_actuators_are_each_told_by_name() -> None:
     assert values == [70.0 if number == 7 else float(number) for number in range(IDLE)]
 
 
+@pytest.mark.slow
 def test_too_many_claims_are_refused_until_some_have_gone() -> None:
     at = exchange(*(actuator(f"a{i}", 0.0, 1.0) for i in range(MAX_CLAIMS + 1)))
     for number in range(MAX_CLAIMS):

@@ -52,6 +52,7 @@ def test_two_runs_give_the_same_table_and_the_same_parquet(scratch: Path) -> Non
     assert sorted(path.name for path in scratch.glob("*.parquet")) == ["a.parquet", "b.parquet"]
 
 
+@pytest.mark.slow
 def test_json_is_the_table_of_the_episodes_and_csv_the_same(scratch: Path) -> None:
     (scratch / "mine.py").write_text(
         "from agent_sdk.controllers import FixedSetpoints\n\n\n"

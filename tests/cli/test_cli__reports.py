@@ -23,6 +23,7 @@ reward: {{kind: linear}}
 """
 
 
+@pytest.mark.slow
 def test_an_evaluation_writes_report_and_figures_with_its_own_numbers(scratch: Path) -> None:
     pytest.importorskip("matplotlib")
     (scratch / "my office.yaml").write_text(SCENARIO)

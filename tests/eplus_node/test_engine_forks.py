@@ -77,6 +77,7 @@ def test_resets__leak_no_resources(scratch: Path) -> None:
     env.close()
 
 
+@pytest.mark.slow
 def test_template__is_restarted_after_its_death(scratch: Path) -> None:
     """Its death does not affect a running episode."""
     env = make(SMALL)

@@ -164,6 +164,7 @@ def _play(env: BuildingEnv, actions: list[Any]) -> list[Row]:
         return [*rows, *go(branch, actions[40:])]
 
 
+@pytest.mark.slow
 def test_shrink_caches__off_leaves_the_memory_alone_with_equal_results() -> None:
     with make(SMALL, **FOUR) as env:
         actions = plan(env, seed=3)

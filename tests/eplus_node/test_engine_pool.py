@@ -105,6 +105,7 @@ def _rests(process: psutil.Process) -> bool:
     return bool(process.cpu_times() == before)
 
 
+@pytest.mark.slow
 def test_snapshot_and_branch__without_room_leave_the_episode_running(scratch: Path) -> None:
     env = make(STOCHASTIC, **FOUR)
     mine = plan(env, 1)

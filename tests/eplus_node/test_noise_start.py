@@ -125,6 +125,7 @@ def weather_of(env: BuildingEnv) -> NDArray[np.float64]:
     return np.frombuffer(env.weather(columns).values).reshape(-1, len(columns))
 
 
+@pytest.mark.slow
 def test_weather__of_the_episode_is_what_info_and_forecasts_have(scratch: Path) -> None:
     env, plain = make(SMALL, **LATE), make(SMALL, end="07-06", steps_per_hour=1)
     plain.reset()
@@ -159,6 +160,7 @@ def test_several_weather_files__have_an_engine_each(scratch: Path, module_folder
     env.close()
 
 
+@pytest.mark.slow
 def test_snapshots_and_branches__continue_with_the_episodes_weather(scratch: Path) -> None:
     env = make(SMALL, **LATE)
     mine = plan(env, 1)
@@ -196,6 +198,7 @@ def test_slots__have_noise_of_their_own_from_one_engine(scratch: Path) -> None:
     single.close()
 
 
+@pytest.mark.slow
 def test_waiting_engine__that_dies_is_replaced(scratch: Path) -> None:
     env = make(SMALL, **LATE)
     mine = plan(env, 1)

@@ -159,6 +159,7 @@ def test_uncertain_forecasts_follow_their_seed_and_are_cleared_by_a_scenario_wit
     assert test.get("scenario")["temperature_uncertainty"] is None
 
 
+@pytest.mark.slow
 def test_a_scenario_begins_a_week_before_its_day_and_ends_after_two_weeks(test):
     peak = test.service.manager.cases.find("office-small").days["peak_cool_day"]
     answer = test.put("scenario", time_period="peak_cool_day", electricity_price="highly_dynamic")
@@ -304,6 +305,7 @@ def test_a_scenario_of_a_data_pack_is_a_test_case(running):
     assert client.answer("PUT", "stop").text == "OK"
 
 
+@pytest.mark.slow
 def test_tests_without_requests_end_and_paths_without_ids_serve_old_clients():
     with serving(single="ref-small-office", timeout_s=2.0, max_tests=2) as client:
         testid = client.request("POST", "/testcases/office-small/select-async").json()["testid"]

@@ -67,6 +67,7 @@ def second_node(endpoint: str, *arguments: str, cwd: Path) -> subprocess.Popen[s
     return subprocess.Popen([*command, *arguments], text=True, cwd=cwd, **pipes)
 
 
+@pytest.mark.slow
 def test_a_second_node_on_the_default_port_joins_the_bus_of_the_first(scratch: Path) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     with (
@@ -87,6 +88,7 @@ def test_a_second_node_on_the_default_port_joins_the_bus_of_the_first(scratch: P
             second.terminate()
 
 
+@pytest.mark.slow
 def test_a_port_of_a_program_that_is_on_no_bus_is_refused(scratch: Path) -> None:
     with socket.socket() as stranger:
         stranger.bind(("127.0.0.1", 0))

@@ -74,6 +74,7 @@ def test_one_of_several_that_stands_still_fails_the_step() -> None:
     env.close()
 
 
+@pytest.mark.slow
 def test_an_event_says_so(folder: Path) -> None:
     with (
         NodeProgram(folder / "node", **SMALL, unresponsive_s=2.0) as node,

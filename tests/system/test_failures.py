@@ -557,6 +557,7 @@ def test_environment__refuses_steps_and_resets_once_closed(scratch: Path) -> Non
             use()
 
 
+@pytest.mark.slow
 def test_node__ends_quietly_when_stopped_twice(folder: Path) -> None:
     """By a request and, at once, by its owner's end."""
     for number in range(3):

@@ -67,6 +67,7 @@ class Building:
         self._node.close()
 
 
+@pytest.mark.slow
 def test_modbus_clients_of_the_former_map_are_disconnected(router: str, tmp_path: Path) -> None:
     options = ["--connect", router, "--address", "127.0.0.1:0"]
     half = list(struct.unpack(">HH", struct.pack(">f", 0.5)))

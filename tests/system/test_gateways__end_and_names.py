@@ -138,6 +138,7 @@ def test_the_end_of_the_episode_is_no_error_of_a_gateway_that_ends(tmp_path: Pat
     assert err.splitlines() == [reason]  # once
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(
     ("first", "second", "name", "advice"),
     [
@@ -184,6 +185,7 @@ def test_one_topic_of_a_broker_has_one_gateway_of_a_node(room: NodeProgram, tmp_
                 assert running.end()[0] == 0
 
 
+@pytest.mark.variants
 @ENDS
 def test_a_signal_ends_a_gateway_that_is_not_ready_yet(room: NodeProgram, end: signal.Signals) -> None:
     with socket.create_server(("127.0.0.1", 0)) as silent_broker:

@@ -37,6 +37,16 @@ with open_session(connect=[sys.argv[1]]) as session:
 """
 
 
+SUBSCRIBES_TO_ALL_AND_READS_NOTHING = """
+import sys
+from bridge.transport.session import open_session
+with open_session(connect=[sys.argv[1]]) as session:
+    subscriber = session.declare_subscriber("zenostat/**")  # its queue holds 256 messages
+    print("subscribes", flush=True)
+    sys.stdin.readline()
+"""
+
+
 def lose(link: ControllerLink, is_lost: Callable[[str, bytes], bool]) -> list[str]:
     """Discard messages of the link's inbox as if Zenoh had dropped them; return the list of their keys."""
     lost: list[str] = []
@@ -74,7 +84,8 @@ def day(link: ControllerLink) -> list[bytes]:
     return seen
 
 
-@pytest.mark.parametrize("step", [0, 40, 96])
+@pytest.mark.variants
+@pytest.mark.parametrize("step", [40, 0, 96])
 def test_a_lost_sample_is_asked_for(episode_bus: agent_sdk.Bus, step: int) -> None:
     with episode_bus.controller("office") as link:
         quiet = day(link)
@@ -183,6 +194,19 @@ def test_large_messages_of_a_stranger_do_not_displace_samples(
             assert flood.line() == "floods"
             assert day(link) == quiet
     assert not regained or priority != "DATA"
+
+
+@pytest.mark.slow
+def test_a_subscriber_to_everything_that_reads_nothing_delays_commands_once_and_is_disconnected(
+    episode_bus: agent_sdk.Bus,
+) -> None:
+    """Commands are not dropped, and `**` includes them; Zenoh gives it five seconds."""
+    with episode_bus.controller("office") as link:
+        quiet = day(link)
+        with Program(SUBSCRIBES_TO_ALL_AND_READS_NOTHING, episode_bus.endpoint) as program:
+            assert program.line() == "subscribes"
+            for _ in range(5):
+                assert day(link) == quiet
 
 
 def test_refusals_of_strangers_leave_room_for_those_of_a_controller(episode_bus: agent_sdk.Bus) -> None:

@@ -123,7 +123,7 @@ def test_a_node_of_somebody_elses_is_not_started_again() -> None:
     own.close()
 
 
-@pytest.mark.variants
+@pytest.mark.slow
 @pytest.mark.parametrize("slots", [1, 2])
 def test_a_recording_that_stops_is_a_warning(slots: int, scratch: Path) -> None:
     path = scratch / "run.mcap"

@@ -506,6 +506,7 @@ def test_commands__refuse_invalid_arguments() -> None:
         assert words in " ".join(done.stderr.split())
 
 
+@pytest.mark.slow
 def test_paced_node__reports_its_overruns_at_the_end(scratch: Path) -> None:
     (scratch / "faults.yaml").write_text("faults: [{kind: drop, points: core_zn_air_temperature}]")
     endpoint = f"tcp/127.0.0.1:{free_port()}"

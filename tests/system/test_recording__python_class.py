@@ -157,6 +157,7 @@ def test_what_was_changed_is_named(walk: Path, name: str) -> None:
     assert expected in str(result)
 
 
+@pytest.mark.slow
 def test_the_command_says_identical_or_the_first_difference(walk: Path) -> None:
     said = run("verify", str(walk))
     assert (said.returncode, said.stdout.splitlines()[-1]) == (0, "identical: 16 steps, 2 points, 1 actuators")

@@ -290,6 +290,7 @@ def test_a_recording_without_a_timestep_says_so(shared_node: NodeProgram, scratc
     assert str(result) == "identical: the first sample of 1 episode; there is no timestep after it"
 
 
+@pytest.mark.slow
 def test_a_full_disk_stops_the_recording_by_name_and_not_the_node(scratch: Path) -> None:
     path = scratch / "full.mcap"
     with (

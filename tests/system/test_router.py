@@ -193,7 +193,7 @@ def far_controller(place: Place) -> Iterator[subprocess.Popen[str]]:
         process.wait()
 
 
-@pytest.mark.variants
+@pytest.mark.slow
 def test_a_day_through_a_router(place: Place, scratch: Path) -> None:
     """Presence, requests, samples, lockstep, the refusal of a second node of the name, and a node's death."""
     exposed = ["--expose"] * bool(place.at_router)

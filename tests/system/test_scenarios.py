@@ -102,6 +102,7 @@ def test_an_action_sets_all_its_actuators_and_the_clock_is_observed(scratch: Pat
     env.close()
 
 
+@pytest.mark.slow
 def test_control_by_zone_is_a_pair_for_each_zone(scratch: Path) -> None:
     with_zones, whole = make(f"{SMALL}-continuous-v1", control="zone"), make(f"{SMALL}-continuous-v1")
     assert whole.action_names == ("heating_setpoint", "cooling_setpoint")

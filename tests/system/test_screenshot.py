@@ -203,8 +203,8 @@ def test_monitor__checks_its_files_first(scratch, options, reason):
     assert reason in plain(done.stderr)
 
 
+@pytest.mark.slow
 @needs_vulkan
-@pytest.mark.variants
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_screenshot_leaves_no_viewer(scratch, number):
     _recording(scratch / "run.rrd")

@@ -417,6 +417,7 @@ def strangers() -> list[Any]:
     ]
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(("name", "strange"), strangers())
 def test_a_stranger_cannot_connect(
     node: NodeProgram, pki: Path, strange_pki: Path, name: str | None, strange: bool
@@ -448,6 +449,7 @@ def test_an_expired_certificate_is_refused_by_the_node_and_before(
 # What the errors say
 
 
+@pytest.mark.slow
 def test_why_there_is_no_session(node: NodeProgram, pki: Path, strange_pki: Path, tmp_path: Path) -> None:
     def refusal(endpoint: str, folder: Path) -> str:
         with pytest.raises(NodeNotFound) as raised:

@@ -163,6 +163,7 @@ def test_listening_beyond_this_machine_must_be_asked_for(endpoint: str) -> None:
         open_session(listen=[endpoint])
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("family", [socket.AF_INET, socket.AF_UNIX])
 def test_a_program_that_does_not_answer_is_told_from_none(family: int, tmp_path: Path) -> None:
     path = str(tmp_path / "bus")
