@@ -280,6 +280,7 @@ def test_sensors_meters_and_actuators_of_the_users() -> None:
         assert values["cooled"] > 0
 
 
+@pytest.mark.slow
 def test_a_building_by_path(env: gym.Env[Any, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """An IDF by its path and an epJSON by a relative one are the building of that short name."""
     entry = find_building(SMALL["building"])
@@ -327,6 +328,7 @@ def test_import_is_light() -> None:
     assert not loaded & {"rerun", "rerun_sdk", "rerun_bindings", "pyenergyplus", "eplus_node", "models"}
 
 
+@pytest.mark.slow
 def test_files_are_kept_where_asked_and_nowhere_else(scratch: Path) -> None:
     kept = scratch / "kept"
     with make(output_dir=kept) as keeping:

@@ -180,6 +180,7 @@ def test_branches_of_a_snapshot_stand_where_it_stands(office: BuildingEnv) -> No
         same(go(other, its[30:]), expected[31:])
 
 
+@pytest.mark.slow
 def test_a_reward_with_a_memory_of_its_own_goes_along(scratch: Path) -> None:
     """An object, which the environments would share: what a branch earns is not remembered by its parent."""
 
@@ -360,6 +361,7 @@ def test_an_engine_that_dies_while_it_forks_fails_its_episode_alone(
     env.close()
 
 
+@pytest.mark.slow
 def test_a_node_out_of_descriptors_refuses_a_fork_and_goes_on(scratch: Path) -> None:
     env = make(**FOUR)
     mine = plan(env, 1)
@@ -571,6 +573,7 @@ def test_a_branch_tells_the_weather_that_it_reads(scratch: Path) -> None:
     env.close()
 
 
+@pytest.mark.slow
 def test_a_branchs_manifest_names_its_own_weather(scratch: Path) -> None:
     names = ["USA_CO_Denver", "USA_FL_Miami"]
     env = make(SMALL, weather=names, weather_order="sequence", **FOUR)

@@ -58,6 +58,7 @@ def test_a_new_episode_forgets_what_was_outside() -> None:
     assert "north = 27" in watch.violated(np.array([27.0, 0.0]))
 
 
+@pytest.mark.slow
 def test_an_episode_ends_when_comfort_was_left_for_two_hours(scratch: Path) -> None:
     """With cooling as good as off on a July day; the step that says so is the eighth outside, and the last."""
     env = make(terminate=[{"points": ["core_zn_air_temperature"], "high": 26.0, "duration_h": 2}])
@@ -117,6 +118,7 @@ def test_what_a_person_sets_is_told(scratch: Path) -> None:
     env.close()
 
 
+@pytest.mark.slow
 def test_the_last_step_says_where_the_files_are(scratch: Path) -> None:
     env = make(output_dir=scratch / "kept")
     env.reset(seed=0)
@@ -129,6 +131,7 @@ def test_the_last_step_says_where_the_files_are(scratch: Path) -> None:
     assert (Path(info["output_dir"]) / "eplusout.err").is_file()
 
 
+@pytest.mark.slow
 def test_a_picture_of_the_last_day(scratch: Path) -> None:
     """It is one of the form that Gymnasium asks for, and changes when something happens."""
     env = make(render_mode="rgb_array")

@@ -165,6 +165,7 @@ def test_a_mistake(given: dict[str, Any], says: str, scratch: Path) -> None:
         probe(OFFICE, **given)
 
 
+@pytest.mark.slow
 def test_only_the_points_that_are_asked_for_count(scratch: Path) -> None:
     found = probe(OFFICE, hours=1, days=1, at=(15,), points=["core_*", "outdoor"])
     assert [felt.point for felt in found.effects[0].responses] == ["core_air"]

@@ -37,6 +37,7 @@ def test_the_initial_context_rules_from_the_first_timestep(scratch: Path) -> Non
                 assert info["effective"][names.index("people")] == 0.25
 
 
+@pytest.mark.slow
 def test_arguments_replace_a_reward_and_choices_in_code(scratch: Path) -> None:
     path = of_the_five_zones(scratch, reward="mymod:MyReward", action_space_discrete="Discrete(7)")
     with pytest.raises(InvalidConfig, match="reward: unknown reward 'mymod:MyReward'"):

@@ -78,6 +78,7 @@ def test_between_the_hours_the_forecast_is_what_comes_too(building: gym.Env[Any,
             assert seen[at][f"{DRY}_in_{hours}h"] == pytest.approx(seen[at + steps]["outdoor"], abs=2e-5)
 
 
+@pytest.mark.slow
 def test_context_is_what_the_building_gets(building: gym.Env[Any, Any]) -> None:
     schedule = {"00:00": {"side_cooling": 29.0}, "09:00": {"side_cooling": 24.5}, "18:00": {"side_cooling": 29.0}}
     env = w.ChangingContext(building, schedule)

@@ -164,6 +164,7 @@ def weights(folder: Path) -> list[tuple[str, bytes]]:
     return [(name, value.numpy().tobytes()) for name, value in sorted(parameters["policy"].items())]
 
 
+@pytest.mark.slow
 def test_the_log_of_tensorboard_has_the_values_of_the_csv_file(tmp_path: Path) -> None:
     pytest.importorskip("tensorboardX")
     write(tmp_path, "t.yaml", TRAINING, log=["tensorboard"], steps=1000, normalization=False)

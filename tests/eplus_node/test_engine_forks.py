@@ -157,6 +157,7 @@ def test_prefetch__weather_files_in_sequence(scratch: Path) -> None:
     env.close()
 
 
+@pytest.mark.slow
 def test_prefetch__replaces_an_engine_that_died(scratch: Path) -> None:
     env = make(SMALL, weather=["USA_CO_Denver", "USA_FL_Miami"], weather_order="sequence")
     env.reset()

@@ -246,6 +246,7 @@ def test_a_model_without_design_days_gets_none() -> None:
     assert apply(bare, Site(PLACE, DAYS)) == bare | {"Site:Location": PLACE}
 
 
+@pytest.mark.slow
 def test_a_real_building_is_sized_for_the_header(folder: Path) -> None:
     phoenix = find_weather("USA_AZ_Phoenix").path
     objects = for_episode(read_building(find_building("office-small")), Period(date(2017, 7, 1), date(2017, 7, 1), 4))

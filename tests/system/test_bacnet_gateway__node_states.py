@@ -8,6 +8,7 @@ import signal
 import subprocess
 from pathlib import Path
 
+import pytest
 from support.bacnet import served
 from support.nodes import NodeProgram, until
 from support.run_cli import ZENOSTAT
@@ -16,6 +17,7 @@ import agent_sdk
 from topics.messages import State
 
 
+@pytest.mark.slow
 def test_a_replayed_recording_is_reliable_and_takes_no_writes(tmp_path: Path) -> None:
     plant = f"{Path(__file__).parents[2]}/examples/own_plant.py:HeatPumpRoom"
     record, bus = tmp_path / "room.mcap", f"unixsock-stream/{tmp_path}/bus"
@@ -40,6 +42,7 @@ def test_a_replayed_recording_is_reliable_and_takes_no_writes(tmp_path: Path) ->
             replay.terminate()
 
 
+@pytest.mark.slow
 def test_a_frozen_node_is_an_operational_problem_of_each_write(tmp_path: Path) -> None:
     plant = f"{Path(__file__).parents[2]}/examples/own_plant.py:HeatPumpRoom"
 

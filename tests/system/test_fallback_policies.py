@@ -356,6 +356,7 @@ def row(text: str, first: str) -> list[list[str]]:
     return [cells for cells in lines if cells[0].startswith(first)]
 
 
+@pytest.mark.slow
 def test_status_command__shows_the_policy_and_the_bypassed_controller(scratch: Path) -> None:
     endpoint = f"unixsock-stream/{scratch}/bus"
     day = [part for k, v in SMALL.items() for part in (f"--{k.replace('_', '-')}", str(v))]

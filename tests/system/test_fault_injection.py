@@ -465,6 +465,7 @@ def building(folder: Path, **given: Any) -> gym.Env[Any, Any]:
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_agent__observes_faulty_values_and_is_rewarded_by_fault_free_ones(scratch: Path) -> None:
     file = scratch / "faults.yaml"
     file.write_text(yaml.safe_dump({"faults": [{"kind": "bias", "points": "*_air_temperature", "offset": 10.0}]}))

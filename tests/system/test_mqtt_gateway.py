@@ -260,6 +260,7 @@ def test_a_retained_command_is_rejected_while_the_gateway_is_connected_too(
     assert bus.priorities("office")[COOLING][7].value is None
 
 
+@pytest.mark.slow
 def test_commands_that_wait_when_the_gateway_ends_have_a_result(tmp_path: Path) -> None:
     plant = f"{Path(__file__).parents[2]}/examples/own_plant.py:HeatPumpRoom"
 
@@ -304,6 +305,7 @@ def test_home_assistant_finds_each_point(bus: Bus, served: subprocess.Popen[str]
     assert climate["current_temperature_topic"] == sensor["state_topic"]
 
 
+@pytest.mark.slow
 def test_a_flood_of_commands_is_answered_one_by_one(
     bus: Bus, served: subprocess.Popen[str], broker: Broker, tmp_path: Path
 ) -> None:

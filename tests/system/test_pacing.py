@@ -239,6 +239,7 @@ def test_paced_node__holds_the_last_command(bus: Bus, reference: list[Sample]) -
     assert trajectory(came) == trajectory(reference[1:])
 
 
+@pytest.mark.slow
 def test_an_impossible_speed_is_counted_and_loses_nothing(scratch: Path, reference: list[Sample]) -> None:
     with NodeProgram(scratch / "n", **SMALL) as node, agent_sdk.connect(node.endpoint, affinity="off") as bus:
         with bus.controller("office") as link:
@@ -398,6 +399,7 @@ def test_a_pace_that_is_asked_for_again_and_again_does_not_stop_the_clock(bus: B
         until(asked_again, "a timestep is over, though the pace was set anew all the while")
 
 
+@pytest.mark.slow
 def test_deadlines_stand_still_in_a_pause_and_go_on_after_it(scratch: Path) -> None:
     with (
         NodeProgram(scratch / "node", **SMALL, policy="hold", deadline_s=0.02) as node,

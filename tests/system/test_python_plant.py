@@ -326,6 +326,7 @@ def test_a_process_that_waits_may_be_killed_or_stopped(
     assert trajectory(own, 2) == calculated(2, 2)
 
 
+@pytest.mark.slow
 def test_a_plant_that_computes_for_long_is_left_alone(own: BuildingEnv) -> None:
     own.reset(seed=1)
     own.step(action(deed="compute"))

@@ -220,6 +220,7 @@ def test_a_plant_that_cannot_be_created_again_is_refused(walk: Path) -> None:
         verify(path)
 
 
+@pytest.mark.slow
 def test_an_evaluation_has_a_recording_per_controller(walk: Path) -> None:
     folder = walk.parent / "runs"
     settings = {"plant": f"{walk.with_name('walk.py')}:Walk", "reward": None}

@@ -343,6 +343,7 @@ def test_scenario_file__reports_all_its_errors_at_once(scratch: Path) -> None:
     assert not [c for c in psutil.Process().children(recursive=True) if "eplus_node" in " ".join(command_of(c))]
 
 
+@pytest.mark.slow
 def test_a_period_over_new_year_has_all_its_timesteps(scratch: Path) -> None:
     env = make(f"{SMALL}-continuous-v1", begin="2017-12-31", end="2018-01-01", steps_per_hour=4)
     rows, _ = play(env, 0)

@@ -149,6 +149,7 @@ def test_what_cannot_be_drawn_is_reported(scratch, samples, at, reason):
     assert not (scratch / "run.png").exists()
 
 
+@pytest.mark.slow
 @needs_vulkan
 def test_a_recording_without_its_end_is_drawn(scratch):
     """As a killed monitor leaves it."""

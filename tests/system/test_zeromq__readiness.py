@@ -28,7 +28,7 @@ class Ports:
         self.publish, self.command = (f"tcp://127.0.0.1:{free_port()}" for _ in range(2))
 
 
-@pytest.mark.variants
+@pytest.mark.slow
 @pytest.mark.parametrize("end", ["killed", "interrupted"])
 def test_sockets_older_than_the_gateway__receive_samples_and_answers(shared_node, episode_bus, end):
     ports = Ports()
