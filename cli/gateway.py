@@ -16,7 +16,7 @@ from bridge.transport.session import default_endpoint
 from cli.boptest import boptest
 from cli.console import err, out
 from cli.options import CertificateName, Connect, Keys
-from topics.errors import InvalidConfig, RequestRejected, ZenostatError
+from topics.errors import InvalidConfig, NodeNotFound, RequestRejected, ZenostatError
 from topics.extras import install_command
 from topics.keys import Role
 
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
     from bridge.gateways.node_client import NodeClient
 
+_RETRY_S = 1.0
 _RELINQUISH_S = 2.0
 _END_S = 5.0  # more than a gateway takes to answer its clients
 
@@ -102,6 +103,7 @@ def serve(
     connect: str | None,
     keys: Path | None,
     certificate: str | None,
+    wait: bool,
     exclusive: Mapping[str, str] | None = None,
 ) -> None:
     """Run a gateway of one node until Ctrl-C or SIGTERM; print a line that begins with `ready:`, and counts at the end.
@@ -115,10 +117,12 @@ def serve(
         connect: endpoint of the bus.
         keys: folder of keys; with it, the gateway uses the controller role.
         certificate: name of another certificate of that role.
+        wait: wait for the bus and the node instead of failing.
         exclusive: further names that no other gateway of the node may have, with what to do if one has.
 
     Raises:
         InvalidConfig: a source that is empty or too long.
+        NodeNotFound: nobody listens at the endpoint, or the node is not on the bus, and `wait` is false.
         NameInUse: another gateway of the node has the source, or another of the names.
         SystemExit: a signal arrived before the gateway was ready.
     """
@@ -127,7 +131,9 @@ def serve(
     if not 0 < len(source) <= MAX_SOURCE_NAME:
         raise InvalidConfig(f"--source has {len(source)} characters; expected 1 to {MAX_SOURCE_NAME}")
     names = {source: "choose another name with --source", **(exclusive or {})}
-    number = asyncio.run(_serve(node, gateway, source, names, connect or default_endpoint(keys), keys, certificate))
+    number = asyncio.run(
+        _serve(node, gateway, source, names, connect or default_endpoint(keys), keys, certificate, wait=wait)
+    )
     if number:
         raise SystemExit(128 + number)
 
@@ -140,10 +146,10 @@ async def _serve(
     connect: str,
     keys: Path | None,
     certificate: str | None,
+    *,
+    wait: bool,
 ) -> int:
     """Return the number of the signal that arrived before the gateway was ready; 0 if it was ready."""
-    from bridge.transport.session import open_session
-
     loop = asyncio.get_running_loop()
     stopped: asyncio.Future[int] = loop.create_future()
 
@@ -153,6 +159,33 @@ async def _serve(
 
     for number in TERMINATION_SIGNALS:
         loop.add_signal_handler(number, stop, number)
+    told = ""
+    while True:
+        try:
+            return await _serve_until(stopped, node, gateway, source, names, connect, keys, certificate)
+        except NodeNotFound as error:
+            if not wait:
+                raise
+            if str(error) != told:
+                told = str(error)
+                out.print(f"{told}; waiting for it, press Ctrl-C to stop", markup=False, soft_wrap=True)
+        await asyncio.wait((stopped,), timeout=_RETRY_S)
+        if stopped.done():
+            return stopped.result()
+
+
+async def _serve_until(
+    stopped: asyncio.Future[int],
+    node: str,
+    gateway: Callable[[NodeClient], AbstractAsyncContextManager[NodeGateway]],
+    source: str,
+    names: Mapping[str, str],
+    connect: str,
+    keys: Path | None,
+    certificate: str | None,
+) -> int:
+    from bridge.transport.session import open_session
+
     with open_session(connect=[connect], keys=keys, role=Role.CONTROLLER, certificate=certificate) as session:
         async with AsyncExitStack() as stack:
             starting = asyncio.create_task(_start(stack, session, node, gateway, source, names))

@@ -12,7 +12,7 @@ from bridge.gateways.addresses import parse_address
 from bridge.transport.session import default_endpoint
 from cli.console import err, out
 from cli.gateway import serve
-from cli.options import CertificateName, Connect, Keys
+from cli.options import CertificateName, Connect, Keys, Wait
 from topics.errors import InvalidConfig
 from topics.extras import requires_extra
 from topics.keys import Role
@@ -26,6 +26,7 @@ def bacnet(
     connect: Connect = None,
     keys: Keys = None,
     certificate: CertificateName = None,
+    wait: Wait = False,
     address: Annotated[
         str, typer.Option(help="IPv4 address of the network interface, with UDP port.")
     ] = "127.0.0.1:47808",
@@ -71,6 +72,7 @@ def bacnet(
         connect=connect,
         keys=keys,
         certificate=certificate,
+        wait=wait,
         exclusive={f"BACnet device {number}": "choose another number with --instance"},
     )
 

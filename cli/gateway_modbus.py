@@ -10,7 +10,7 @@ import typer
 from bridge.transport.session import default_endpoint
 from cli.console import err, out
 from cli.gateway import serve
-from cli.options import CertificateName, Connect, Keys
+from cli.options import CertificateName, Connect, Keys, Wait
 from topics.errors import InvalidConfig
 from topics.keys import Role
 
@@ -36,6 +36,7 @@ def modbus(
     connect: Connect = None,
     keys: Keys = None,
     certificate: CertificateName = None,
+    wait: Wait = False,
     expose: Annotated[bool, typer.Option("--expose", help="Allow addresses reachable from other machines.")] = False,
 ) -> None:
     """Run a Modbus TCP gateway of a node until Ctrl-C. With keys, it uses the controller role.
@@ -65,6 +66,7 @@ def modbus(
         connect=connect,
         keys=keys,
         certificate=certificate,
+        wait=wait,
     )
 
 

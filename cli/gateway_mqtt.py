@@ -12,7 +12,7 @@ import typer
 
 from cli.console import err
 from cli.gateway import serve
-from cli.options import CertificateName, Connect, Keys
+from cli.options import CertificateName, Connect, Keys, Wait
 from topics.errors import InvalidConfig
 from topics.extras import requires_extra
 
@@ -47,6 +47,7 @@ def mqtt(
     connect: Connect = None,
     keys: Keys = None,
     certificate: CertificateName = None,
+    wait: Wait = False,
     expose: Annotated[bool, typer.Option("--expose", help="Allow a broker on another machine without --tls.")] = False,
 ) -> None:
     """Run an MQTT gateway of a node until Ctrl-C. With keys, it uses the controller role.
@@ -84,7 +85,7 @@ def mqtt(
             client, at, root=root, priority=priority, home_assistant=prefix,
             notify=lambda text: err.print(text, markup=False, soft_wrap=True),
         ),
-        source=source, connect=connect, keys=keys, certificate=certificate,
+        source=source, connect=connect, keys=keys, certificate=certificate, wait=wait,
         exclusive={f"{root} on {at}": "choose another topic with --topic"},
     )  # fmt: skip
 

@@ -16,6 +16,9 @@ Keys = Annotated[
     Path | None, typer.Option(help="Folder created by `zenostat keys init`: use TLS, with access rules per role.")
 ]
 CertificateName = Annotated[str | None, typer.Option(help="Certificate name, if it differs from the role's.")]
+Wait = Annotated[
+    bool, typer.Option("--wait", help="Wait for the bus and the node if they are not there yet, instead of ending.")
+]
 
 Price = Annotated[
     list[str] | None,

@@ -11,6 +11,7 @@ import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 from subprocess import PIPE
+from typing import IO
 
 import pytest
 from pymodbus.client import ModbusTcpClient
@@ -216,3 +217,38 @@ def test_a_frozen_node_does_not_keep_a_gateway_from_ending(tmp_path: Path) -> No
             os.kill(room.pid, signal.SIGCONT)
     assert code == 0
     assert err == "commands through this gateway are not relinquished: node 'room' does not answer\n"
+
+
+def until_line(lines: IO[str], begin: str) -> str:
+    """Return the next line that begins so; a node that is starting may first not answer."""
+    return next(line for line in lines if line.startswith(begin))
+
+
+def test_a_gateway_that_is_started_first_waits_for_bus_and_node(tmp_path: Path) -> None:
+    endpoint = f"unixsock-stream/{tmp_path}/other/bus"
+    words = ["gateway", "modbus", "room", "--connect", endpoint, "--address", "127.0.0.1:0"]
+    assert "nobody listens on" in run_in_process(*words, columns=500).stderr
+    with subprocess.Popen([*ZENOSTAT, *words, "--wait"], stdout=PIPE, stderr=PIPE, text=True) as program:
+        try:
+            assert program.stdout is not None
+            lines = program.stdout
+            assert lines.readline().startswith("nobody listens on")
+            with NodeProgram(tmp_path / "other", plant=PLANT, name="other") as other:
+                until_line(lines, "no node 'room' on the bus")
+                with NodeProgram(tmp_path / "room", plant=PLANT, name="room", listen=[], connect=[other.endpoint]):
+                    until_line(lines, "ready: ")
+                    program.send_signal(signal.SIGTERM)
+                    out, err = program.communicate(timeout=60)
+        finally:
+            program.kill()
+    assert (program.returncode, err) == (0, ""), out
+
+
+def test_a_signal_ends_a_gateway_that_waits(tmp_path: Path) -> None:
+    words = ["gateway", "mqtt", "room", "--connect", f"unixsock-stream/{tmp_path}/bus", "--wait"]
+    with subprocess.Popen([*ZENOSTAT, *words], stdout=PIPE, stderr=PIPE, text=True) as program:
+        assert program.stdout is not None
+        assert "; waiting for it, press Ctrl-C to stop" in program.stdout.readline()
+        program.send_signal(signal.SIGTERM)
+        out, err = program.communicate(timeout=60)
+    assert (program.returncode, out, err) == (128 + signal.SIGTERM, "", "")
