@@ -159,16 +159,16 @@ async def _serve(
 
     for number in TERMINATION_SIGNALS:
         loop.add_signal_handler(number, stop, number)
-    told = ""
+    reason = ""
     while True:
         try:
             return await _serve_until(stopped, node, gateway, source, names, connect, keys, certificate)
         except NodeNotFound as error:
             if not wait:
                 raise
-            if str(error) != told:
-                told = str(error)
-                out.print(f"{told}; waiting for it, press Ctrl-C to stop", markup=False, soft_wrap=True)
+            if str(error) != reason:
+                reason = str(error)
+                out.print(f"{reason}; waiting for it, press Ctrl-C to stop", markup=False, soft_wrap=True)
         await asyncio.wait((stopped,), timeout=_RETRY_S)
         if stopped.done():
             return stopped.result()
