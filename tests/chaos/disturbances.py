@@ -31,6 +31,7 @@ class Disturbance(StrEnum):
     STALE = "commands for steps that are over, in a controller's name"
     FUTURE = "commands for steps and episodes to come, in a controller's name"
     OVERSIZED = "commands of more than 8 MB"
+    LARGE = "messages of 8 MB to a key that all controllers subscribe to"
     WRITES = "writes of single points by persons, for a time or until released"
     BAD_WRITES = "writes that cannot be: unknown points, out of bounds, malformed"
     BAD_REQUESTS = "requests that cannot be: claims of what is not there or is taken, malformed ones"
@@ -42,16 +43,22 @@ FLOODS = (
     Disturbance.STALE,
     Disturbance.FUTURE,
     Disturbance.OVERSIZED,
+    Disturbance.LARGE,
     Disturbance.WRITES,
     Disturbance.BAD_WRITES,
     Disturbance.BAD_REQUESTS,
 )
 """Those that the flooder sends, which has a session of its own."""
 
-SIZES = {Disturbance.OVERSIZED: (1, 2), Disturbance.WRITES: (1, 6), Disturbance.BAD_REQUESTS: (1, 6)}
+SIZES = {
+    Disturbance.OVERSIZED: (1, 2),
+    Disturbance.LARGE: (1, 6),
+    Disturbance.WRITES: (1, 6),
+    Disturbance.BAD_REQUESTS: (1, 6),
+}
 """Messages of a flood; else 1 to 400."""
 
-_RARE = (Disturbance.FREEZE_LONG, Disturbance.KILL_ENGINE, Disturbance.OVERSIZED)
+_RARE = (Disturbance.FREEZE_LONG, Disturbance.KILL_ENGINE, Disturbance.OVERSIZED, Disturbance.LARGE)
 _OFTEN = (Disturbance.KILL, Disturbance.FREEZE, Disturbance.RESTART, Disturbance.WRITES)
 _MEAN_PAUSE_S = 0.5
 

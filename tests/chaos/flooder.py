@@ -63,6 +63,11 @@ class Flooder:
             refused = sum(self._refused_request(rng) for _ in range(count))
             self._journal.note(disturbance=disturbance.name, count=count, refused=refused)
             return
+        if disturbance is Disturbance.LARGE:
+            self._journal.note(disturbance=disturbance.name, count=0)  # none of them is for the node
+            for _ in range(count):
+                self._bus.session.put(f"{keys.root(self._node)}/nothing", bytes(codec.MAX_BYTES))
+            return
         messages = [makers[disturbance]() for _ in range(count)]
         writes = [
             (key, codec.decode(Write, raw).model_dump())

@@ -79,7 +79,7 @@ def test_one_seed_is_one_script_that_has_every_disturbance() -> None:
     one, again, other = (list(itertools.islice(script(seed, 120.0), 200)) for seed in (6, 6, 7))
     assert one == again
     assert one != other
-    assert {step.disturbance for step in one[:28]} == set(Disturbance)
+    assert {step.disturbance for step in one[:29]} == set(Disturbance)
     assert all(step.pause_s >= 0 and 0 <= step.draw < 1 and 0 <= step.amount < 1 for step in one)
 
 
