@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import importlib.util
-from collections.abc import Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from contextlib import AbstractAsyncContextManager, AsyncExitStack
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Protocol
 
@@ -131,25 +132,23 @@ def serve(
     if not 0 < len(source) <= MAX_SOURCE_NAME:
         raise InvalidConfig(f"--source has {len(source)} characters; expected 1 to {MAX_SOURCE_NAME}")
     names = {source: "choose another name with --source", **(exclusive or {})}
-    number = asyncio.run(
-        _serve(node, gateway, source, names, connect or default_endpoint(keys), keys, certificate, wait=wait)
+    attempt = partial(
+        _serve,
+        node=node,
+        gateway=gateway,
+        source=source,
+        names=names,
+        connect=connect or default_endpoint(keys),
+        keys=keys,
+        certificate=certificate,
     )
+    number = asyncio.run(_until_served(attempt, wait=wait))
     if number:
         raise SystemExit(128 + number)
 
 
-async def _serve(
-    node: str,
-    gateway: Callable[[NodeClient], AbstractAsyncContextManager[NodeGateway]],
-    source: str,
-    names: Mapping[str, str],
-    connect: str,
-    keys: Path | None,
-    certificate: str | None,
-    *,
-    wait: bool,
-) -> int:
-    """Return the number of the signal that arrived before the gateway was ready; 0 if it was ready."""
+async def _until_served(serve_until: Callable[[asyncio.Future[int]], Awaitable[int]], *, wait: bool) -> int:
+    """Serve until a signal, once or, with `wait`, as soon as the node is there; return as `_serve`."""
     loop = asyncio.get_running_loop()
     stopped: asyncio.Future[int] = loop.create_future()
 
@@ -162,7 +161,7 @@ async def _serve(
     reason = ""
     while True:
         try:
-            return await _serve_until(stopped, node, gateway, source, names, connect, keys, certificate)
+            return await serve_until(stopped)
         except NodeNotFound as error:
             if not wait:
                 raise
@@ -174,8 +173,9 @@ async def _serve(
             return stopped.result()
 
 
-async def _serve_until(
+async def _serve(
     stopped: asyncio.Future[int],
+    *,
     node: str,
     gateway: Callable[[NodeClient], AbstractAsyncContextManager[NodeGateway]],
     source: str,
@@ -184,6 +184,7 @@ async def _serve_until(
     keys: Path | None,
     certificate: str | None,
 ) -> int:
+    """Return the number of the signal that arrived before the gateway was ready; 0 if it was ready."""
     from bridge.transport.session import open_session
 
     with open_session(connect=[connect], keys=keys, role=Role.CONTROLLER, certificate=certificate) as session:
