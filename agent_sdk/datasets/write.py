@@ -85,10 +85,36 @@ def write_dataset(
         )
     root = datasets_folder(folder)
     with _not_left_empty(root):
-        return _write(
-            env, controllers, dataset_id, root, episodes=episodes, seed=seed, epsilon=epsilon,
-            parameters=parameters or {}, author=author, description=description, progress=progress,
-        )  # fmt: skip
+        path = check_new_dataset(dataset_id, root)
+        factories = controller_factories(controllers)
+        arguments = assign_parameters(factories, parameters or {}, seed)
+        for name, factory in factories.items():
+            if is_baseline_factory(factory):
+                raise InvalidConfig(
+                    f"the controller {name!r} sends no actions, so a data set of it would have none; `fixed` with the "
+                    "building's own setpoints is a similar controller that does"
+                )
+        owned = None if isinstance(env, gym.Env) else env()
+        environment: gym.Env[Any, Any] = owned if owned is not None else env  # type: ignore[assignment]
+        try:
+            building = _building(environment)
+            created = {name: make_controller(f, building.manifest, arguments[name]) for name, f in factories.items()}
+            settings = {name: {"parameters": arguments[name], "episodes": episodes} for name in created}
+            metadata = _metadata(building, dataset_id, settings, _names(environment), seed, epsilon)
+            metadata |= {"author": {author}} if author else {}
+            metadata |= {"description": description or _description(building, list(created), epsilon)}
+            write_minari(
+                path,
+                root,
+                spaces=(environment.observation_space, environment.action_space),
+                spec=_spec(environment, building),
+                metadata=metadata,
+                episodes=_run(environment, created, episodes, seed, epsilon, progress),
+            )
+        finally:
+            if owned is not None:
+                owned.close()
+        return path
 
 
 @contextmanager
@@ -101,52 +127,6 @@ def _not_left_empty(folder: Path) -> Iterator[None]:
         if not existed:
             with suppress(OSError):  # it is not empty
                 folder.rmdir()
-
-
-def _write(
-    env: gym.Env[Any, Any] | Callable[[], gym.Env[Any, Any]],
-    controllers: Sequence[str] | Mapping[str, str | ControllerFactory],
-    dataset_id: str,
-    root: Path,
-    *,
-    episodes: int,
-    seed: int,
-    epsilon: float,
-    parameters: Mapping[str, Any],
-    author: str | None,
-    description: str | None,
-    progress: Progress | None,
-) -> Path:
-    path = check_new_dataset(dataset_id, root)
-    factories = controller_factories(controllers)
-    arguments = assign_parameters(factories, parameters, seed)
-    for name, factory in factories.items():
-        if is_baseline_factory(factory):
-            raise InvalidConfig(
-                f"the controller {name!r} sends no actions, so a data set of it would have none; `fixed` with the "
-                "building's own setpoints is a similar controller that does"
-            )
-    owned = None if isinstance(env, gym.Env) else env()
-    environment: gym.Env[Any, Any] = owned if owned is not None else env  # type: ignore[assignment]
-    try:
-        building = _building(environment)
-        created = {name: make_controller(f, building.manifest, arguments[name]) for name, f in factories.items()}
-        settings = {name: {"parameters": arguments[name], "episodes": episodes} for name in created}
-        metadata = _metadata(building, dataset_id, settings, _names(environment), seed, epsilon)
-        metadata |= {"author": {author}} if author else {}
-        metadata |= {"description": description or _description(building, list(created), epsilon)}
-        write_minari(
-            path,
-            root,
-            spaces=(environment.observation_space, environment.action_space),
-            spec=_spec(environment, building),
-            metadata=metadata,
-            episodes=_run(environment, created, episodes, seed, epsilon, progress),
-        )
-    finally:
-        if owned is not None:
-            owned.close()
-    return path
 
 
 def _run(
