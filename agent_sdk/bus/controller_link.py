@@ -14,9 +14,9 @@ from zenoh import CongestionControl
 from zenoh.handlers import RingChannel
 
 from agent_sdk.bus.command_encoding import CommandEncoder
-from agent_sdk.bus.presence import NodeWatch, undeclare
-from agent_sdk.bus.sample import SampleView, interface, is_after
-from agent_sdk.bus.silence import SilenceWatch, ask_for_sample
+from agent_sdk.bus.presence import NodeWatch, interface, undeclare
+from agent_sdk.bus.receive_watchdog import ReceiveWatchdog, query_sample
+from agent_sdk.bus.sample import SampleView, is_after
 from bridge.runtime import affinity
 from bridge.runtime.affinity import Affinity
 from bridge.runtime.polling import Polling
@@ -83,8 +83,8 @@ class ControllerLink:
         self._closed: ZenostatError | None = None
         self._latest: SampleView | None = None
         self._answered, self._done = True, False
-        self._silence = SilenceWatch(bus.timer, lambda: self._busy and self._latest, self._wake)
-        self._close.callback(self._silence.close)
+        self._watchdog = ReceiveWatchdog(bus.timer, lambda: self._busy and self._latest, self._wake)
+        self._close.callback(self._watchdog.close)
         with ExitStack() as undo:
             undo.callback(self.close)
             self.manifest = bus.manifest(node)
@@ -297,14 +297,14 @@ class ControllerLink:
             if key == self._sample_key:
                 return self._view(codec.decode(Sample, message.payload.to_bytes(), str(message.encoding)))
             self._on_message(key, message, resetting=resetting)
-            if self._silence.is_due and (sample := self._ask(resetting=resetting)) is not None:
+            if self._watchdog.is_due and (sample := self._query(resetting=resetting)) is not None:
                 return sample
 
-    def _ask(self, *, resetting: bool) -> SampleView | None:
-        """After a long silence, return the node's current sample, or raise what has ended the stream."""
-        self._silence.is_due = False
+    def _query(self, *, resetting: bool) -> SampleView | None:
+        """After a long wait, return the node's current sample, or raise what has ended the stream."""
+        self._watchdog.is_due = False
         try:
-            sample = ask_for_sample(self.bus, self.manifest.node, self.name)
+            sample = query_sample(self.bus, self.manifest.node, self.name)
         except ZenostatError as error:
             self._claimed = False
             self._ended = None if isinstance(error, RequestRejected) else error

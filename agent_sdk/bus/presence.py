@@ -12,6 +12,7 @@ import zenoh
 from zenoh.handlers import Callback
 
 from topics import keys
+from topics.messages import Manifest
 
 _DISCOVERY_TIMEOUT_S = 10.0
 _UNDECLARE_TIMEOUT_S = 2.0
@@ -76,3 +77,8 @@ def undeclare(declared: Any) -> None:
             time.sleep(0.001)
         else:
             return
+
+
+def interface(manifest: Manifest) -> tuple[Any, ...]:
+    """Return the parts of a manifest that a controller relies on; weather and run period may differ after a restart."""
+    return manifest.slots, manifest.sensors, manifest.meters, manifest.actuators, manifest.task, manifest.step_s

@@ -1,4 +1,4 @@
-"""What a controller does that has waited for a sample for a while: it asks the node.
+"""Recovery from lost messages: a controller that has waited for a sample for a while queries the node.
 
 A node's stream is sent with Zenoh's *drop*, so that a slow subscriber never delays a step: on a congested link a sample
 or an event can be lost. In lockstep, the node would then wait for the controller, and the controller for the node.
@@ -21,7 +21,7 @@ _FIRST_S = 1.0
 _LONGEST_S = 10.0
 
 
-class SilenceWatch:
+class ReceiveWatchdog:
     """Wakes a thread that has waited for the same sample for a second, and again after 2, 4, 8 and every 10 seconds.
 
     A step costs nothing more: a timer looks whether a thread is waiting, and whether it did so at the last look.
@@ -32,7 +32,7 @@ class SilenceWatch:
         wake: wakes it.
 
     Attributes:
-        is_due: whether the thread should ask the node; the thread sets it to False.
+        is_due: whether the thread should query the node; the thread sets it to False.
     """
 
     def __init__(self, timer: Timer, waits_after: Callable[[], object], wake: Callable[[], None]) -> None:
@@ -62,7 +62,7 @@ class SilenceWatch:
         self._timer.cancel(self._next)
 
 
-def ask_for_sample(bus: Bus, node: str, controller: str) -> Sample | None:
+def query_sample(bus: Bus, node: str, controller: str) -> Sample | None:
     """Return a node's current sample; None if there is none yet, or the node does not answer.
 
     Raises:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from datetime import datetime
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -146,8 +146,3 @@ class SampleView:
 def is_after(new: Sample, old: Sample) -> bool:
     """Return whether any slot of the same episodes has advanced."""
     return new.step > old.step or any(step > before for step, before in zip(new.step, old.step, strict=True))
-
-
-def interface(manifest: Manifest) -> tuple[Any, ...]:
-    """Return the parts of a manifest that a controller relies on; weather and run period may differ after a restart."""
-    return manifest.slots, manifest.sensors, manifest.meters, manifest.actuators, manifest.task, manifest.step_s

@@ -53,7 +53,7 @@ REQUEST_TIMEOUT_S = 30.0
 MAX_PENDING = 256
 """Largest number of requests that wait for replies; further ones are rejected."""
 
-_SILENCE_S = 1.0
+_QUERY_AFTER_S = 1.0
 """Time after which the node is asked for its sample: one that was streamed over a congested link may be lost."""
 
 _MAX_WAITING_MESSAGES = 4096
@@ -238,7 +238,7 @@ class NodeClient:
                         raise NodeLost(f"node {self.name!r} is gone")
                     self._changed.clear()
                     try:
-                        async with asyncio.timeout(_SILENCE_S):
+                        async with asyncio.timeout(_QUERY_AFTER_S):
                             await self._changed.wait()
                     except TimeoutError:
                         await self._fetch_sample()

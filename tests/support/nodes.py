@@ -16,9 +16,11 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import psutil
 
 import agent_sdk
+from agent_sdk import ControllerLink
 from topics.errors import from_wire
 from topics.messages import Mode, Reset, State
 
@@ -168,6 +170,18 @@ def new_episode(bus: agent_sdk.Bus, node: str = "office") -> int:
     (episode,) = bus.reset(node, Reset()).episode
     until(lambda: bus.status(node).state is State.WAITING, "the episode has begun")
     return episode
+
+
+def values_of_day(link: ControllerLink) -> list[bytes]:
+    """The values of all samples of an episode with setpoints that change with the step."""
+    sample = link.reset(seed=0)
+    seen = [sample.message.values]
+    while not sample.truncated:
+        zones = len(link.manifest.actuators) // 2
+        link.send(np.array([20.0, 24.0 + sample.step % 5] * zones))
+        sample = link.receive()
+        seen.append(sample.message.values)
+    return seen
 
 
 def engines_of(node_pid: int) -> list[psutil.Process]:

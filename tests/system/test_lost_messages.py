@@ -8,12 +8,11 @@ from typing import Any
 
 import msgpack
 import numpy as np
-import psutil
 import pytest
-from support.nodes import NodeProgram, Program, until
+from support.nodes import NodeProgram, Program, engines_of, until, values_of_day
 
 import agent_sdk
-from agent_sdk.bus import controller_link, silence
+from agent_sdk.bus import controller_link, receive_watchdog
 from agent_sdk.bus.controller_link import ControllerLink
 from bridge.gateways.node_client import NodeClient
 from bridge.transport.session import open_session
@@ -73,24 +72,13 @@ def is_event(kind: EventKind) -> Callable[[str, bytes], bool]:
     return lambda key, payload: key.endswith("/event") and codec.decode(Event, payload).kind is kind
 
 
-def day(link: ControllerLink) -> list[bytes]:
-    sample = link.reset(seed=0)
-    seen = [sample.message.values]
-    while not sample.truncated:
-        zones = len(link.manifest.actuators) // 2
-        link.send(np.array([20.0, 24.0 + sample.step % 5] * zones))
-        sample = link.receive()
-        seen.append(sample.message.values)
-    return seen
-
-
 @pytest.mark.variants
 @pytest.mark.parametrize("step", [40, 0, 96])
 def test_a_lost_sample_is_asked_for(episode_bus: agent_sdk.Bus, step: int) -> None:
     with episode_bus.controller("office") as link:
-        quiet = day(link)
+        quiet = values_of_day(link)
         lost = lose(link, is_sample(step))
-        assert day(link) == quiet
+        assert values_of_day(link) == quiet
     assert lost == [keys.SAMPLE.at("office")]
 
 
@@ -113,9 +101,8 @@ def test_a_failure_whose_event_is_lost_is_raised(bus: agent_sdk.Bus, node: NodeP
     with bus.controller("office") as link:
         link.reset()
         lost = lose(link, is_event(EventKind.FAILED))
-        for engine in psutil.Process(node.pid).children(recursive=True):
-            if "engine" in " ".join(engine.cmdline()):
-                engine.kill()
+        for engine in engines_of(node.pid):
+            engine.kill()
         link.send()
         with pytest.raises(EngineDied, match="SIGKILL"):
             link.receive()
@@ -147,7 +134,7 @@ def test_a_controller_that_receives_nothing_for_long_gets_replies_and_the_latest
     ):
         link.current()
         for _ in range(12):
-            day(other)
+            values_of_day(other)
         status = episode_bus.status("office")
         assert status.state is State.ENDED
         with pytest.raises(EpisodeChanged):
@@ -170,7 +157,7 @@ def test_a_controller_without_a_claim_does_not_wait_for_ever() -> None:
             return Status.model_construct(state=State.WAITING, controllers=[])
 
     with pytest.raises(RequestRejected, match="node 'office' has no claim of 'c' any more"):
-        silence.ask_for_sample(OneSample(), "office", "c")  # type: ignore[arg-type]
+        receive_watchdog.query_sample(OneSample(), "office", "c")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("priority", ["DATA", "REAL_TIME"])
@@ -183,16 +170,16 @@ def test_large_messages_of_a_stranger_do_not_displace_samples(
     with episode_bus.controller("office") as link:
 
         def ask(*arguments: Any) -> Sample | None:
-            sample = silence.ask_for_sample(*arguments)
+            sample = receive_watchdog.query_sample(*arguments)
             if sample is not None and link._latest is not None and sample.step > link._latest.message.step:
                 regained.extend(sample.step)
             return sample
 
-        monkeypatch.setattr(controller_link, "ask_for_sample", ask)
-        quiet = day(link)
+        monkeypatch.setattr(controller_link, "query_sample", ask)
+        quiet = values_of_day(link)
         with Program(FLOOD, episode_bus.endpoint, priority, "0.02" if priority == "DATA" else "0.3") as flood:
             assert flood.line() == "floods"
-            assert day(link) == quiet
+            assert values_of_day(link) == quiet
     assert not regained or priority != "DATA"
 
 
@@ -202,11 +189,11 @@ def test_a_subscriber_to_everything_that_reads_nothing_delays_commands_once_and_
 ) -> None:
     """Commands are not dropped, and `**` includes them; Zenoh gives it five seconds."""
     with episode_bus.controller("office") as link:
-        quiet = day(link)
+        quiet = values_of_day(link)
         with Program(SUBSCRIBES_TO_ALL_AND_READS_NOTHING, episode_bus.endpoint) as program:
             assert program.line() == "subscribes"
             for _ in range(5):
-                assert day(link) == quiet
+                assert values_of_day(link) == quiet
 
 
 def test_refusals_of_strangers_leave_room_for_those_of_a_controller(episode_bus: agent_sdk.Bus) -> None:

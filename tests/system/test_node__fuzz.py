@@ -10,11 +10,10 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import msgpack
-import numpy as np
 import psutil
 import pytest
 import zenoh
-from support.nodes import SMALL, NodeProgram, Program, nothing_left, until
+from support.nodes import SMALL, NodeProgram, Program, nothing_left, until, values_of_day
 from zenoh.handlers import RingChannel
 
 import agent_sdk
@@ -168,18 +167,6 @@ with open_session(connect=[endpoint]) as session:
 """
 
 
-def day(link: agent_sdk.ControllerLink) -> list[bytes]:
-    """The values of all samples of an episode with setpoints that change with the step."""
-    sample = link.reset(seed=0)
-    seen = [sample.message.values]
-    while not sample.truncated:
-        zones = len(link.manifest.actuators) // 2
-        link.send(np.array([20.0, 24.0 + sample.step % 5] * zones))
-        sample = link.receive()
-        seen.append(sample.message.values)
-    return seen
-
-
 def until_quiet(session: zenoh.Session) -> None:
     """Returns once nothing more comes of what a stranger has said in the node's name, which is still on its way."""
     with session.declare_subscriber(keys.stream("office"), RingChannel(1)) as heard:
@@ -202,15 +189,15 @@ def size(pid: int) -> tuple[int, int, float]:
 @pytest.mark.parametrize("seconds", [4.0, FUZZ_S])
 def test_malformed_messages__change_nothing(scratch: Path, seconds: float) -> None:
     with node_and_bus(scratch) as (node, bus), bus.controller("office") as link:
-        quiet = day(link)
-        assert day(link) == quiet
+        quiet = values_of_day(link)
+        assert values_of_day(link) == quiet
         with bus.session.declare_subscriber(keys.EVENT.at("office"), RingChannel(100_000)) as events:
             with Program(FUZZER, node.endpoint, str(SEED), "tame", link.name) as fuzzer:
                 fuzzer.line()
                 warm, until_s = None, time.monotonic() + seconds
                 while time.monotonic() < until_s:
                     fuzzer.tell()
-                    assert day(link) == quiet
+                    assert values_of_day(link) == quiet
                     warm = warm or size(node.pid)
             told = [codec.decode(Event, e.payload.to_bytes()) for e in iter(events.try_recv, None)]
             status = bus.status("office")  # after them: what is told has been counted
@@ -221,7 +208,7 @@ def test_malformed_messages__change_nothing(scratch: Path, seconds: float) -> No
         until(lambda: size(node.pid)[0] <= warm[0] + 5, "descriptors are given back")
         until(lambda: size(node.pid)[1] <= warm[1] + 3, "threads have ended")
         assert size(node.pid)[2] < warm[2] + 300  # Zenoh keeps buffers of the 64 MB messages
-        assert day(link) == quiet
+        assert values_of_day(link) == quiet
 
 
 @pytest.mark.slow
@@ -245,7 +232,7 @@ def test_valid_messages__leave_the_node_in_order(scratch: Path) -> None:
             until_quiet(bus.session)
         taken = {controller.priority for controller in bus.status("office").controllers}  # the fuzzer's last claim
         with bus.controller("office", priority=min({2, 3} - taken)) as link:
-            assert len(day(link)) == 97
+            assert len(values_of_day(link)) == 97
     assert node.process.returncode == 0
 
 
@@ -255,16 +242,16 @@ def test_valid_messages__leave_the_node_in_order(scratch: Path) -> None:
 )
 def test_a_flood_is_bounded_and_others_are_served(scratch: Path, kind: str) -> None:
     with node_and_bus(scratch) as (node, bus), bus.controller("office") as link:
-        quiet = day(link)
+        quiet = values_of_day(link)
         before = size(node.pid)
         with Program(FLOOD, kind, node.endpoint, link.name) as flood:
             assert flood.line() == "floods"
-            assert day(link) == quiet
+            assert values_of_day(link) == quiet
             status = bus.status("office")
             assert status.statistics.rate_limited > 0
         # In each of 97 steps 100 of the controller and 100 of strangers; others are bounded by their queue.
         if kind in ("malformed", "duplicates"):
             assert status.rejected + status.late + status.duplicate <= 2 * 97 * 100
         assert size(node.pid)[2] < before[2] + 100
-        assert day(link) == quiet
+        assert values_of_day(link) == quiet
     assert node.process.returncode == 0
