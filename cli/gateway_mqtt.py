@@ -57,7 +57,8 @@ def mqtt(
     with requires_extra("mqtt", "the MQTT gateway", "aiomqtt"):
         import aiomqtt
     from bridge.gateways.mqtt.broker import Broker
-    from bridge.gateways.mqtt.gateway import MqttGateway, check_root
+    from bridge.gateways.mqtt.gateway import MqttGateway
+    from bridge.gateways.mqtt.topic_names import check_root
 
     versions = {"5": 5, "3.1.1": 3}
     if mqtt_version not in versions:

@@ -213,13 +213,40 @@ def test_a_response_topic_that_is_none_costs_the_other_clients_nothing(
             properties = Properties(PacketTypes.PUBLISH)
             properties.ResponseTopic = answer
             client.publish(f"{topic}/set", str(25.0 + number / 10), qos=1, properties=properties).wait_for_publish(60)
-        # One more: the answer on the topic of commands is no command, and rejected.
-        until(lambda: len(lines(file, f"{topic}/result")) == len(answers) + 1, "all are answered")
-        assert [json.loads(line)["accepted"] for line in lines(file, f"{topic}/result")].count(False) == 1
+        until(lambda: len(lines(file, f"{topic}/result")) == len(answers), "all are answered")
+        accepted = [json.loads(line)["accepted"] for line in lines(file, f"{topic}/result")]
+        assert accepted == [answer != f"{topic}/set" for answer in answers]
     client.disconnect()
     client.loop_stop()
     assert bus.priorities("office")[COOLING][7].value == 25.5
     assert served.poll() is None
+
+
+def test_a_response_topic_of_the_gateway_is_rejected_and_nothing_is_published_there(
+    bus: Bus, served: subprocess.Popen[str], broker: Broker, tmp_path: Path
+) -> None:
+    root, own = "zenostat/office", f"zenostat/office/actuator/{COOLING}/result"
+    refused = [root, f"{root}/status", f"{root}/sensor/{TEMPERATURE}", f"{own}/x", "homeassistant/sensor/x/config"]
+    answers = [*refused, f"{root}2/status", own]
+    client = paho.Client(paho.CallbackAPIVersion.VERSION2, protocol=paho.MQTTv5)
+    client.connect("127.0.0.1", broker.port)
+    client.loop_start()
+    with broker.subscribed("#", tmp_path) as file:
+        for number, answer in enumerate(answers):
+            properties = Properties(PacketTypes.PUBLISH)
+            properties.ResponseTopic, properties.CorrelationData = answer, bytes([number])
+            command = f"{root}/actuator/{COOLING}/set"
+            client.publish(command, str(25.0 + number / 10), qos=1, properties=properties).wait_for_publish(60)
+        until(lambda: len(lines(file, own)) == len(answers), "each has one result")
+        until(lambda: lines(file, f"{root}2/status"), "a topic beside the gateway's is the client's")
+        results = [json.loads(line) for line in lines(file, own)]
+        assert [result["accepted"] for result in results] == [False] * len(refused) + [True, True]
+        for answer, rejected in zip(refused, results, strict=False):
+            assert f"response topic {answer!r} is one of the gateway's own" in rejected["message"]
+            assert not any("accepted" in line for line in lines(file, answer))
+    client.disconnect()
+    client.loop_stop()
+    assert bus.priorities("office")[COOLING][7].value == 25.6
 
 
 def test_a_response_topic_for_which_the_broker_ends_the_connection_is_given_up(
@@ -303,6 +330,32 @@ def test_home_assistant_finds_each_point(bus: Bus, served: subprocess.Popen[str]
     climate = json.loads(broker.retained(f"homeassistant/climate/zenostat_office_climate_{TEMPERATURE}/config") or "")
     assert climate["temperature_high_command_topic"] == number["command_topic"]
     assert climate["current_temperature_topic"] == sensor["state_topic"]
+
+
+def test_home_assistant_sends_only_values_that_are_accepted_and_relinquishes(
+    bus: Bus, served: subprocess.Popen[str], broker: Broker, tmp_path: Path
+) -> None:
+    jinja2 = pytest.importorskip("jinja2", reason="jinja2, of which Home Assistant's templates are, is not installed")
+    actuators = {actuator.name: actuator for actuator in bus.manifest("office").actuators}
+    climate = json.loads(broker.retained(f"homeassistant/climate/zenostat_office_climate_{TEMPERATURE}/config") or "")
+    count = 0
+    with broker.subscribed("zenostat/office/actuator/+/result", tmp_path) as file:
+        for side in ("low", "high"):
+            topic = climate[f"temperature_{side}_command_topic"]
+            actuator = actuators[topic.split("/")[-2]]
+            template = jinja2.Template(climate[f"temperature_{side}_command_template"])
+            for value in (climate["min_temp"], 21.5, climate["max_temp"]):  # all that its slider can be set to
+                broker.publish(topic, template.render(value=value))
+                count += 1
+                done = result(file, (count - 1) % 3 + 1, actuator.name)
+                assert done["value"] == min(max(value, actuator.low), actuator.high)
+            button = json.loads(broker.retained(f"homeassistant/button/{button_id(actuator.name)}/config") or "")
+            broker.publish(button["command_topic"], button["payload_press"])
+            until(lambda name=actuator.name: bus.priorities("office")[name][7].value is None, "it is relinquished")
+
+
+def button_id(actuator: str) -> str:
+    return f"zenostat_office_{actuator}_relinquish"
 
 
 @pytest.mark.slow

@@ -27,10 +27,11 @@ from bridge.gateways.mqtt.messages import (
     sample_json,
 )
 from bridge.gateways.mqtt.retained import RetainedMessages, point_topics
+from bridge.gateways.mqtt.topic_names import is_below, is_topic
 from bridge.gateways.node_client import NodeClient
 from bridge.gateways.points import effective_value, readings
 from bridge.gateways.tasks import cancel
-from topics.errors import BadMessage, BusError, InvalidConfig, NodeLost, RequestRejected, ZenostatError
+from topics.errors import BadMessage, BusError, NodeLost, RequestRejected, ZenostatError
 from topics.messages import Event, Manifest
 
 MAX_WAITING = 1000
@@ -43,8 +44,7 @@ T = TypeVar("T")
 
 _RETRY_S = (0.5, 1.0, 2.0, 5.0, 10.0)
 _END_S = 2.0
-_MAX_TOPIC_BYTES = 65_535
-_MAX_ROOT = 1000
+_SHOWN = 200
 _ATTEMPTS = 2  # a broker may end the connection because of a response topic, for example one with too many levels
 
 
@@ -61,12 +61,18 @@ class Counts:
 
 @dataclass(frozen=True, slots=True)
 class _Received:
-    """A command as received: the actuator's name, the payload, and where an MQTT 5 client wants the result."""
+    """A command as received: the actuator's name, the payload, and where an MQTT 5 client wants the result.
+
+    Attributes:
+        reply_topic: the response topic, unless it is one of the gateway's own, or none to which can be published.
+        own_topic: the response topic if it is one of the gateway's own.
+    """
 
     actuator: str
     payload: bytes
     is_retained: bool
     reply_topic: str | None
+    own_topic: str | None
     correlation: bytes | None
 
 
@@ -115,6 +121,8 @@ class MqttGateway:
         self._node, self._broker, self._priority = node, broker, priority
         self._root = f"zenostat/{node.name}" if root is None else root
         self._home_assistant, self._notify = home_assistant, notify
+        # Nobody may use the gateway's rights on the broker to publish there; other clients believe what is there.
+        self._own_roots = (self._root,) if home_assistant is None else (self._root, home_assistant)
         self._samples: deque[str] = deque(maxlen=MAX_WAITING)
         self._events: deque[str] = deque(maxlen=MAX_WAITING)
         self._results: deque[_Result] = deque(maxlen=MAX_RESULTS)
@@ -308,12 +316,17 @@ class MqttGateway:
 
     def _take(self, message: aiomqtt.Message) -> None:
         """Queue a command."""
-        properties = message.properties
+        properties, actuator = message.properties, str(message.topic).split("/")[-2]
+        reply_topic = getattr(properties, "ResponseTopic", None)
+        if not is_topic(reply_topic) or reply_topic == self._result_topic(actuator):
+            reply_topic = None
+        is_own = reply_topic is not None and any(is_below(reply_topic, root) for root in self._own_roots)
         received = _Received(
-            str(message.topic).split("/")[-2],
+            actuator,
             message.payload if isinstance(message.payload, bytes) else str(message.payload or "").encode(),
             bool(message.retain),
-            _valid_topic(getattr(properties, "ResponseTopic", None)),
+            None if is_own else reply_topic,
+            reply_topic if is_own else None,
             getattr(properties, "CorrelationData", None),
         )
         if len(self._commands) >= MAX_WAITING:
@@ -336,6 +349,12 @@ class MqttGateway:
         try:
             if received.is_retained:
                 raise BadMessage("a retained command is ignored: it would be repeated at each connection")
+            if received.own_topic is not None:
+                own = " and ".join(f"{root}/" for root in self._own_roots)
+                raise BadMessage(
+                    f"response topic {received.own_topic[:_SHOWN]!r} is one of the gateway's own; choose one that is "
+                    f"not below {own}, or {self._result_topic(received.actuator)}"
+                )
             command = read_command(received.payload, priority=self._priority, source=self._node.source)
             ack = await self._node.write(
                 received.actuator, command.value, priority=command.priority, duration_s=command.duration_s,
@@ -351,36 +370,16 @@ class MqttGateway:
             at = (ack.episode[0] if ack.episode else 0, ack.step[0] if ack.step else 0)
             self._reply(received, accepted(command, ack.text, *at), is_accepted=True)
 
+    def _result_topic(self, actuator: str) -> str:
+        return f"{self._root}/actuator/{actuator}/result"
+
     def _reply(self, received: _Received, text: str, *, is_accepted: bool) -> None:
         """Queue the result for `…/actuator/NAME/result`, and for the response topic of an MQTT 5 client."""
         self.counts.accepted += is_accepted
         self.counts.rejected += not is_accepted
-        own = _valid_topic(f"{self._root}/actuator/{received.actuator}/result")
-        if own is not None:  # it is longer than the topic of the command
+        own = self._result_topic(received.actuator)
+        if is_topic(own):  # it is longer than the topic of the command
             self._results.append(_Result(own, text, received.correlation))
         if received.reply_topic:
             self._results.append(_Result(received.reply_topic, text, received.correlation, _ATTEMPTS))
         self._has_output.set()
-
-
-def _valid_topic(topic: str | None) -> str | None:
-    """Return a topic to which a message can be published, or None: a client may name any text as response topic."""
-    if not topic or any(char in topic for char in "+#\0") or len(topic.encode()) > _MAX_TOPIC_BYTES:
-        return None
-    return topic
-
-
-def check_root(root: str) -> str:
-    """Return a topic without its slash at the end.
-
-    Raises:
-        InvalidConfig: it has wildcards or empty levels, is one of the broker's own (`$SYS`), or is too long.
-    """
-    if len(root) > _MAX_ROOT:
-        raise InvalidConfig(f"a topic of {len(root)} characters; at most {_MAX_ROOT} are accepted")
-    if root.startswith("$"):
-        raise InvalidConfig(f"topic {root!r}: brokers accept no messages on topics that begin with '$'")
-    bare = root.removesuffix("/")
-    if not bare or any(char in bare for char in "+#\0") or "" in bare.split("/"):
-        raise InvalidConfig(f"topic {root!r}: expected levels without wildcards, for example buildings/office")
-    return bare

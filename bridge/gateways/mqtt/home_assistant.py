@@ -20,8 +20,8 @@ _CLASSES = {"degC": "temperature", "W": "power", "Pa": "pressure", "ppm": "carbo
 def discovery(manifest: Manifest, root: str, prefix: str = "homeassistant") -> Iterator[tuple[str, str]]:
     """Yield topic and payload of each discovery message.
 
-    Sensors and meters are sensors, actuators are numbers, and a zone whose temperature and both setpoints are points
-    is a climate entity in addition.
+    Sensors and meters are sensors. An actuator is a number, with a button that relinquishes it. A zone whose
+    temperature and both setpoints are points is a climate entity in addition.
 
     Args:
         manifest: the node's manifest.
@@ -35,27 +35,48 @@ def discovery(manifest: Manifest, root: str, prefix: str = "homeassistant") -> I
         yield f"{prefix}/sensor/{_id(manifest, reading.name)}/config", json.dumps(content)
     for actuator in manifest.actuators:
         yield f"{prefix}/number/{_id(manifest, actuator.name)}/config", json.dumps(_number(manifest, root, actuator))
+        button = _button(manifest, root, actuator)
+        yield f"{prefix}/button/{button['unique_id']}/config", json.dumps(button)
     for zone in roles(manifest).zones:
         if zone.temperature is None or zone.heating_actuator is None or zone.cooling_actuator is None:
             continue
-        heating, cooling = manifest.actuators[zone.heating_actuator], manifest.actuators[zone.cooling_actuator]
-        content = _entity(manifest, root, f"climate_{manifest.points[zone.temperature].name}", zone.label)
-        content |= {
-            "current_temperature_topic": f"{root}/sensor/{manifest.points[zone.temperature].name}",
-            "temperature_low_state_topic": f"{root}/actuator/{heating.name}",
-            "temperature_low_command_topic": f"{root}/actuator/{heating.name}/set",
-            "temperature_high_state_topic": f"{root}/actuator/{cooling.name}",
-            "temperature_high_command_topic": f"{root}/actuator/{cooling.name}/set",
-            "modes": ["heat_cool"],
-            "mode_state_topic": f"{root}/status",
-            "mode_state_template": "heat_cool",
-            "temperature_unit": "C",
-            "temp_step": 0.5,
-            "precision": 0.1,
-        }
-        limits = {"min_temp": heating.low, "max_temp": cooling.high}
-        content |= {name: value for name, value in limits.items() if value is not None}
+        content = _climate(manifest, root, zone.temperature, zone.heating_actuator, zone.cooling_actuator, zone.label)
         yield f"{prefix}/climate/{content['unique_id']}/config", json.dumps(content)
+
+
+def _climate(manifest: Manifest, root: str, air: int, heating: int, cooling: int, title: str) -> dict[str, Any]:
+    temperature = manifest.points[air].name
+    content = _entity(manifest, root, f"climate_{temperature}", title)
+    content |= {
+        "current_temperature_topic": f"{root}/sensor/{temperature}",
+        "modes": ["heat_cool"],
+        "mode_state_topic": f"{root}/status",
+        "mode_state_template": "heat_cool",
+        "temperature_unit": "C",
+        "temp_step": 0.5,
+        "precision": 0.1,
+    }
+    actuators = {"low": manifest.actuators[heating], "high": manifest.actuators[cooling]}
+    for side, actuator in actuators.items():
+        content[f"temperature_{side}_state_topic"] = f"{root}/actuator/{actuator.name}"
+        content[f"temperature_{side}_command_topic"] = f"{root}/actuator/{actuator.name}/set"
+        content[f"temperature_{side}_command_template"] = _limited(actuator)
+    # Home Assistant has one range for both targets; the templates keep each within its own actuator's bounds.
+    lows = [actuator.low for actuator in actuators.values() if actuator.low is not None]
+    highs = [actuator.high for actuator in actuators.values() if actuator.high is not None]
+    content |= {"min_temp": min(lows)} if len(lows) == len(actuators) else {}
+    content |= {"max_temp": max(highs)} if len(highs) == len(actuators) else {}
+    return content
+
+
+def _limited(actuator: Actuator) -> str:
+    """Return the template of a command: the value, or the bound of the actuator that it exceeds."""
+    text = "value | float"
+    if actuator.low is not None:
+        text = f"[{text}, {actuator.low}] | max"
+    if actuator.high is not None:
+        text = f"[{text}, {actuator.high}] | min"
+    return f"{{{{ {text} }}}}"
 
 
 def _id(manifest: Manifest, name: str) -> str:
@@ -98,3 +119,9 @@ def _number(manifest: Manifest, root: str, actuator: Actuator) -> dict[str, Any]
     if actuator.unit in _UNITS:
         content["unit_of_measurement"] = _UNITS[actuator.unit]
     return content
+
+
+def _button(manifest: Manifest, root: str, actuator: Actuator) -> dict[str, Any]:
+    """Return the button that relinquishes an actuator: it sends a value of null."""
+    content = _entity(manifest, root, f"{actuator.name}_relinquish", f"{label(actuator.name)} relinquish")
+    return content | {"command_topic": f"{root}/actuator/{actuator.name}/set", "payload_press": "null"}
