@@ -12,7 +12,7 @@ import struct
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from datetime import datetime
 from pathlib import Path
 
@@ -233,7 +233,7 @@ def test_noise_half_frames_and_dying_clients_harm_nobody(bus: Bus, client: Modbu
     assert not client.read_input_registers(0, count=16, device_id=UNIT).isError()
 
 
-def test_more_than_32_clients_are_turned_away_and_room_is_found_again(bus: Bus, port: int) -> None:
+def test_a_33rd_client_takes_the_place_of_the_longest_idle_one(bus: Bus, port: int) -> None:
     request = struct.pack(">HHHBBHH", 1, 0, 6, UNIT, 4, 0, 1)
 
     def is_served(connection: socket.socket) -> bool:
@@ -243,18 +243,48 @@ def test_more_than_32_clients_are_turned_away_and_room_is_found_again(bus: Bus, 
         except ConnectionError:
             return False
 
-    connections = [socket.create_connection(("127.0.0.1", port), timeout=20) for _ in range(33)]
-    served = [is_served(connection) for connection in connections]
-    assert sum(served) <= 32
-    assert not served[-1]
-    for connection in connections:
-        connection.close()
+    with ExitStack() as opened:
 
-    def has_room() -> bool:
-        with socket.create_connection(("127.0.0.1", port), timeout=20) as connection:
-            return is_served(connection)
+        def connect() -> socket.socket:
+            return opened.enter_context(socket.create_connection(("127.0.0.1", port), timeout=20))
 
-    until(has_room, "there is room again")
+        connections = [connect() for _ in range(32)]
+        assert all(map(is_served, connections))
+        assert is_served(connections[0])  # now the second is the longest idle one
+        silent = connect()
+        newest = connect()
+        assert is_served(newest)
+        assert [is_served(connection) for connection in connections] == [True, False, False] + [True] * 29
+        assert is_served(silent)
+
+
+def test_a_connection_whose_request_is_carried_out_keeps_its_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "MAX_CONNECTIONS", 1)
+    request = struct.pack(">HHHBBHH", 1, 0, 6, UNIT, 1, 0, 1)
+
+    class Slow:
+        """A model whose reply comes when the test allows it."""
+
+        is_reading, may_reply = asyncio.Event(), asyncio.Event()
+
+        async def read_bits(self, *_: object) -> list[bool]:
+            self.is_reading.set()
+            await self.may_reply.wait()
+            return [True]
+
+    async def main() -> None:
+        async with server.ModbusServer(Slow(), "127.0.0.1", 0) as running:
+            reader, writer = await asyncio.open_connection("127.0.0.1", running.port)
+            writer.write(request)
+            await Slow.is_reading.wait()
+            other, other_writer = await asyncio.open_connection("127.0.0.1", running.port)
+            assert await other.read() == b""  # it is turned away
+            Slow.may_reply.set()
+            assert (await reader.readexactly(10))[-1] == 1
+            writer.close()
+            other_writer.close()
+
+    asyncio.run(main())
 
 
 def test_clients_that_do_not_receive_or_have_lost_their_power_do_not_keep_connections(

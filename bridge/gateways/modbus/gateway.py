@@ -93,7 +93,7 @@ class ModbusGateway:
         counts = self.server.counts
         return (
             f"{counts.requests} requests, {counts.exceptions} answered with an exception, "
-            f"{counts.malformed} connections closed for malformed frames"
+            f"{counts.malformed} connections closed for malformed frames, {counts.displaced} idle ones for new ones"
         )
 
     # Reading

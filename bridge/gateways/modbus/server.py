@@ -12,13 +12,14 @@ import struct
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from time import monotonic
 from typing import Protocol
 
 from bridge.gateways.modbus.register_map import Table
 from topics.errors import AddressInUse, InvalidConfig
 
 MAX_CONNECTIONS = 32
-"""Largest number of connections at a time; further ones are closed at once."""
+"""Largest number of connections at a time; a further one takes the place of the one that has been idle longest."""
 
 FRAME_TIMEOUT_S = 10.0
 """Time after which a connection with an incomplete frame, or whose client does not receive its replies, is closed."""
@@ -67,11 +68,32 @@ class DataModel(Protocol):
 
 @dataclass(slots=True)
 class Counts:
-    """Numbers of requests, of those answered with an exception, and of connections closed for a malformed frame."""
+    """Counts of requests and connections.
+
+    Attributes:
+        requests, exceptions: requests, and those of them that were answered with an exception.
+        malformed, displaced: connections closed for a malformed frame, and idle ones closed for a new connection.
+    """
 
     requests: int = 0
     exceptions: int = 0
     malformed: int = 0
+    displaced: int = 0
+
+
+@dataclass(slots=True, eq=False)
+class _Connection:
+    """An open connection.
+
+    Attributes:
+        task: serves it.
+        idle_since_s: time of its latest reply, or of its beginning; None while a request is carried out.
+        is_displaced: whether it is being closed for another one.
+    """
+
+    task: asyncio.Task[None]
+    idle_since_s: float | None
+    is_displaced: bool = False
 
 
 class ModbusServer:
@@ -94,7 +116,7 @@ class ModbusServer:
     def __init__(self, model: DataModel, host: str, port: int, identity: dict[int, str] | None = None) -> None:
         self.host, self.port, self.counts = host, port, Counts()
         self._model, self._identity = model, identity or {}
-        self._connections: dict[asyncio.StreamWriter, asyncio.Task[None]] = {}
+        self._connections: dict[asyncio.StreamWriter, _Connection] = {}
         self._functions: dict[int, Callable[[bytes], Awaitable[bytes]]] = {
             1: self._reader_of_bits(Table.COIL),
             2: self._reader_of_bits(Table.DISCRETE_INPUT),
@@ -121,35 +143,48 @@ class ModbusServer:
     async def __aexit__(self, *_: object) -> None:
         self._server.close()
         self.close_connections()
-        await asyncio.gather(*self._connections.values())
+        await asyncio.gather(*(connection.task for connection in self._connections.values()))
         await self._server.wait_closed()
 
     def close_connections(self) -> None:
         """Close all connections; their requests in progress are not answered."""
-        for task in self._connections.values():
-            task.cancel()
+        for connection in self._connections.values():
+            connection.task.cancel()
+
+    def _make_room(self) -> bool:
+        """Return whether there is room for another connection; close the longest idle one if there is none."""
+        kept = [connection for connection in self._connections.values() if not connection.is_displaced]
+        if len(kept) < MAX_CONNECTIONS:
+            return True
+        idle = [(each.idle_since_s, each) for each in kept if each.idle_since_s is not None]
+        if not idle:
+            return False
+        _, longest = min(idle, key=lambda entry: entry[0])
+        longest.is_displaced = True
+        longest.task.cancel()
+        self.counts.displaced += 1
+        return True
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        if len(self._connections) >= MAX_CONNECTIONS:
+        if not self._make_room():
             writer.close()
             return
         task = asyncio.current_task()
         assert task is not None
-        self._connections[writer] = task
-        connection = writer.get_extra_info("socket")
-        connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-        for option, value in _KEEPALIVE.items():
-            connection.setsockopt(socket.IPPROTO_TCP, option, value)
+        connection = self._connections[writer] = _Connection(task, monotonic())
+        _keep_alive(writer.get_extra_info("socket"))
         try:
             while True:
                 frame = await self._frame(reader)
                 if frame is None:
                     break
                 transaction, unit, pdu = frame
+                connection.idle_since_s = None
                 reply = await self.answer(pdu)
                 writer.write(_HEADER.pack(transaction, 0, len(reply) + 1, unit) + reply)
                 async with asyncio.timeout(FRAME_TIMEOUT_S):
                     await writer.drain()
+                connection.idle_since_s = monotonic()
         # The client is gone or stuck, or the server closes the connection.
         except (ConnectionError, asyncio.IncompleteReadError, TimeoutError, asyncio.CancelledError):
             writer.transport.abort()  # unlike `close`, it does not wait for a client that does not receive
@@ -247,6 +282,12 @@ class ModbusServer:
             text = self._identity[number].encode("ascii", "replace")[:60]
             body += bytes([number, len(text)]) + text
         return bytes([0x0E, category, 0x82, 0, 0, len(listed)]) + body
+
+
+def _keep_alive(connection: socket.socket) -> None:
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    for option, value in _KEEPALIVE.items():
+        connection.setsockopt(socket.IPPROTO_TCP, option, value)
 
 
 def _check(is_valid: bool) -> None:  # noqa: FBT001
