@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import importlib.util
+import time
 from collections.abc import Awaitable, Callable, Mapping
 from contextlib import AbstractAsyncContextManager, AsyncExitStack
 from functools import partial
@@ -16,7 +17,7 @@ from bridge.runtime.signals import TERMINATION_SIGNALS, override_signals
 from bridge.transport.session import default_endpoint
 from cli.boptest import boptest
 from cli.console import err, out
-from cli.options import CertificateName, Connect, Keys
+from cli.options import CertificateName, Connect, Keys, Wait
 from topics.errors import InvalidConfig, NodeNotFound, RequestRejected, ZenostatError
 from topics.extras import install_command
 from topics.keys import Role
@@ -57,6 +58,7 @@ def zeromq(
     lease: Annotated[
         float, typer.Option(help="Seconds without a heartbeat after which a client counts as disconnected.")
     ] = 10.0,
+    wait: Wait = False,
     expose: Annotated[bool, typer.Option("--expose", help="Allow addresses reachable from other machines.")] = False,
 ) -> None:
     """Run a ZeroMQ gateway until Ctrl-C. With keys, it uses the controller role.
@@ -68,18 +70,41 @@ def zeromq(
     from bridge.gateways.zeromq import Gateway
     from bridge.transport.session import open_session
 
-    connect = connect or default_endpoint(keys)
-    with (
-        open_session(connect=[connect], keys=keys, role=Role.CONTROLLER, certificate=certificate) as session,
-        Gateway(session, node, publish=publish, command=command, lease_s=lease, expose=expose) as running,
-        override_signals(lambda *_: running.stop(), *TERMINATION_SIGNALS),
-    ):
-        served = "all nodes" if node == "*" else f"node {node}"
-        addresses = f"samples on {running.publish}, requests on {running.command}"
-        out.print(f"ready: {served} of {connect}; {addresses}; press Ctrl-C to stop", soft_wrap=True)
-        running.run()
+    endpoint = connect or default_endpoint(keys)
+    served = "all nodes" if node == "*" else f"node {node}"
+
+    waiting = _Waiting(wait)
+    while True:
+        try:
+            with (
+                open_session(connect=[endpoint], keys=keys, role=Role.CONTROLLER, certificate=certificate) as session,
+                Gateway(session, node, publish=publish, command=command, lease_s=lease, expose=expose) as running,
+                override_signals(lambda *_: running.stop(), *TERMINATION_SIGNALS),
+            ):
+                addresses = f"samples on {running.publish}, requests on {running.command}"
+                out.print(f"ready: {served} of {endpoint}; {addresses}; press Ctrl-C to stop", soft_wrap=True)
+                running.run()
+            break
+        except NodeNotFound as error:
+            waiting.report(error)
+        time.sleep(_RETRY_S)
     counts = running.counts
     out.print(f"{counts.samples} samples, {counts.requests} requests, {counts.denied} of them rejected")
+
+
+class _Waiting:
+    """Waiting for the bus and the node, if it is allowed; each reason is printed once."""
+
+    def __init__(self, is_allowed: bool) -> None:
+        self._is_allowed, self._reason = is_allowed, ""
+
+    def report(self, error: NodeNotFound) -> None:
+        """Print why the gateway waits; raise the error if it may not."""
+        if not self._is_allowed:
+            raise error
+        if str(error) != self._reason:
+            self._reason = str(error)
+            out.print(f"{error}; waiting for it, press Ctrl-C to stop", markup=False, soft_wrap=True)
 
 
 class NodeGateway(Protocol):
@@ -158,16 +183,12 @@ async def _until_served(serve_until: Callable[[asyncio.Future[int]], Awaitable[i
 
     for number in TERMINATION_SIGNALS:
         loop.add_signal_handler(number, stop, number)
-    reason = ""
+    waiting = _Waiting(wait)
     while True:
         try:
             return await serve_until(stopped)
         except NodeNotFound as error:
-            if not wait:
-                raise
-            if str(error) != reason:
-                reason = str(error)
-                out.print(f"{reason}; waiting for it, press Ctrl-C to stop", markup=False, soft_wrap=True)
+            waiting.report(error)
         await asyncio.wait((stopped,), timeout=_RETRY_S)
         if stopped.done():
             return stopped.result()

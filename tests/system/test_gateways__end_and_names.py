@@ -224,9 +224,17 @@ def until_line(lines: IO[str], begin: str) -> str:
     return next(line for line in lines if line.startswith(begin))
 
 
-def test_a_gateway_that_is_started_first_waits_for_bus_and_node(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "options",
+    [
+        ["modbus", "room", "--address", "127.0.0.1:0"],
+        ["zeromq", "--node", "room", "--publish", "tcp://127.0.0.1:*", "--command", "tcp://127.0.0.1:*"],
+    ],
+    ids=["modbus", "zeromq"],
+)
+def test_a_gateway_that_is_started_first_waits_for_bus_and_node(tmp_path: Path, options: list[str]) -> None:
     endpoint = f"unixsock-stream/{tmp_path}/other/bus"
-    words = ["gateway", "modbus", "room", "--connect", endpoint, "--address", "127.0.0.1:0"]
+    words = ["gateway", *options, "--connect", endpoint]
     assert "nobody listens on" in run_in_process(*words, columns=500).stderr
     with subprocess.Popen([*ZENOSTAT, *words, "--wait"], stdout=PIPE, stderr=PIPE, text=True) as program:
         try:
