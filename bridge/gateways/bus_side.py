@@ -141,6 +141,22 @@ class BusSide:
             timeout=timeout_s,
         )
 
+    def has_token(self, node: str, controller: str, then: Callable[[bool], None]) -> None:
+        """Query whether a controller whose token is not this object's is on the bus; `then` gets the answer.
+
+        `then` is called once, in the gateway's thread.
+        """
+        key, replies = keys.CONTROLLER_TOKEN.at(node, name=controller), list[bool]()
+        is_own = self._holders[key] > 0
+
+        def on_reply(reply: zenoh.Reply) -> None:
+            replies.append(reply.ok is not None)
+
+        def on_end() -> None:
+            self._post(lambda: then(any(replies) and not is_own))
+
+        self._session.liveliness().get(key, Callback(on_reply, on_end, indirect=False))
+
     def token(self, node: str, controller: str) -> Callable[[], None]:
         """Declare a controller's token until each returned function has been called."""
         key = keys.CONTROLLER_TOKEN.at(node, name=controller)

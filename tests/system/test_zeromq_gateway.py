@@ -166,7 +166,7 @@ def test_refusals__carry_the_reason_of_the_node(gateway):
         assert (kind, denied["error"]) == ("ErrorReply", "RequestRejected")
         assert "is claimed by 'c'" in denied["message"]
         assert other.ask("command/c", **keeping(sample))[1]["message"].startswith(
-            "'c' was claimed again through another"
+            "'c' is connected through another connection; claim first"
         )
         for _ in range(30):  # more than the node publishes as events in a step
             kind, denied = peer.ask("command/c", **answering(sample, np.full(count, 99.0)))
@@ -233,17 +233,60 @@ def test_frozen_controller_is_gone_after_its_lease(shared_node, episode_bus):
             assert peer.event(EventKind.DISCONNECTED).source == "doomed"
 
 
-def test_controller_that_comes_back_under_its_name_keeps_it(shared_node, gateway):
+def test_name_of_a_connected_controller_is_free_only_once_its_connection_has_ended(shared_node, gateway):
     with Peer(gateway) as new, agent_sdk.connect(shared_node.endpoint, affinity="off") as bus:
+        new.listen("sample")
+        sample = new.after(None)
         with Peer(gateway) as old:
             assert old.ask("rpc/claim", controller="c")[0] == "Ack"
-            assert new.ask("rpc/claim", controller="c")[0] == "Ack"
-        new.listen("sample")
-        sample = None
+            for _ in range(2):
+                kind, denied = new.ask("rpc/claim", controller="c", priority=5)
+                assert (kind, denied["error"]) == ("ErrorReply", "RequestRejected")
+                assert denied["message"].startswith("a controller 'c' is connected already; end its connection first")
+                kind, denied = new.ask("command/c", **keeping(sample))
+                assert denied["message"].startswith("'c' is connected through another connection; claim first")
+                assert old.ask("command/c", **keeping(sample))[0] == "Ack"
+                sample = new.after(sample)
+                assert old.ask("rpc/claim", controller="c")[0] == "Ack"  # its own claim can be renewed
+            assert [(each.controller, each.state) for each in bus.status("office").controllers] == [("c", "connected")]
+        until(lambda: new.ask("rpc/claim", controller="c")[0] == "Ack", "the connection has ended")
         for _ in range(3):
-            sample = new.after(sample)
             assert new.ask("command/c", **keeping(sample))[0] == "Ack"
-        until(lambda: bus.controllers() == [("office", "c")], "the controller is there")
+            sample = new.after(sample)
+        assert bus.controllers() == [("office", "c")]
+
+
+def test_name_of_a_controller_that_does_not_use_the_gateway_is_taken_too(shared_node, gateway):
+    with Peer(gateway) as peer, agent_sdk.connect(shared_node.endpoint, affinity="off") as bus:
+        with bus.controller("office") as link:
+            kind, denied = peer.ask("rpc/claim", controller=link.name, actuators=[SETPOINT])
+            assert (kind, denied["error"]) == ("ErrorReply", "RequestRejected")
+            assert denied["message"].startswith(f"a controller {link.name!r} is connected already")
+            link.current()
+            link.send(None)
+            assert link.receive().step == 1
+        until(lambda: peer.ask("rpc/claim", controller=link.name)[0] == "Ack", "it has left")
+
+
+def test_peer_with_too_many_unanswered_requests_is_told_and_delays_nobody_by_more(node, own_gateway):
+    """frozen node: 100 of 300 requests wait for it, the others are rejected → the node goes on: all are answered"""
+    with Peer(own_gateway) as flood, Peer(own_gateway) as peer:
+        assert flood.ask("rpc/status")[0] == peer.ask("rpc/status")[0] == "Status"
+        psutil.Process(node.pid).send_signal(signal.SIGSTOP)
+        try:
+            for _ in range(300):
+                flood.say("rpc/status")
+            for _ in range(200):
+                kind, denied = flood.answer()
+                assert (kind, denied["error"]) == ("ErrorReply", "RequestRejected")
+                assert denied["message"].startswith("100 requests of this connection are not answered yet")
+            peer.say("rpc/status")
+            assert peer.silent()
+        finally:
+            psutil.Process(node.pid).send_signal(signal.SIGCONT)
+        assert peer.answer()[0] == "Status"
+        assert [flood.answer()[0] for _ in range(100)] == ["Status"] * 100
+        assert flood.ask("rpc/status")[0] == "Status"
 
 
 def test_killed_gateway_breaks_nothing_of_the_node(shared_node, episode_bus):

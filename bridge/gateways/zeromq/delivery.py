@@ -25,13 +25,13 @@ class Owner:
 
     Attributes:
         route, fd: routing id and file descriptor of its connection.
-        leave: undeclares its liveliness token.
+        leave: undeclares its liveliness token, once it has one.
     """
 
     name: str
     route: bytes
     fd: int
-    leave: Callable[[], None]
+    leave: Callable[[], None] = lambda: None
 
 
 @dataclass(slots=True, eq=False)
@@ -93,29 +93,55 @@ class DeliveryQueues:
         if node is None:
             return NodeNotFound(f"no node {request.node!r} on the bus")
         owner = node.owners.get(name)
-        if isinstance(request.message, Claim) or (owner is not None and owner.route == request.peer.route):
+        if owner is not None and owner.route == request.peer.route:
             return None
-        how = "has claimed nothing" if owner is None else "was claimed again through another connection"
+        if isinstance(request.message, Claim):
+            return None if owner is None else _is_connected(name)
+        how = "has claimed nothing" if owner is None else "is connected through another connection"
         return RequestRejected(f"{name!r} {how}; claim first, through this connection: {keys.CLAIM.at(node.name)}")
 
     def _send(self, node: NodeView, request: Request, name: str) -> None:
-        claim = self._begin_claim(node, request, name) if isinstance(request.message, Claim) else None
-
         def then(reply: BusMessage | None) -> None:
-            if claim is not None:
-                self._end_claim(node, claim, is_accepted=reply is not None and not reply.denied)
-            self._answer(self._queues[node.name, name].popleft(), reply or denied(_node_lost(node.name)))
-            self._next(node.name, name)
+            self._finish(node, name, reply or denied(_node_lost(node.name)))
 
-        self._bus.ask(request.row, node.name, request.payload, then, name=request.name)
+        if isinstance(request.message, Claim):
+            self._claim(node, request, name)
+        else:
+            self._bus.ask(request.row, node.name, request.payload, then, name=request.name)
+
+    def _finish(self, node: NodeView, name: str, reply: Message | BusMessage) -> None:
+        """Answer the request in progress of a controller, and send the next one."""
+        self._answer(self._queues[node.name, name].popleft(), reply)
+        self._next(node.name, name)
 
     # Owners
 
-    def _begin_claim(self, node: NodeView, request: Request, name: str) -> Owner:
-        """Declare the token first: a node with the claim must notice the controller's disconnection, however early."""
-        owner = Owner(name, request.peer.route, request.peer.fd, self._bus.token(node.name, name))
+    def _claim(self, node: NodeView, request: Request, name: str) -> None:
+        """Send a claim unless a controller of that name that does not use this gateway is on the bus.
+
+        The token is declared first: a node with the claim must notice the controller's disconnection, however early.
+        """
+        owner = Owner(name, request.peer.route, request.peer.fd)
         self._claiming.append(owner)
-        return owner
+
+        def on_reply(reply: BusMessage | None) -> None:
+            self._end_claim(node, owner, is_accepted=reply is not None and not reply.denied)
+            self._finish(node, name, reply or denied(_node_lost(node.name)))
+
+        def on_token(is_connected: bool) -> None:  # noqa: FBT001
+            reason: ZenostatError | None = _is_connected(name) if is_connected else None
+            if owner not in self._claiming:
+                reason = RequestRejected(f"the connection of {name!r} has ended")
+            elif self._nodes.get(node.name) is not node:
+                reason = _node_lost(node.name)
+            if reason is None:
+                owner.leave = self._bus.token(node.name, name)
+                self._bus.ask(request.row, node.name, request.payload, on_reply)
+            else:
+                self._end_claim(node, owner, is_accepted=False)
+                self._finish(node, name, denied(reason))
+
+        self._bus.has_token(node.name, name, on_token)
 
     def _end_claim(self, node: NodeView, owner: Owner, *, is_accepted: bool) -> None:
         if owner not in self._claiming:
@@ -151,6 +177,12 @@ class DeliveryQueues:
         for owner in node.owners.values():
             owner.leave()
         node.owners.clear()
+
+
+def _is_connected(name: str) -> RequestRejected:
+    return RequestRejected(
+        f"a controller {name!r} is connected already; end its connection first, or choose another name"
+    )
 
 
 def _node_lost(name: str) -> ZenostatError:

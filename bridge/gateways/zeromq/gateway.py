@@ -6,6 +6,7 @@ router's monitor (ended connections) and a task queue, to which Zenoh's threads 
 
 from __future__ import annotations
 
+from collections import Counter
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 
@@ -29,6 +30,9 @@ from topics.keys import Delivery, Role
 from topics.messages import ErrorReply, Event, EventKind, Manifest, Message
 
 LEASE_S = 10.0
+
+MAX_IN_PROGRESS = 100
+"""Largest number of requests of one connection that are not answered yet; further ones are rejected."""
 
 _ECHO = 256  # bytes of an invalid topic that are returned in the reply
 _MAX_WAITING = 1000  # requests for a node whose manifest has not arrived yet
@@ -94,6 +98,7 @@ class Gateway:
         self._stopped = False
         self._nodes: dict[str, NodeView] = {}
         self._announced: dict[str, _Announced] = {}
+        self._in_progress = Counter[bytes]()  # by routing id
         self._close = ExitStack()
         with ExitStack() as undo:
             undo.callback(self.close)
@@ -245,12 +250,17 @@ class Gateway:
         self.counts.requests += 1
         peer, rest = split(frames, fd)
         try:
+            if self._in_progress[peer.route] >= MAX_IN_PROGRESS:
+                raise RequestRejected(
+                    f"{MAX_IN_PROGRESS} requests of this connection are not answered yet; wait for their replies"
+                )
             request = read(peer, rest)
             if self.node not in ("*", request.node):
                 raise NodeNotFound(f"this gateway is for node {self.node!r} alone, not for {request.node!r}")
         except ZenostatError as error:
             self._send(peer, rest[0][:_ECHO] if rest else b"", denied(error))
             return
+        self._in_progress[peer.route] += 1
         announced = self._announced.get(request.node)
         if announced is None:
             self._process(request)
@@ -282,6 +292,11 @@ class Gateway:
         self._bus.ask(request.row, request.node, question, then, name=request.name)
 
     def _answer(self, request: Request, answered: Message | BusMessage) -> None:
+        """Reply to a request; called once for each."""
+        route = request.peer.route
+        self._in_progress[route] -= 1
+        if not self._in_progress[route]:
+            del self._in_progress[route]
         self._send(request.peer, request.topic, answered)
 
     def _send(self, peer: Peer, topic: bytes, answered: Message | BusMessage) -> None:
