@@ -11,7 +11,7 @@ import sys
 import threading
 import time
 import weakref
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +37,8 @@ class LocalNode:
         settings: Fields of `eplus_node.config.NodeConfig`, or with `plant` those of
             `bridge.python_plant.node.PlantSettings`, without endpoint, folder and core.
         placement: See `bridge.runtime.affinity`.
+        on_process: Called with this object when its process exists, before it is ready; another thread can then end
+            it with `terminate`.
 
     Attributes:
         folder: The private folder of its socket.
@@ -49,7 +51,9 @@ class LocalNode:
         NodeLost: The node ended without reporting an error.
     """
 
-    def __init__(self, settings: dict[str, Any], placement: Affinity) -> None:
+    def __init__(
+        self, settings: dict[str, Any], placement: Affinity, on_process: Callable[[LocalNode], None] = lambda _: None
+    ) -> None:
         scratch = Scratch()
         if len(str(scratch.folder)) > _SOCKET_PATH_MAX - 10:
             scratch.remove()
@@ -76,6 +80,7 @@ class LocalNode:
             )
             self._processes.append(process)
             _nodes.add(process)
+            on_process(self)
             self._wait_ready(process, config)
         except BaseException:
             with ignore_interrupts():
@@ -114,6 +119,10 @@ class LocalNode:
     def is_suspended(self) -> bool:
         """Whether its process is suspended, for example by Ctrl-Z or a debugger, and so cannot answer."""
         return _is_suspended(self.pid)
+
+    def terminate(self) -> None:
+        """Let the process end, from any thread, without waiting for it; a node that is starting raises `NodeLost`."""
+        self._processes[0].terminate()
 
     def close(self) -> None:
         """End the node and remove its folder; idempotent."""

@@ -8,6 +8,7 @@ import signal
 
 import numpy as np
 import pytest
+import requests
 
 pytest.importorskip("fastapi", reason="fastapi is not installed")
 pytest.importorskip("httptools", reason="httptools is not installed")
@@ -245,6 +246,46 @@ def test_values_beyond_the_bounds_are_clipped_with_a_warning(test):
     answer = test.answer("POST", "advance", {f"{COOLING}_u": 400, f"{COOLING}_activate": "True"}).json()
     assert f"WARNING: value of 400.0 for {COOLING}_u is above maximum of 303.15.  Using 303.15. ;" in answer["message"]
     assert answer["payload"][f"{COOLING}_u"] == pytest.approx(303.15)
+
+
+@pytest.mark.parametrize(
+    ("inputs", "warning"),
+    [
+        ({"u": None, "activate": 1}, f"{COOLING}_activate is 1, and {COOLING}_u has no value."),
+        ({"activate": 1}, f"{COOLING}_activate is 1, and {COOLING}_u has no value."),
+        ({"u": 297.15}, f"{COOLING}_u has a value, and {COOLING}_activate is not sent."),
+        ({"u": 297.15, "activate": 0}, ""),
+        ({"activate": 0}, ""),
+    ],
+)
+def test_an_input_that_is_sent_by_halves_is_warned_of(test, inputs, warning):
+    body = {f"{COOLING}_{name}": value for name, value in inputs.items()}
+    answer = test.answer("POST", "advance", body).json()
+    expected = f" WARNING: {warning}  Using the baseline control. ;" if warning else ""
+    assert answer["message"] == f"Advanced simulation successfully from {START_S}.0s to {START_S + 900}.0s.{expected}"
+    assert answer["payload"][f"{COOLING}_activate"] == 0
+
+
+def test_results_are_submitted_at_the_end_of_a_period_alone(test):
+    body = {"api_key": "key", "unit_test": "True", "tag1": "mine"}
+    test.put("initialize", start_time=START_S, warmup_period=WARMUP_S, final_time=START_S + 1800)
+    for _ in range(2):
+        early = test.answer("POST", "submit", body)
+        assert (early.status_code, early.json()["status"], early.json()["payload"]) == (500, 500, None)
+        assert "before the end of the scenario's time period" in early.json()["message"]
+        assert test.answer("POST", "submit", {"api_key": 1}).status_code == 400
+        test.advance()
+    record = test.payload("POST", "submit", body)["payload"]["results"][0]
+    assert (record["kpis"], record["tags"]) == (test.get("kpi"), ["mine"])
+    assert test.answer("POST", "submit", {"api_key": "key"}).status_code == 400
+
+
+def test_infinite_times_are_sent_as_text_where_a_client_refuses_them_as_numbers(test):
+    body = {"point_names": ["outdoor_temperature_y"], "start_time": float("-inf"), "final_time": float("inf")}
+    with pytest.raises(requests.exceptions.InvalidJSONError):
+        test.put("results", **body)
+    times = test.put("results", **body | {"start_time": "-Infinity", "final_time": "Infinity"})["time"]
+    assert times == [START_S - WARMUP_S + 900 * k for k in range(WARMUP_S // 900 + 1)]
 
 
 def test_a_step_that_does_not_fit_is_set_and_refused_at_advance(test):

@@ -18,7 +18,7 @@ from bridge.gateways.boptest import parsing
 from bridge.gateways.boptest.manager import TestManager, TooManyTests, UnknownTest
 from bridge.gateways.boptest.operations import OPERATIONS, Operation
 from bridge.gateways.boptest.page import page
-from bridge.gateways.boptest.parsing import BadRequest
+from bridge.gateways.boptest.parsing import BadRequest, PeriodNotOver
 from topics import VERSION
 from topics.errors import UnknownName, UsageError, ZenostatError
 
@@ -141,6 +141,8 @@ class Service:
             return self._answer(400, {"errors": [message]})
         if isinstance(error, BadRequest):
             return self._envelope(400, "Bad Request", str(error))
+        if isinstance(error, PeriodNotOver):
+            return self._envelope(500, str(error), None)
         return self._text(500, f"{type(error).__name__}: {error}")
 
     async def _not_found(self, _: Request, __: Exception) -> Response:
@@ -152,6 +154,8 @@ class Service:
     async def _run(self, work: Callable[[], Response]) -> Response:
         try:
             return await asyncio.get_running_loop().run_in_executor(self._threads, work)
+        except asyncio.CancelledError:  # the service ends, and does not wait for this request any longer
+            return self._text(503, "the service has ended")
         except ZenostatError as error:
             return self._error(error)
         except Exception as error:  # an error of this program must not end the service, and is not the client's
@@ -173,7 +177,15 @@ class Service:
             def work() -> Response:
                 test = self.manager.get(testid)
                 with test.lock:
-                    message, payload = operation.call(test, fields)
+                    if test.is_stopped:  # while this request waited for another one
+                        raise UnknownTest(testid)
+                    try:
+                        message, payload = operation.call(test, fields)
+                    except ZenostatError:
+                        if not test.is_stopped:
+                            raise
+                    if test.is_stopped:
+                        return self._text(500, f"the test was stopped during /{operation.path[1:]}")
                     return self._envelope(200, message, payload)
 
             return await self._run(work)

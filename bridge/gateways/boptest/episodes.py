@@ -14,7 +14,7 @@ from bridge.gateways.boptest.baseline import Baseline, ZoneSchedules
 from bridge.gateways.boptest.history import History
 from bridge.gateways.boptest.parsing import BadRequest
 from bridge.gateways.boptest.points import PointTable
-from bridge.gateways.boptest.simulation import DAY_S, YEAR_S, Building, Simulation
+from bridge.gateways.boptest.simulation import DAY_S, YEAR_S, Building, Interruption, Simulation
 from bridge.gateways.boptest.weather import COLUMNS, Weather
 from topics.errors import BusError, RequestRejected
 
@@ -45,18 +45,20 @@ class Episodes:
 
     Args:
         arguments: arguments of the scenario.
+        interruption: ends the node from another thread.
 
     Attributes:
         table: the points.
         schedules: setpoints and occupants.
         building: the node.
+        interruption: as above.
         weather: weather of its run period.
     """
 
-    def __init__(self, arguments: Mapping[str, Any]) -> None:
-        self._arguments = arguments
+    def __init__(self, arguments: Mapping[str, Any], interruption: Interruption) -> None:
+        self._arguments, self.interruption = arguments, interruption
         self._kept: dict[tuple[int, int], Beginning] = {}
-        self.building = Building(arguments)
+        self.building = Building(arguments, interruption=interruption)
         try:
             manifest = self.building.main.manifest
             self.table = PointTable(manifest)
@@ -96,7 +98,7 @@ class Episodes:
             return
         self._kept.clear()
         self.building.close()
-        self.building = Building(self._arguments, first_day)
+        self.building = Building(self._arguments, first_day, interruption=self.interruption)
         self.weather = _weather(self.building)
 
     def _simulate(self, start: int, begin: int) -> Beginning:

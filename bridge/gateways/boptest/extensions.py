@@ -14,7 +14,7 @@ from bridge.gateways.boptest.kpis import TestKpis, TimeRatio
 from bridge.gateways.boptest.parsing import BadRequest
 from bridge.gateways.boptest.prices import Rates
 from bridge.gateways.boptest.session import Answer, BuildingTest
-from bridge.gateways.boptest.simulation import Simulation
+from bridge.gateways.boptest.simulation import Interruption, Simulation
 from topics.errors import did_you_mean
 
 
@@ -43,9 +43,10 @@ class ExtendedTest(BuildingTest):
         days: Callable[[], Mapping[str, int]],
         episodes: Episodes | None = None,
         simulation: Simulation | None = None,
+        interruption: Interruption | None = None,
     ) -> None:
         self._saved: dict[str, _Saved] = {}
-        super().__init__(case, rates, days, episodes, simulation)
+        super().__init__(case, rates, days, episodes, simulation, interruption)
 
     def take_snapshot(self) -> Answer:
         """Take a snapshot of the test."""

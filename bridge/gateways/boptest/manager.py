@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field
 from time import monotonic
@@ -15,7 +14,7 @@ from bridge.gateways.boptest.cases import TestCase, TestCases
 from bridge.gateways.boptest.extensions import ExtendedTest
 from bridge.gateways.boptest.parsing import BadRequest
 from bridge.gateways.boptest.prices import Rates
-from bridge.gateways.boptest.simulation import Building
+from bridge.gateways.boptest.simulation import Interruption
 from bridge.gateways.boptest.test_periods import simulate_test_periods
 from topics.errors import ZenostatError
 
@@ -40,6 +39,7 @@ class _Entry:
     error: ZenostatError | None = None
     used_s: float = field(default_factory=monotonic)
     parent: str = ""
+    interruption: Interruption = field(default_factory=Interruption)
     is_kept: bool = False
 
 
@@ -72,9 +72,10 @@ class TestManager:
         self._timeout_s, self._max_tests, self.notify = timeout_s, max_tests, notify
         self._lock = threading.Lock()
         self._entries: dict[str, _Entry] = {}
+        self._ending: dict[ExtendedTest, threading.Thread] = {}
         self._days_lock = threading.Lock()
         self._days: dict[str, dict[str, int]] = {}
-        self._year: Building | None = None
+        self._year = Interruption()
         self._closing = threading.Event()
         self._sweeper = threading.Thread(target=self._sweep, name="boptest-idle", daemon=True)
         self._sweeper.start()
@@ -108,6 +109,8 @@ class TestManager:
 
     def _reserve(self, case: TestCase) -> tuple[str, _Entry]:
         with self._lock:
+            if self._closing.is_set():
+                raise TooManyTests("the service is ending, and starts no more tests")
             if len(self._entries) >= self._max_tests:
                 raise TooManyTests(f"{self._max_tests} tests are running, the maximum of this service; stop one first")
             testid, entry = str(uuid4()), _Entry(case)
@@ -116,10 +119,13 @@ class TestManager:
 
     def _start(self, testid: str, entry: _Entry) -> None:
         try:
-            entry.test = ExtendedTest(entry.case, self._rates, lambda: self.days_of(entry.case))
+            entry.test = ExtendedTest(
+                entry.case, self._rates, lambda: self.days_of(entry.case), interruption=entry.interruption
+            )
         except ZenostatError as error:
             entry.error = error
-            self.notify(f"{entry.case.name} cannot be started: {error}")
+            if not entry.interruption.is_set:
+                self.notify(f"{entry.case.name} cannot be started: {error}")
         except BaseException as error:
             entry.error = ZenostatError(f"{type(error).__name__}: {error}")
             raise
@@ -165,20 +171,25 @@ class TestManager:
         """Branch a test, and return the branch's id."""
         test = self.get(testid)
         branchid, entry = self._reserve(test.case)
+        entry.parent = testid
         try:
             with test.lock:
+                if test.is_stopped:
+                    raise UnknownTest(testid)
                 entry.test = test.branch(fields)
-            entry.parent = testid
         except BaseException:
             with self._lock:
-                del self._entries[branchid]
+                self._entries.pop(branchid, None)
             raise
         finally:
             entry.started.set()
         return branchid
 
     def stop(self, testid: str) -> None:
-        """End a test and its branches; `UnknownTest` if there is none with this id."""
+        """End a test and its branches; `UnknownTest` if there is none with this id.
+
+        If a request of the test is in progress, it ends in the background, and the caller does not wait for it.
+        """
         with self._lock:
             if testid not in self._entries:
                 raise UnknownTest(testid)
@@ -186,8 +197,29 @@ class TestManager:
             ended = [self._entries.pop(name) for name in (*branches, testid)]
         for entry in ended:
             if entry.test is not None:
-                with entry.test.lock:
-                    entry.test.close()
+                self._end(entry.test)
+            else:  # it is starting
+                entry.interruption.interrupt()
+
+    def _end(self, test: ExtendedTest) -> None:
+        if test.lock.acquire(blocking=False):
+            try:
+                test.close()
+            finally:
+                test.lock.release()
+            return
+
+        def close() -> None:
+            with test.lock:
+                test.close()
+            with self._lock:
+                del self._ending[test]
+
+        test.interrupt()
+        thread = threading.Thread(target=close, name="boptest-stop", daemon=True)
+        with self._lock:
+            self._ending[test] = thread
+        thread.start()
 
     def days_of(self, case: TestCase) -> dict[str, int]:
         """Return the days of a test case's periods; simulate a year if they are not known."""
@@ -196,14 +228,9 @@ class TestManager:
         with self._days_lock:
             if case.name not in self._days:
                 self.notify(f"{case.name}: simulating a year to find its test periods, once")
-                self._days[case.name] = simulate_test_periods(case.arguments, self._set_year)
+                self._days[case.name] = simulate_test_periods(case.arguments, self._year)
                 self.cases.save_days(case, self._days[case.name])
             return self._days[case.name]
-
-    def _set_year(self, building: Building) -> None:
-        self._year = building
-        if self._closing.is_set():
-            building.interrupt()
 
     def tests(self) -> list[str]:
         """Return the ids of all tests."""
@@ -237,10 +264,10 @@ class TestManager:
         """End all simulations, so that the requests that wait for them are answered with an error."""
         self._closing.set()
         with self._lock:
-            tests = [entry.test for entry in self._entries.values() if entry.test is not None]
-        buildings = {test.episodes.building for test in tests} | ({self._year} if self._year is not None else set())
-        with ThreadPoolExecutor() as threads:
-            list(threads.map(Building.interrupt, buildings))
+            interruptions = [self._year, *(entry.interruption for entry in self._entries.values())]
+            interruptions += [test.episodes.interruption for test in self._ending]
+        for interruption in interruptions:
+            interruption.interrupt()
 
     def close(self) -> None:
         """End all tests; idempotent."""
@@ -249,3 +276,7 @@ class TestManager:
         for testid in self.tests():
             with suppress(UnknownTest):
                 self.stop(testid)
+        with self._lock:
+            ending = list(self._ending.values())
+        for thread in ending:
+            thread.join()

@@ -22,6 +22,10 @@ class BadRequest(UsageError):
     """A request that is answered with status 400 and this text."""
 
 
+class PeriodNotOver(UsageError):
+    """A request that is valid only at the end of a test period; it is answered with status 500 and this text."""
+
+
 def parse_body(body: bytes, content_type: str) -> dict[str, Any]:
     """Return the fields of a request body; an empty body has none.
 

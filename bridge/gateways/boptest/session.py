@@ -17,9 +17,9 @@ from bridge.gateways.boptest.episodes import Beginning, Episodes
 from bridge.gateways.boptest.forecast import Forecaster
 from bridge.gateways.boptest.forecast_errors import LEVELS
 from bridge.gateways.boptest.kpis import TestKpis, TimeRatio
-from bridge.gateways.boptest.parsing import BadRequest
+from bridge.gateways.boptest.parsing import BadRequest, PeriodNotOver
 from bridge.gateways.boptest.prices import ELECTRICITY_PRICES, Rates
-from bridge.gateways.boptest.simulation import DAY_S, Simulation
+from bridge.gateways.boptest.simulation import DAY_S, Interruption, Simulation
 from bridge.gateways.boptest.test_periods import PERIOD_S, TIME_PERIODS, WARMUP_S
 from topics.errors import did_you_mean
 from topics.messages import CommandOp
@@ -42,10 +42,13 @@ class BuildingTest:
         case: the test case.
         rates: prices and emission factors.
         days: returns the days of the test periods; it may simulate a year.
-        episodes: the node; None starts one.
+        episodes: the node, of which `simulation` is a branch; None starts one.
+        simulation: the branch.
+        interruption: ends a node that it starts from another thread.
 
     Attributes:
         lock: held during each request.
+        is_stopped: whether it has been stopped; another thread sets it, and a request in progress then ends.
     """
 
     def __init__(
@@ -55,11 +58,12 @@ class BuildingTest:
         days: Callable[[], Mapping[str, int]],
         episodes: Episodes | None = None,
         simulation: Simulation | None = None,
+        interruption: Interruption | None = None,
     ) -> None:
-        self.case, self.lock = case, RLock()
+        self.case, self.lock, self.is_stopped = case, RLock(), False
         self._rates, self._days = rates, days
         self._branch = simulation
-        self.episodes = episodes or Episodes(case.arguments)
+        self.episodes = episodes or Episodes(case.arguments, interruption or Interruption())
         self.table = self.episodes.table
         self.forecaster = Forecaster(self.episodes.weather, rates, self.episodes.schedules)
         self.step_s = DEFAULT_STEP_S
@@ -155,7 +159,7 @@ class BuildingTest:
         for step in range(steps):
             sample = simulation.step(values, operations) if step == 0 else simulation.step()
             history.append(sample.fault_free_values, sample.effective, activated)
-            if sample.truncated:
+            if sample.truncated or self.is_stopped:
                 break
         self.time_ratio.end_advance()
         text = f"Advanced simulation successfully from {float(begin_s)}s to {float(self.time_s)}s."
@@ -171,7 +175,7 @@ class BuildingTest:
         return round(duration_s / timestep_s)
 
     def _read_inputs(self, fields: Mapping[str, Any]) -> tuple[NDArray[np.float64], bytes, NDArray[np.bool_], str]:
-        """Return values, operations, switches, and warnings of values that were clipped, the newest first."""
+        """Return values, operations, switches, and warnings of values not used as sent, the newest first."""
         table, count = self.table, len(self.table.inputs)
         values, is_sent, switched = np.zeros(count), np.zeros(count, np.bool_), np.zeros(count, np.bool_)
         warnings = ""
@@ -187,9 +191,20 @@ class BuildingTest:
                 switched[table.activated[name]] = value is not None and parsing.switch(value, name)
             else:
                 raise BadRequest(f"Unexpected input variable: {name[:200]}.")
+        for unused in np.flatnonzero(switched != is_sent).tolist():
+            warnings = self._unused(unused, fields) + warnings
         active = switched & is_sent
         operations = np.where(active, _SET, _RELINQUISH).astype(np.uint8).tobytes()
         return values, operations, active, warnings
+
+    def _unused(self, index: int, fields: Mapping[str, Any]) -> str:
+        """Return the warning of a switch without a value, or of a value without its switch; empty for a switch of 0."""
+        point, switch = self.table.inputs[index].name, self.table.activates[index]
+        if fields.get(switch) is None:
+            return f"WARNING: {point} has a value, and {switch} is not sent.  Using the baseline control. ;"
+        if fields.get(point) is None:
+            return f"WARNING: {switch} is 1, and {point} has no value.  Using the baseline control. ;"
+        return ""
 
     def _clipped(self, index: int, value: float) -> tuple[float, str]:
         point = self.table.inputs[index]
@@ -323,6 +338,10 @@ class BuildingTest:
         tags = [name for name in fields if name.startswith("tag")]
         if not isinstance(fields.get("api_key"), str) or len(tags) > 10:
             raise BadRequest("Invalid api_key or tags: the key is a text, and there are at most 10 tags.")
+        if not (self.is_over or self.time_s >= self.end_s):
+            raise PeriodNotOver(
+                "Results cannot be submitted before the end of the scenario's time period; advance to its end first."
+            )
         if str(fields.get("unit_test", "")).lower() not in ("1", "true"):
             raise BadRequest("This service has no dashboard; with unit_test=True the record is returned.")
         record = {
@@ -338,8 +357,15 @@ class BuildingTest:
         }
         return "Results have been prepared.", {"dash_url": None, "payload": record}
 
+    def interrupt(self) -> None:
+        """Stop the test while a request is in progress, which then ends; `close` is still needed."""
+        self.is_stopped = True
+        if self._branch is None:
+            self.episodes.interruption.interrupt()
+
     def close(self) -> None:
         """End the building, or the branch."""
+        self.is_stopped = True
         if self._branch is not None:
             self._branch.close()
         else:

@@ -9,7 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from datetime import date, datetime, timedelta
+from threading import Lock
 from typing import Any
+from weakref import WeakSet
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,6 +106,33 @@ class Simulation:
         self._link.close()
 
 
+class Interruption:
+    """Ends the nodes of a test from another thread, also one that is starting, and lets no other start.
+
+    Attributes:
+        is_set: whether it has taken place.
+    """
+
+    def __init__(self) -> None:
+        self.is_set = False
+        self._lock = Lock()
+        self._nodes: WeakSet[LocalNode] = WeakSet()
+
+    def watch(self, node: LocalNode) -> None:
+        """Add a node whose process has just been started."""
+        with self._lock:
+            self._nodes.add(node)
+            if self.is_set:
+                node.terminate()
+
+    def interrupt(self) -> None:
+        """End the nodes, without waiting for it; calls that use them raise `NodeLost`."""
+        with self._lock:
+            self.is_set = True
+            for node in self._nodes:
+                node.terminate()
+
+
 class Building:
     """A node process of its own, on a private socket.
 
@@ -111,12 +140,20 @@ class Building:
         arguments: arguments of the scenario, as of an environment.
         first_day: day of the year on which its run period begins, from 0.
         last_day: last day of its run period.
+        interruption: can end it from another thread.
 
     Raises:
         ZenostatError: the node cannot start.
     """
 
-    def __init__(self, arguments: Mapping[str, Any], first_day: int = 0, last_day: str = LAST_DAY) -> None:
+    def __init__(
+        self,
+        arguments: Mapping[str, Any],
+        first_day: int = 0,
+        last_day: str = LAST_DAY,
+        *,
+        interruption: Interruption | None = None,
+    ) -> None:
         self.first_day = first_day
         begin: date = moment(first_day * DAY_S).date()
         period = {"begin": begin.isoformat(), "end": last_day}
@@ -124,7 +161,8 @@ class Building:
         self._close = ExitStack()
         with ExitStack() as undo:
             undo.callback(self.close)
-            self._node = LocalNode(for_node({**arguments, **period}, _NODE), placement)
+            settings, on_process = for_node({**arguments, **period}, _NODE), (interruption or Interruption()).watch
+            self._node = LocalNode(settings, placement, on_process)
             self._close.callback(self._node.close)
             bus = connect(self._node.endpoint, affinity=placement, core=self._node.core)
             self._close.enter_context(bus)
@@ -149,10 +187,6 @@ class Building:
     def end(self) -> str:
         """How the node's process ended; empty while it runs."""
         return self._node.end
-
-    def interrupt(self) -> None:
-        """End the node's process, so that other threads' calls raise `NodeLost`; `close` is still needed."""
-        self._node.close()
 
     def close(self) -> None:
         """End the node; idempotent."""

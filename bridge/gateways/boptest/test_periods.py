@@ -8,13 +8,13 @@ load that is not above the median of the daily highest loads of the days with a 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.gateways.boptest.simulation import DAY_S, Building
+from bridge.gateways.boptest.simulation import DAY_S, Building, Interruption
 from topics.energyplus_names import END_USES
 from topics.messages import Manifest
 
@@ -63,9 +63,7 @@ def _daily_highest(load: Floats, step_s: int) -> Floats:
     return highest
 
 
-def simulate_test_periods(
-    arguments: Mapping[str, Any], started: Callable[[Building], None] = lambda _: None
-) -> dict[str, int]:
+def simulate_test_periods(arguments: Mapping[str, Any], interruption: Interruption | None = None) -> dict[str, int]:
     """Simulate a year under the baseline control, and return the day of each test period.
 
     The loads are the energies of the end uses heating and cooling, of all fuels. It takes from half a minute for a
@@ -73,14 +71,13 @@ def simulate_test_periods(
 
     Args:
         arguments: arguments of the scenario, as of an environment.
-        started: called with the building, which another thread may interrupt.
+        interruption: ends it from another thread.
 
     Raises:
         ZenostatError: the building cannot be simulated for a year.
     """
-    building = Building(arguments, last_day="2017-12-31")
+    building = Building(arguments, last_day="2017-12-31", interruption=interruption)
     try:
-        started(building)
         main = building.main
         columns = [_meters(main.manifest, use) for use in ("Heating", "Cooling")]
         loads: list[tuple[float, ...]] = []
