@@ -51,11 +51,11 @@ def bacnet(
 
     if len(source) > _MAX_SOURCE:
         raise InvalidConfig(f"--source has {len(source)} characters; the most are {_MAX_SOURCE}")
+    number = instance_number(node) if instance is None else instance
     if objects is not None:
-        _write_objects(node, objects, connect or default_endpoint(keys), keys, certificate)
+        _write_objects(node, number, objects, connect or default_endpoint(keys), keys, certificate)
         return
     interface = find_interface(*parse_address(address, "BACnet/IP", expose=expose, default_port=DEFAULT_PORT))
-    number = instance_number(node) if instance is None else instance
     err.print(
         f"BACnet/IP has no authentication: whoever reaches {interface.address.ip} can command {node}", soft_wrap=True
     )
@@ -77,26 +77,32 @@ def bacnet(
     )
 
 
-def _write_objects(node: str, file: Path, connect: str, keys: Path | None, certificate: str | None) -> None:
-    """Write a node's points as BACnet objects: type, instance, name, units, bounds and description.
+def _write_objects(
+    node: str, number: int, file: Path, connect: str, keys: Path | None, certificate: str | None
+) -> None:
+    """Write all objects of a node's device, whose number is `number`: type, instance, name, units, bounds, description.
 
     Raises:
         InvalidConfig: the file cannot be written.
     """
     from agent_sdk import connect as connect_bus
+    from bridge.gateways.bacnet.fixed_objects import fixed_objects
     from bridge.gateways.bacnet.points import point_specs
     from bridge.gateways.bacnet.units import bacnet_unit
 
     with connect_bus(connect, keys=keys, role=Role.CONTROLLER, certificate=certificate) as bus:
-        specs = point_specs(bus.manifest(node))
+        manifest = bus.manifest(node)
+    fixed, points = fixed_objects(manifest, number), point_specs(manifest)
     try:
         with file.open("w", encoding="utf-8", newline="") as opened:
             table = csv.writer(opened)
             table.writerow(("type", "instance", "name", "unit", "bacnet_unit", "low", "high", "description"))
-            for spec in specs:
+            for each in fixed:
+                table.writerow((*each[:3], "", "", each.low, each.high, each.description))
+            for spec in points:
                 unit = bacnet_unit(spec.unit).name
                 names = (spec.kind.value, spec.instance, spec.object_name, spec.unit, unit)
                 table.writerow((*names, spec.low, spec.high, spec.description))
     except OSError as error:
         raise InvalidConfig(f"--objects {file}: {error.strerror}") from None
-    out.print(f"objects of {node}: {file} ({len(specs)} objects)", soft_wrap=True, markup=False)
+    out.print(f"objects of {node}: {file} ({len(fixed) + len(points)} objects)", soft_wrap=True, markup=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import csv
 import importlib.util
 import shutil
@@ -13,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from support.bacnet import INSTANCE, free_udp_port
+from support.bacnet import INSTANCE, free_udp_port, served
 from support.nodes import NodeProgram, Program
 from support.run_cli import ZENOSTAT, run_in_process, run_program
 
@@ -173,17 +174,24 @@ def test_the_objects_are_written_as_a_table(
     episode_bus: agent_sdk.Bus, shared_node: NodeProgram, tmp_path: Path
 ) -> None:
     file = tmp_path / "objects.csv"
-    ended = run_in_process("gateway", "bacnet", "office", "--connect", shared_node.endpoint, "--objects", str(file))
+    words = ["gateway", "bacnet", "office", "--connect", shared_node.endpoint, "--instance", str(INSTANCE)]
+    ended = run_in_process(*words, "--objects", str(file))
     assert ended.returncode == 0, ended.stderr
     with file.open(newline="") as opened:
         rows = {(row["type"], row["name"]): row for row in csv.DictReader(opened)}
     manifest = episode_bus.manifest("office")
-    assert len(rows) == len(manifest.points) + len(manifest.actuators)
+    assert len(rows) == 7 + len(manifest.points) + len(manifest.actuators)
     row, actuator = rows["analog-output", COOLING], next(a for a in manifest.actuators if a.name == COOLING)
     numbers = instance_numbers(a.name for a in manifest.actuators)
     assert int(row["instance"]) == numbers[COOLING]
     assert (float(row["low"]), float(row["high"])) == (actuator.low, actuator.high)
     assert (row["unit"], row["bacnet_unit"]) == ("degC", "degreesCelsius")
+
+    async def listed() -> set[tuple[str, int, str]]:
+        async with served(shared_node.endpoint) as (_, reader, _):
+            return {(*identifier, name) for name, identifier in reader.objects.items()}
+
+    assert {(row["type"], int(row["instance"]), row["name"]) for row in rows.values()} == asyncio.run(listed())
     missing = str(tmp_path / "none" / "objects.csv")
     refused = run_in_process("gateway", "bacnet", "office", "--connect", shared_node.endpoint, "--objects", missing)
     assert (refused.returncode, "No such file" in refused.stderr) == (2, True)

@@ -9,24 +9,14 @@ from bacpypes3.errors import ExecutionError, PropertyError
 from bacpypes3.object import AnalogValueObject, BinaryValueObject, DateTimeValueObject
 from bacpypes3.primitivedata import Date, Null, Real, Time
 
+from bridge.gateways.bacnet.fixed_objects import ADVANCE, EPISODE, MAX_STEPS, PAUSED, STEP, TIME, FixedObject
 from bridge.gateways.bacnet.node_state import NodeState
 from bridge.gateways.bacnet.objects import NodeObject, real
 
-MAX_STEPS = 1_000_000
-"""Largest number of timesteps of one write to `advance`."""
-
 
 class _AnalogValue(NodeObject, AnalogValueObject):
-    def __init__(self, state: NodeState, instance: int, name: str, description: str, **properties: Any) -> None:
-        super().__init__(
-            state,
-            objectIdentifier=("analog-value", instance),
-            objectName=f"node/{name}",
-            description=description,
-            units="noUnits",
-            covIncrement=0.0,
-            **properties,
-        )
+    def __init__(self, state: NodeState, fixed: FixedObject, **properties: Any) -> None:
+        super().__init__(state, **_properties(fixed), units="noUnits", covIncrement=0.0, **properties)
 
 
 class Advance(_AnalogValue):
@@ -35,8 +25,7 @@ class Advance(_AnalogValue):
     _writable = frozenset({"presentValue", "covIncrement"})
 
     def __init__(self, state: NodeState) -> None:
-        text = "write a number of timesteps to simulate while the node is paused; reads those left"
-        super().__init__(state, 1, "advance", text, minPresValue=0.0, maxPresValue=float(MAX_STEPS))
+        super().__init__(state, ADVANCE, minPresValue=ADVANCE.low, maxPresValue=ADVANCE.high)
 
     @property
     def presentValue(self) -> Real:
@@ -58,7 +47,7 @@ class Step(_AnalogValue):
     """Number of the latest sample in its episode."""
 
     def __init__(self, state: NodeState) -> None:
-        super().__init__(state, 2, "step", "number of the sample in the episode")
+        super().__init__(state, STEP)
 
     @property
     def presentValue(self) -> Real:
@@ -71,7 +60,7 @@ class Episode(_AnalogValue):
     """Number of the episode."""
 
     def __init__(self, state: NodeState) -> None:
-        super().__init__(state, 3, "episode", "number of the episode")
+        super().__init__(state, EPISODE)
 
     @property
     def presentValue(self) -> Real:
@@ -86,14 +75,7 @@ class Paused(NodeObject, BinaryValueObject):
     _writable = frozenset({"presentValue"})
 
     def __init__(self, state: NodeState) -> None:
-        super().__init__(
-            state,
-            objectIdentifier=("binary-value", 1),
-            objectName="node/paused",
-            description="pauses and resumes the node",
-            activeText="paused",
-            inactiveText="running",
-        )
+        super().__init__(state, **_properties(PAUSED), activeText="paused", inactiveText="running")
 
     @property
     def presentValue(self) -> BinaryPV:
@@ -120,13 +102,7 @@ class SimulatedTime(NodeObject, DateTimeValueObject):
     """Simulated local standard time of the latest sample."""
 
     def __init__(self, state: NodeState) -> None:
-        super().__init__(
-            state,
-            objectIdentifier=("datetime-value", 1),
-            objectName="node/time",
-            description="simulated local standard time",
-            isUTC=False,
-        )
+        super().__init__(state, **_properties(TIME), isUTC=False)
 
     @property
     def presentValue(self) -> DateTime:
@@ -139,6 +115,14 @@ class SimulatedTime(NodeObject, DateTimeValueObject):
             date=Date((time.year - 1900, time.month, time.day, time.isoweekday())),
             time=Time((time.hour, time.minute, time.second, time.microsecond // 10_000)),
         )
+
+
+def _properties(fixed: FixedObject) -> dict[str, Any]:
+    return {
+        "objectIdentifier": (fixed.kind, fixed.instance),
+        "objectName": fixed.object_name,
+        "description": fixed.description,
+    }
 
 
 def control_objects(state: NodeState) -> list[NodeObject]:

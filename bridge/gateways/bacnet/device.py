@@ -13,6 +13,7 @@ from bacpypes3.local.device import DeviceObject
 from bacpypes3.local.networkport import NetworkPortObject
 from bacpypes3.pdu import IPv4Address
 
+from bridge.gateways.bacnet.fixed_objects import NETWORK_PORT, device_description
 from bridge.gateways.bacnet.node_state import NodeState
 from topics.messages import Manifest
 
@@ -65,7 +66,7 @@ class NodeDevice(_ReadOnly, DeviceObject):
     def describe(self, manifest: Manifest, objects: Iterable[tuple[str, int, str]]) -> None:
         """Set the properties that depend on the manifest; `objects` are types, numbers and names of all objects."""
         self.modelName = manifest.building or "simulated building"
-        self.description = f"simulated building {manifest.building} with weather {manifest.weather or 'of its own'}"
+        self.description = device_description(manifest)
         self.location = manifest.location or "unknown"
         self.firmwareRevision = manifest.versions.energyplus or "none"
         self.applicationSoftwareVersion = manifest.versions.zenostat
@@ -101,8 +102,9 @@ class NodePort(_ReadOnly, NetworkPortObject):
     def __init__(self, address: IPv4Address, interface: str) -> None:
         super().__init__(
             address,
-            objectIdentifier=("network-port", 1),
-            objectName="node/network-port",
+            objectIdentifier=(NETWORK_PORT.kind, NETWORK_PORT.instance),
+            objectName=NETWORK_PORT.object_name,
+            description=NETWORK_PORT.description,
             networkInterfaceName=interface,
             apduLength=MAX_APDU,
         )
