@@ -1,4 +1,4 @@
-"""Peak shaving over BACnet: a higher cooling setpoint in the afternoon, at a higher priority than the PLC's.
+"""Pre-cooling over BACnet: a lower cooling setpoint before people come, at a higher priority than the PLC's.
 
 It needs bacpypes3 only, and a node with a gateway (see docs/hardware-in-the-loop.md):
 
@@ -20,8 +20,8 @@ parser = argparse.ArgumentParser()
 parser.add_argument("--device", default="127.0.0.1:47808", help="address of the gateway")
 parser.add_argument("--own", default="127.0.0.1:47809", help="own address; on the loopback with another port")
 parser.add_argument("--output", default="core_zn_cooling_setpoint")
-parser.add_argument("--value", type=float, default=27.0)
-parser.add_argument("--hours", type=int, nargs=2, default=(14, 18), help="begin and end, in simulated time")
+parser.add_argument("--value", type=float, default=23.0)
+parser.add_argument("--hours", type=int, nargs=2, default=(3, 6), help="begin and end, in simulated time")
 parser.add_argument("--priority", type=int, default=8)
 parser.add_argument("--pause", type=float, default=0.5, help="seconds between two looks at the simulated time")
 arguments = parser.parse_args()

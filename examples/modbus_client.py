@@ -44,6 +44,10 @@ def main() -> None:
         def is_commanded() -> bool:
             return client.read_coils(address["coil", SETPOINT], count=1).bits[0]
 
+        def is_effective() -> bool:
+            """Return whether the command was in effect in the latest timestep, not another one of higher priority."""
+            return client.read_discrete_inputs(address["discrete input", SETPOINT], count=1).bits[0]
+
         cycle = 0
         while client.read_discrete_inputs(address["discrete input", "episode_running"], count=1).bits[0]:
             temperature, people = read(TEMPERATURE), read(PEOPLE)
@@ -52,7 +56,8 @@ def main() -> None:
                 client.write_registers(address["holding register", SETPOINT], words)
             elif people > 0 and is_commanded():
                 client.write_coil(address["coil", SETPOINT], value=False)
-            setpoint = "raised" if is_commanded() else "of the building"
+            effect = "in effect" if is_effective() else "not in effect"
+            setpoint = f"raised, {effect}" if is_commanded() else "of the building"
             print(f"{temperature:.2f} degC, {people:g} people, setpoint {setpoint}")
             cycle += 1
             if cycle == arguments.cycles:
