@@ -58,7 +58,7 @@ def mqtt(
         import aiomqtt
     from bridge.gateways.mqtt.broker import Broker
     from bridge.gateways.mqtt.gateway import MqttGateway
-    from bridge.gateways.mqtt.topic_names import check_root
+    from bridge.gateways.mqtt.topic_names import PREFIX, check_root
 
     versions = {"5": 5, "3.1.1": 3}
     if mqtt_version not in versions:
@@ -78,7 +78,7 @@ def mqtt(
     ca_file, certificate_file, key_file = (str(file) if file is not None else None for file in files.values())
     parameters = aiomqtt.TLSParameters(ca_certs=ca_file, certfile=certificate_file, keyfile=key_file) if tls else None
     at = Broker(host, port, username, _password(username, password_file), parameters, versions[mqtt_version])
-    root = check_root(f"zenostat/{node}" if topic is None else topic)
+    root = check_root(f"{PREFIX}/{node}" if topic is None else topic)
     prefix = check_root(discovery_prefix) if home_assistant else None
     serve(
         node,

@@ -27,7 +27,7 @@ from bridge.gateways.mqtt.messages import (
     sample_json,
 )
 from bridge.gateways.mqtt.retained import RetainedMessages, point_topics
-from bridge.gateways.mqtt.topic_names import is_below, is_topic
+from bridge.gateways.mqtt.topic_names import PREFIX, is_below, is_topic
 from bridge.gateways.node_client import NodeClient
 from bridge.gateways.points import effective_value, readings
 from bridge.gateways.tasks import cancel
@@ -64,8 +64,8 @@ class _Received:
     """A command as received: the actuator's name, the payload, and where an MQTT 5 client wants the result.
 
     Attributes:
-        reply_topic: the response topic, unless it is one of the gateway's own, or none to which can be published.
-        own_topic: the response topic if it is one of the gateway's own.
+        reply_topic: the response topic, unless it is a gateway's own, or none to which can be published.
+        own_topic: the response topic if it is a gateway's own.
     """
 
     actuator: str
@@ -119,10 +119,11 @@ class MqttGateway:
     ) -> None:
         self.counts = Counts()
         self._node, self._broker, self._priority = node, broker, priority
-        self._root = f"zenostat/{node.name}" if root is None else root
+        self._root = f"{PREFIX}/{node.name}" if root is None else root
         self._home_assistant, self._notify = home_assistant, notify
-        # Nobody may use the gateway's rights on the broker to publish there; other clients believe what is there.
-        self._own_roots = (self._root,) if home_assistant is None else (self._root, home_assistant)
+        # Nobody may use the gateway's rights on the broker to publish where other clients believe what is there.
+        own = self._root if not is_below(self._root, PREFIX) else PREFIX
+        self._own_roots = [*dict.fromkeys(root for root in (PREFIX, own, home_assistant) if root is not None)]
         self._samples: deque[str] = deque(maxlen=MAX_WAITING)
         self._events: deque[str] = deque(maxlen=MAX_WAITING)
         self._results: deque[_Result] = deque(maxlen=MAX_RESULTS)
@@ -352,8 +353,8 @@ class MqttGateway:
             if received.own_topic is not None:
                 own = " and ".join(f"{root}/" for root in self._own_roots)
                 raise BadMessage(
-                    f"response topic {received.own_topic[:_SHOWN]!r} is one of the gateway's own; choose one that is "
-                    f"not below {own}, or {self._result_topic(received.actuator)}"
+                    f"response topic {received.own_topic[:_SHOWN]!r} is a gateway's own; choose one that is not below "
+                    f"{own}, or {self._result_topic(received.actuator)}"
                 )
             command = read_command(received.payload, priority=self._priority, source=self._node.source)
             ack = await self._node.write(

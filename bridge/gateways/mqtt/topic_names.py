@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from topics.errors import InvalidConfig
 
+PREFIX = "zenostat"
+"""First level of a gateway's topics, if the user chooses no other; the node's name follows."""
+
 _MAX_BYTES = 65_535
 _MAX_ROOT = 1000
 
