@@ -22,6 +22,14 @@ File = Annotated[Path, typer.Argument(help="Recording (`.mcap`) of `zenostat nod
 
 def verify(
     file: File,
+    plant: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE.py:CLASS",
+            help="For the recording of a Python class: the class, in a file or module with the recorded digest. "
+            "Code that a recording names is never run.",
+        ),
+    ] = None,
     tolerance: Annotated[
         float | None,
         typer.Option(
@@ -39,6 +47,8 @@ def verify(
     Example: `zenostat verify run.mcap`
 
     Example: `zenostat verify run.mcap --tolerance 0.01`
+
+    Example: `zenostat verify tank.mcap --plant tank.py:Tank`
     """
     from topics.extras import requires_extra
 
@@ -47,7 +57,7 @@ def verify(
     if tolerance is not None and not tolerance < float("inf"):
         raise InvalidConfig(f"--tolerance {tolerance}: expected a finite number of at least 0")
     with ExitStack() as stack:
-        result = verify_recording(file, tolerance=tolerance, progress=_bar(stack, file))
+        result = verify_recording(file, plant=plant, tolerance=tolerance, progress=_bar(stack, file))
     if as_json:
         show_json(_json(result))
     else:

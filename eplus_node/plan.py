@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -33,6 +34,9 @@ from topics.errors import ErrorCollector, InvalidConfig, UnknownName
 from topics.fault_plan import FaultPlan, Loss
 from topics.keys import check_name
 from topics.messages import Aggregation, Mode, Policy, Task, Versions
+
+REPEATED_SETTINGS = ("shrink_caches", "monitoring", "building", "weather")
+"""Settings of a provenance. A recording is data of anybody: no other setting of a node may come from one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,14 +136,32 @@ def describe(plan: Plan) -> PlantDescription:
     )
 
 
-def _provenance(plan: Plan) -> Provenance:
-    """Name what determines the results besides the scenario's text: model, weather files, design days, engine."""
-    files = {"model": Path(plan.building.file)} if plan.building.file else {}
-    for number, source in enumerate(plan.sources, 1):
-        files[f"weather {number}"] = source.path
-        ddy = design_days.ddy_of(source.path)
-        if plan.scenario.sizing == "weather" and ddy is not None:
+def input_files(config: NodeConfig) -> dict[str, Path]:
+    """Return the files that determine the results besides the scenario's text, by role; reads no model or weather.
+
+    Raises:
+        UnknownName, InvalidConfig: there is no such scenario, building or weather, or a setting is invalid.
+    """
+    scenario = scenario_of(config)
+    weathers = [catalog.find_weather(name).path for name in scenario.weather]
+    return _files(catalog.find_building(scenario.building).path, weathers, scenario)
+
+
+def _files(model: Path | None, weathers: Sequence[Path], scenario: Scenario) -> dict[str, Path]:
+    """Return model, weather files, design days and engine by role."""
+    files = {"model": model} if model is not None else {}
+    for number, weather in enumerate(weathers, 1):
+        files[f"weather {number}"] = weather
+        ddy = design_days.ddy_of(weather)
+        if scenario.sizing == "weather" and ddy is not None:
             files[f"design days {number}"] = ddy
+    return files | {"engine": energyplus.library()}
+
+
+def _provenance(plan: Plan) -> Provenance:
+    """Describe how to create the plant again; see `REPEATED_SETTINGS` for its settings."""
+    model = Path(plan.building.file) if plan.building.file else None
+    files = _files(model, [source.path for source in plan.sources], plan.scenario)
     config = plan.config
     settings: dict[str, object] = {"shrink_caches": config.shrink_caches, "monitoring": config.monitoring}
     # A path in the scenario may be relative to the node's working directory.
@@ -147,7 +169,7 @@ def _provenance(plan: Plan) -> Provenance:
         settings["building"] = str(files["model"].absolute())
     if any(Path(name).suffix.lower() in catalog.WEATHER_SUFFIXES for name in plan.scenario.weather):
         settings["weather"] = [str(source.path.absolute()) for source in plan.sources]
-    return Provenance("energyplus", settings, files | {"engine": energyplus.library()})
+    return Provenance("energyplus", settings, files)
 
 
 def _read_model(scenario: Scenario, errors: ErrorCollector) -> Building | None:

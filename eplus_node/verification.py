@@ -1,31 +1,44 @@
-"""Verify a recording: create the plant that was recorded, of either kind, and compare it with the recording."""
+"""Verify a recording: create the plant that was recorded, of either kind, and compare it with the recording.
+
+A recording is data of anybody. Nothing that it names is imported or run: a building is simulated by the installed
+EnergyPlus, and a Python class is the one that the user names. Digests are compared before either starts.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from bridge.engine.registry import UNRESPONSIVE_S, EngineRegistry
-from bridge.node.plant import PlantContext, PlantFactory, Provenance, RepeatablePlant, SlotPlacement
+from bridge.node.plant import PlantContext, PlantFactory, RepeatablePlant, SlotPlacement
 from bridge.recording.file import file_digest
 from bridge.recording.reader import RecordingReader
 from bridge.recording.verification import Progress, Verification, Verifier
 from bridge.runtime.scratch import Scratch, sweep
 from eplus_node.config import read_config
-from eplus_node.plan import describe, plan
+from eplus_node.plan import REPEATED_SETTINGS, input_files, plan
 from eplus_node.plant import EnergyPlusPlant
+from models.scenario.schema import Scenario
 from topics import VERSION, yaml12
-from topics.errors import InvalidRecording, UsageError
+from topics.codec import describe_validation_errors
+from topics.errors import InvalidConfig, InvalidRecording, UsageError
 
 
-def verify(path: str | Path, *, tolerance: float | None = None, progress: Progress | None = None) -> Verification:
+def verify(
+    path: str | Path, *, plant: str | None = None, tolerance: float | None = None, progress: Progress | None = None
+) -> Verification:
     """Simulate a recording again with its orders, and compare all fault-free values, effective values and times.
 
     Args:
         path: of the recording.
+        plant: for the recording of a Python class: the class, as `FILE.py:CLASS` or `MODULE:CLASS`. The one that the
+            recording names is never imported. It is defined in that file, which has the recorded digest (with a
+            tolerance, a note says that it differs); it receives the recorded arguments.
         tolerance: greatest absolute difference that is accepted, in each point's unit, also where the model, the
             weather or EnergyPlus has changed; None: all have to be the same, and the values equal to the bit.
         progress: called with the number of timesteps so far and in total.
@@ -35,29 +48,22 @@ def verify(path: str | Path, *, tolerance: float | None = None, progress: Progre
 
     Raises:
         InvalidRecording: the file is not a recording, or what it recorded is not installed or has changed.
+        InvalidConfig: `plant` names no class, or one that another file defines.
         SimulatorError: the simulator failed.
     """
     with ExitStack() as stack:
         reader = stack.enter_context(RecordingReader(path))
-        try:
-            factory, provenance = _factory(reader)
-        except UsageError as error:
-            raise InvalidRecording(f"what {path} recorded cannot be simulated here: {error}") from None
-        changes = _changes(reader.provenance, provenance)
-        if changes and tolerance is None:
-            raise InvalidRecording(
-                f"{path} cannot be verified to the bit: {'; '.join(changes)}; a tolerance compares it nevertheless"
-            )
+        factory, changes = _RecordedPlant(reader, exact=tolerance is None).factory(plant)
         sweep()
         scratch = Scratch()
         stack.callback(scratch.remove)
         slots, registry = reader.manifest.slots, EngineRegistry(UNRESPONSIVE_S)
         placement = (SlotPlacement(),) * slots
         context = PlantContext(scratch.folder, placement, baseline=reader.manifest.baseline, registry=registry)
-        plant = factory(context)
-        stack.callback(plant.close)
-        assert isinstance(plant, RepeatablePlant)
-        verifier = Verifier(reader, plant, scratch.folder / "copies", tolerance=tolerance, progress=progress)
+        new_plant = factory(context)
+        stack.callback(new_plant.close)
+        assert isinstance(new_plant, RepeatablePlant)
+        verifier = Verifier(reader, new_plant, scratch.folder / "copies", tolerance=tolerance, progress=progress)
         stack.callback(verifier.close)
         verifier.result.notes += changes
         recorded_version = reader.about.get("zenostat", "")
@@ -66,30 +72,97 @@ def verify(path: str | Path, *, tolerance: float | None = None, progress: Progre
         return verifier.run()
 
 
-def _factory(reader: RecordingReader) -> tuple[PlantFactory, Provenance]:
-    """Return what creates the recorded plant, and what it is made of here."""
-    kind, settings = reader.provenance.get("kind"), reader.provenance.get("settings", {})
-    if kind == "energyplus":
-        fields = yaml12.parse(reader.scenario, "its scenario") | settings
-        planned = plan(read_config(fields))
-        return partial(EnergyPlusPlant, planned), describe(planned).provenance
-    if kind == "python":
+class _RecordedFile(BaseModel):
+    path: str
+    sha256: str
+
+
+class _Provenance(BaseModel):
+    """The recorded provenance; see `bridge.node.plant.Provenance`."""
+
+    model_config = ConfigDict(extra="ignore")
+
+    kind: Literal["", "energyplus", "python"] = ""
+    settings: dict[str, Any] = Field(default_factory=dict)
+    files: dict[str, _RecordedFile] = Field(default_factory=dict)
+
+
+class _RecordedPlant:
+    """What a recording says of its plant, none of which is trusted.
+
+    Args:
+        reader: of the recording.
+        exact: files that differ from the recorded ones are an error; otherwise, they are changes.
+    """
+
+    def __init__(self, reader: RecordingReader, *, exact: bool) -> None:
+        self._reader, self._path, self._exact = reader, reader.path, exact
+        try:
+            self._provenance = _Provenance.model_validate(reader.provenance)
+        except ValidationError as error:
+            raise InvalidRecording(
+                f"{self._path} is damaged: its provenance: {describe_validation_errors(error)}"
+            ) from None
+
+    def factory(self, plant: str | None) -> tuple[PlantFactory, list[str]]:
+        """Return what creates the plant, and what has changed since; nothing of it has run. `plant`: as in `verify`."""
+        kind = self._provenance.kind
+        if kind == "python":
+            return self._python_class(plant)
+        if plant is not None:
+            raise InvalidConfig(f"--plant {plant}: {self._path} did not record a Python class; leave --plant out")
+        if kind == "energyplus":
+            try:
+                return self._building()
+            except UsageError as error:
+                if isinstance(error, InvalidRecording):
+                    raise
+                raise InvalidRecording(f"what {self._path} recorded cannot be simulated here: {error}") from None
+        raise InvalidRecording("its plant is neither a building nor a Python class that Zenostat started")
+
+    def _building(self) -> tuple[PlantFactory, list[str]]:
+        settings = self._provenance.settings
+        self._check_names(settings, REPEATED_SETTINGS)
+        scenario = yaml12.parse(self._reader.scenario, "its scenario")
+        self._check_names(scenario, tuple(Scenario.model_fields))
+        config = read_config(scenario | settings)
+        changes = self._changes(input_files(config))
+        return partial(EnergyPlusPlant, plan(config)), changes
+
+    def _check_names(self, settings: Mapping[str, Any], known: Sequence[str]) -> None:
+        if foreign := [name for name in settings if name not in known]:
+            raise InvalidRecording(f"{self._path} is damaged: no recording has the setting {', '.join(foreign)}")
+
+    def _python_class(self, plant: str | None) -> tuple[PlantFactory, list[str]]:
+        from bridge.python_plant.class_file import class_file
         from bridge.python_plant.plant import PythonPlant, plan_class
 
-        class_plan = plan_class(settings["plant"], settings["plant_arguments"], UNRESPONSIVE_S)
-        return partial(PythonPlant, class_plan), class_plan.description.provenance
-    raise InvalidRecording("its plant is neither a building nor a Python class that Zenostat started")
+        recorded, arguments = self._provenance.settings.get("plant"), self._provenance.settings.get("plant_arguments")
+        if not isinstance(recorded, str) or not isinstance(arguments, dict):
+            raise InvalidRecording(f"{self._path} is damaged: its provenance names no class and arguments")
+        if plant is None:
+            raise InvalidRecording(
+                f"{self._path} recorded the Python class {recorded}; no code that a recording names is run: name the "
+                f"class yourself, as in --plant tank.py:Tank (verify(..., plant=...))"
+            )
+        file, name = class_file(plant), recorded.rpartition(":")[2]
+        renamed = [] if plant.endswith(f":{name}") else [f"the class {plant} is not the recorded {name}"]
+        changes = self._changes({"class": file}, renamed)
+        return partial(PythonPlant, plan_class(plant, arguments, UNRESPONSIVE_S, own_class=True)), changes
 
-
-def _changes(recorded: Mapping[str, Any], present: Provenance) -> list[str]:
-    """Return a text for each file whose content is not that of the recording."""
-    files: Mapping[str, Any] = recorded.get("files", {})
-    texts = []
-    for role in dict.fromkeys((*files, *present.files)):
-        if role not in present.files:
-            texts.append(f"the {role} {files[role]['path']} is missing")
-        elif role not in files:
-            texts.append(f"the {role} {present.files[role]} was not there")
-        elif file_digest(present.files[role]) != files[role]["sha256"]:
-            texts.append(f"the {role} {present.files[role]} has changed")
-    return texts
+    def _changes(self, present: Mapping[str, Path], changes: Sequence[str] = ()) -> list[str]:
+        """Return a text for each file whose content is not the recorded one, after `changes`; raise if exact."""
+        recorded = self._provenance.files
+        texts = [*changes]
+        for role in dict.fromkeys((*recorded, *present)):
+            if role not in present:
+                texts.append(f"the {role} {recorded[role].path} is missing")
+            elif role not in recorded:
+                texts.append(f"the recording has no digest of the {role} {present[role]}")
+            elif file_digest(present[role]) != recorded[role].sha256:
+                texts.append(f"the {role} {present[role]} has changed")
+        if texts and self._exact:
+            raise InvalidRecording(
+                f"{self._path} cannot be verified to the bit: {'; '.join(texts)}; a tolerance compares it nevertheless"
+            )
+        return texts

@@ -43,9 +43,15 @@ class Point:
 
 @dataclass(frozen=True, slots=True)
 class ClassDescription:
-    """Declarations of a plant's class. `forkable`, `has_state`: whether it can be copied by a fork, or by its state."""
+    """Declarations of a plant's class.
+
+    Attributes:
+        file: that defines the class; empty if it is not known.
+        forkable, has_state: whether it can be copied by a fork, or by its state.
+    """
 
     name: str
+    file: str
     step_s: float
     steps: int
     begin: str
@@ -66,8 +72,8 @@ def split_name(plant: str) -> tuple[str, str]:
     return place, name
 
 
-def load_class(plant: str) -> type[Any]:
-    """Import the class of a plant.
+def load_class(plant: str, *, own_class: bool = False) -> type[Any]:
+    """Import the class of a plant; `own_class` rejects one that is not defined there.
 
     Raises:
         InvalidConfig: there is no such file, module or class.
@@ -79,6 +85,11 @@ def load_class(plant: str) -> type[Any]:
     if not isinstance(plant_class, type):
         classes = [n for n, o in vars(module).items() if isinstance(o, type) and o.__module__ == module.__name__]
         raise InvalidConfig(f"plant {plant!r}: no class {name!r} in {place}; {did_you_mean(name, classes)}")
+    if own_class and plant_class.__module__ != module.__name__:
+        raise InvalidConfig(
+            f"plant {plant!r}: {place} does not define {name!r}, but imports it from {plant_class.__module__}; name "
+            "the file that defines it"
+        )
     return plant_class
 
 
@@ -112,14 +123,19 @@ def _load_module(name: str) -> Any:
         raise InvalidConfig(f"plant: no module {name!r}; name a file as FILE.py:CLASS") from None
 
 
-def create(plant: str, arguments: Mapping[str, Any]) -> Any:
+def create(plant: str, arguments: Mapping[str, Any], *, own_class: bool = False) -> Any:
     """Return an instance of a plant's class.
+
+    Args:
+        plant: `FILE.py:CLASS` or `MODULE:CLASS`.
+        arguments: of the class.
+        own_class: reject a class that the file or the module only imports, before it is called.
 
     Raises:
         InvalidConfig: there is no such class, or it does not take these arguments.
         Exception: whatever the user's code raises.
     """
-    cls = load_class(plant)
+    cls = load_class(plant, own_class=own_class)
     try:
         signature = inspect.signature(cls)
     except ValueError:  # a class of a compiled module
@@ -154,6 +170,7 @@ def describe(plant: Any) -> ClassDescription:
         raise InvalidConfig("\n".join(f"plant {name}: {error}" for error in errors))
     return ClassDescription(
         name=re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "-", name).lower(),
+        file=str(getattr(sys.modules.get(type(plant).__module__), "__file__", None) or ""),
         step_s=step_s,
         steps=steps,
         begin=begin.isoformat(),

@@ -255,7 +255,9 @@ def print_description() -> NoReturn:
     os.dup2(2, 1)  # what the user's module prints is no description
     _print_lines()
     try:
-        fields = dataclasses.asdict(describe(create(request["plant"], request["arguments"])))
+        fields = dataclasses.asdict(
+            describe(create(request["plant"], request["arguments"], own_class=request["own_class"]))
+        )
         text, code = json.dumps(fields), 0
     except ZenostatError as error:
         text, code = json.dumps(to_wire(error)), 1

@@ -32,6 +32,7 @@ from bridge.node.plant import (
     WeatherTable,
     without_weather,
 )
+from bridge.python_plant.description import split_name
 from bridge.runtime.idle_watch import LOOK_S, IdleWatch
 from topics import VERSION, errors
 from topics.errors import EngineDied, EngineUnresponsive, ForkFailed, InvalidRecording, PlantFailed
@@ -77,20 +78,23 @@ class ClassPlan:
     has_state: bool
 
 
-def plan_class(plant: str, arguments: Mapping[str, Any], unresponsive_s: float) -> ClassPlan:
+def plan_class(
+    plant: str, arguments: Mapping[str, Any], unresponsive_s: float, *, own_class: bool = False
+) -> ClassPlan:
     """Check a plant's class and describe it, in a process of its own.
 
     Args:
         plant: `FILE.py:CLASS` or `MODULE:CLASS`.
         arguments: of the class, JSON built-ins.
         unresponsive_s: time after which a process that does not use processor time is killed.
+        own_class: reject a class that the file or the module only imports.
 
     Raises:
         InvalidConfig: there is no such class, it does not take the arguments, or it lacks something; lists all errors.
         PlantFailed: its code raised an error; the text has the traceback.
         EngineDied, EngineUnresponsive: the process ended, or does not answer.
     """
-    request = json.dumps({"plant": plant, "arguments": dict(arguments), "parent": os.getpid()})
+    request = json.dumps({"plant": plant, "arguments": dict(arguments), "own_class": own_class, "parent": os.getpid()})
     environment = {**os.environ, **PYTHON.environment}
     process = subprocess.Popen(
         [*HOST, "describe"],
@@ -113,15 +117,17 @@ def plan_class(plant: str, arguments: Mapping[str, Any], unresponsive_s: float) 
         raise EngineDied(f"plant {plant!r} could not be created: its process {_end(process.returncode)}") from None
     if "error" in fields:
         raise errors.from_wire(fields)
-    description = replace(_describe(fields), provenance=_provenance(plant, arguments))
+    description = replace(_describe(fields), provenance=_provenance(plant, arguments, fields["file"]))
     return ClassPlan(plant, dict(arguments), description, fields["forkable"], fields["has_state"])
 
 
-def _provenance(plant: str, arguments: Mapping[str, Any]) -> Provenance:
-    """Name the class and its file; modules that it imports are not among the files."""
-    place, _, name = plant.rpartition(":")
-    files = {"class": Path(place).absolute()} if place.endswith(".py") else {}
-    path = f"{files['class']}:{name}" if files else plant
+def _provenance(plant: str, arguments: Mapping[str, Any], source: str) -> Provenance:
+    """Name the class and the file that defines it, `source`; modules that it imports are not among the files."""
+    place, name = split_name(plant)
+    is_file = place.endswith(".py")
+    file = Path(place if is_file else source).absolute()
+    files = {"class": file} if is_file or source.endswith(".py") else {}
+    path = f"{file}:{name}" if is_file else plant
     return Provenance("python", {"plant": path, "plant_arguments": dict(arguments)}, files)
 
 

@@ -6,6 +6,7 @@ expiries, fallback policies or injected faults. Nothing between the node's excha
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import timedelta
@@ -173,6 +174,7 @@ class Verifier:
         self._last: dict[int, bool] = {}
         self._unknown_samples = 0
         self._copies: dict[str, _Copy] = {}
+        self._folders = itertools.count(1)
         self._uses: dict[str, int] = {}
         self._total = 0
         self._greatest: dict[str, NDArray[np.float64]] = {}
@@ -279,7 +281,8 @@ class Verifier:
     def _on_snapshot(self, record: RecordedSnapshot) -> None:
         if self._uses.get(record.snapshot) and any(self._known):
             baseline = self._reader.manifest.baseline
-            copy = self._plant.fork(range(self._slots), self._folder / record.snapshot, baseline=baseline)
+            folder = self._folder / str(next(self._folders))  # a name from a file could be a path
+            copy = self._plant.fork(range(self._slots), folder, baseline=baseline)
             self._copies[record.snapshot] = _Copy(copy, [*self._step], [*self._known])
 
     def close(self) -> None:

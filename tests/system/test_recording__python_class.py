@@ -51,6 +51,10 @@ class Walk:
 PUSH, PLACE = 0, 0
 
 
+def plant_of(walk: Path) -> str:
+    return f"{walk.with_name('walk.py')}:Walk"
+
+
 @pytest.fixture(scope="module")
 def walk(module_scratch: Path) -> Path:
     """A recording of two episodes, a snapshot, a return to it, and a last episode without a seed."""
@@ -76,11 +80,15 @@ def walk(module_scratch: Path) -> Path:
 
 
 def test_seeds_and_snapshots_verify(walk: Path) -> None:
-    result = verify(walk)
+    result = verify(walk, plant=plant_of(walk))
     assert result.passed, str(result)
     assert (result.steps, result.episodes, result.skipped) == (16, 4, [])
     assert str(result) == "identical: 16 steps, 2 points, 1 actuators"
-    assert verify(walk, tolerance=0.0).greatest == {"place": 0.0, "effort": 0.0, "effective push": 0.0}
+    assert verify(walk, plant=plant_of(walk), tolerance=0.0).greatest == {
+        "place": 0.0,
+        "effort": 0.0,
+        "effective push": 0.0,
+    }
 
 
 class Change:
@@ -151,7 +159,7 @@ CHANGES = {
 def test_what_was_changed_is_named(walk: Path, name: str) -> None:
     create, expected = CHANGES[name]
     change = create()
-    result = verify(rewrite(walk, walk.with_name("changed.mcap"), change))
+    result = verify(rewrite(walk, walk.with_name("changed.mcap"), change), plant=plant_of(walk))
     assert change.count == 1
     assert not result.passed
     assert expected in str(result)
@@ -159,18 +167,19 @@ def test_what_was_changed_is_named(walk: Path, name: str) -> None:
 
 @pytest.mark.slow
 def test_the_command_says_identical_or_the_first_difference(walk: Path) -> None:
-    said = run("verify", str(walk))
+    plant = ("--plant", plant_of(walk))
+    said = run("verify", str(walk), *plant)
     assert (said.returncode, said.stdout.splitlines()[-1]) == (0, "identical: 16 steps, 2 points, 1 actuators")
     change = Change("Sample", lambda s: {"values": shifted(s["values"], PLACE, next_up)})
     changed = rewrite(walk, walk.with_name("changed.mcap"), change)
-    said = run("verify", str(changed), "--json")
+    said = run("verify", str(changed), *plant, "--json")
     fields = json.loads(said.stdout)
     assert said.returncode == 1
     assert (fields["passed"], fields["difference"]["point"], fields["difference"]["step"]) == (False, "place", 4)
-    said = run("verify", str(changed), "--tolerance", "1e-6")
+    said = run("verify", str(changed), *plant, "--tolerance", "1e-6")
     assert said.returncode == 0
     assert "all are within 1e-06" in said.stdout
-    said = run("verify", str(changed), "--tolerance", "0")
+    said = run("verify", str(changed), *plant, "--tolerance", "0")
     assert said.returncode == 1
     assert "place" in said.stdout
 
@@ -182,21 +191,21 @@ def test_a_changed_class_is_refused_unless_a_tolerance_compares_it(walk: Path) -
     try:
         file.write_text(text.replace("abs(commands", "0.5 + abs(commands"))
         with pytest.raises(InvalidRecording, match=r"the class .*walk\.py has changed; a tolerance compares it"):
-            verify(walk)
-        result = verify(walk, tolerance=0.1)
+            verify(walk, plant=plant_of(walk))
+        result = verify(walk, plant=plant_of(walk), tolerance=0.1)
         assert not result.passed
         assert result.greatest == {"place": 0.0, "effort": pytest.approx(0.5), "effective push": 0.0}
-        assert verify(walk, tolerance=0.51).passed
+        assert verify(walk, plant=plant_of(walk), tolerance=0.51).passed
         file.write_text(text.replace('"effort"', '"work"'))
-        result = verify(walk, tolerance=0.0)
+        result = verify(walk, plant=plant_of(walk), tolerance=0.0)
         assert result.passed
         assert "effort is not a point of the model and was not compared" in result.notes
         file.write_text(text.replace('"push"', '"pull"'))
         with pytest.raises(InvalidRecording, match="lacks actuators that the recording commands: push"):
-            verify(walk, tolerance=0.0)
+            verify(walk, plant=plant_of(walk), tolerance=0.0)
         file.unlink()
-        with pytest.raises(InvalidRecording, match=r"cannot be simulated here: .*no file .*walk\.py"):
-            verify(walk)
+        with pytest.raises(InvalidConfig, match=r"no file .*walk\.py"):
+            verify(walk, plant=plant_of(walk))
     finally:
         file.write_text(text)
 
@@ -205,13 +214,13 @@ def test_a_recording_without_a_start_verifies_nothing(walk: Path) -> None:
     path = rewrite(
         walk, walk.with_name("start.mcap"), lambda _, i: None if i.schema == "RecordedEpisode" else i.payload
     )
-    result = verify(path)
+    result = verify(path, plant=plant_of(walk))
     assert not result.passed
     assert result.steps == 0
     with RecordingReader(path) as reader:
         samples = sum(1 for _ in reader.messages({"Sample"}))
     assert result.skipped == [f"{samples} samples of episodes whose start is not in the recording"]
-    assert run("verify", str(path)).returncode == 1
+    assert run("verify", str(path), "--plant", plant_of(walk)).returncode == 1
 
 
 def test_a_plant_that_cannot_be_created_again_is_refused(walk: Path) -> None:
