@@ -20,6 +20,7 @@ from cli.write import Node, Source, person
 from topics.errors import NodeNotFound
 from topics.keys import Role
 from topics.messages import AlarmList, AlarmPriority, AlarmState, AlarmStatus, EventState
+from topics.printable import replace_controls
 from topics.units import with_unit
 
 _POLL_S = 1.0
@@ -123,7 +124,7 @@ def _print_changes(
         if before is not None and _change_of(before) == _change_of(alarm):
             continue
         line = json.dumps(_alarm_json(alarm)) if as_json else "  ".join(filter(None, _cells(alarm)))
-        sys.stdout.write(f"{line}\n" if as_json else f"{node}  {line}\n")
+        sys.stdout.write(f"{line}\n" if as_json else f"{node}  {replace_controls(line)}\n")
         sys.stdout.flush()
 
 

@@ -1,35 +1,67 @@
-"""Consoles, progress bars and signals shared by the commands."""
+"""Consoles, progress bars and signals shared by the commands.
+
+What is printed comes from nodes, files and other programs as well: no text is markup, and no control character of a
+text reaches the terminal.
+"""
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TimeRemainingColumn
+from rich.text import Text
 
 from bridge.runtime.signals import TERMINATION_SIGNALS, override_signals
 from topics.errors import ZenostatError
+from topics.printable import replace_controls, replace_controls_in_lines
+from topics.typing_compat import override
 
-out = Console(highlight=False)
-err = Console(stderr=True, highlight=False)
+
+class _PlainConsole(Console):
+    """A console on which texts are plain."""
+
+    def __init__(self, *, stderr: bool = False) -> None:
+        super().__init__(stderr=stderr, highlight=False, markup=False, emoji=False)
+
+    @override
+    def render_str(self, text: str, **options: Any) -> Text:
+        return super().render_str(replace_controls_in_lines(text), **options)
+
+
+class _PlainColumn(ProgressColumn):
+    """A text of a progress bar, such as `{task.description}`."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self._text = text
+
+    @override
+    def render(self, task: Task) -> Text:
+        return Text(replace_controls(self._text.format(task=task)))
+
+
+out = _PlainConsole()
+err = _PlainConsole(stderr=True)
 
 
 def print_error(text: str) -> None:
-    """Print an error as plain text: names in brackets are not markup."""
+    """Print an error."""
     err.print("error:", style="bold red", end=" ")
-    err.print(text, markup=False, soft_wrap=True)
+    err.print(text, soft_wrap=True)
 
 
 @contextmanager
 def progress() -> Iterator[Progress]:
     """Show progress bars over timesteps, with their rate, in a terminal; a `ZenostatError` removes them."""
     bars = Progress(
-        TextColumn("{task.description}"),
+        _PlainColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
-        TextColumn("{task.fields[rate]}"),
+        _PlainColumn("{task.fields[rate]}"),
         TimeRemainingColumn(),
         console=out,
         transient=False,

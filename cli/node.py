@@ -214,7 +214,7 @@ def _greeting(node: Node, listen: str) -> str:
     manifest, run_period = node.manifest, node.plant.description.run_period
     location = f" in {manifest.location}" if manifest.location else ""
     return (
-        f"[bold]{manifest.node}[/bold] on {listen}: {manifest.building}{location}, "
+        f"{manifest.node} on {listen}: {manifest.building}{location}, "
         f"{run_period.begin:%Y-%m-%d} to {run_period.end - timedelta(seconds=run_period.step_s):%Y-%m-%d}, "
         f"{manifest.steps} timesteps of {format_duration(manifest.step_s)}; "
         f"{len(manifest.sensors)} sensors, {len(manifest.meters)} meters, {len(manifest.actuators)} actuators. "

@@ -11,12 +11,12 @@ from typing import Any
 from rich import box
 from rich.cells import cell_len
 from rich.console import Group, RenderableType
-from rich.markup import escape
 from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
 from cli.console import out
+from topics.printable import replace_controls, replace_controls_in_lines
 
 _MAX_RENDERED_ROWS = 2000
 """Longer tables take seconds to render."""
@@ -115,14 +115,18 @@ def _table(
     right: Sequence[str],
 ) -> Table:
     table = Table(
-        title=escape(title) or None, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False
+        title=_plain(title) if title else None,
+        title_justify="left",
+        box=box.SIMPLE_HEAD,
+        pad_edge=False,
+        show_edge=False,
     )
     table.padding = (0, _GAP - 1, 0, 0)  # the box style adds 1
     for name, width in zip(columns, widths, strict=True):
         heading = _wrapped(name, width, pattern)
-        table.add_column(escape(heading), justify="right" if name in right else "left", width=width, no_wrap=True)
+        table.add_column(_plain(heading), justify="right" if name in right else "left", width=width, no_wrap=True)
     for row in rows:
-        table.add_row(*(escape(_wrapped(cell, width, pattern)) for cell, width in zip(row, widths, strict=True)))
+        table.add_row(*(_plain(_wrapped(cell, width, pattern)) for cell, width in zip(row, widths, strict=True)))
     return table
 
 
@@ -146,11 +150,13 @@ def _paragraphs(columns: Sequence[str], rows: Sequence[Sequence[str]], title: st
     lead = next((index for index, column in enumerate(columns) if column in wrap), 0)
     for row in rows:
         rest = list(zip(headings, row, strict=True))
-        parts.append(Text(rest.pop(lead)[1], style="bold", overflow="fold"))
+        parts.append(_plain(rest.pop(lead)[1], style="bold"))
         text = Text(overflow="fold")
         for name, cell in rest:
             if cell:
-                text.append("; " if text else "").append(f"{name}: ", style="dim").append(cell.replace("\n", " "))
+                text.append("; " if text else "").append(f"{name}: ", style="dim").append(
+                    replace_controls(cell.replace("\n", " "))
+                )
         parts.append(Padding(text, (0, 0, 0, 2)))
     return Group(*parts)
 
@@ -158,6 +164,14 @@ def _paragraphs(columns: Sequence[str], rows: Sequence[Sequence[str]], title: st
 def _show_lines(columns: Sequence[str], rows: Sequence[Sequence[str]], right: Sequence[bool]) -> None:
     widths = [min(max(map(len, cells)), _MAX_PAD) for cells in zip(columns, *rows, strict=True)]
     for row in (columns, *rows):
-        cells = zip(row, widths, right, strict=True)
+        cells = zip(map(_one_line, row), widths, right, strict=True)
         line = "  ".join(cell.rjust(width) if is_right else cell.ljust(width) for cell, width, is_right in cells)
         sys.stdout.write(line.rstrip() + "\n")
+
+
+def _plain(cell: str, style: str = "") -> Text:
+    return Text(replace_controls_in_lines(cell), style=style, overflow="fold")
+
+
+def _one_line(cell: str) -> str:
+    return replace_controls(cell.replace("\n", " "))

@@ -27,6 +27,7 @@ from models.scenario.schema import Scenario
 from topics import VERSION, yaml12
 from topics.codec import describe_validation_errors
 from topics.errors import InvalidConfig, InvalidRecording, UsageError
+from topics.messages import Lines
 
 
 def verify(
@@ -73,7 +74,7 @@ def verify(
 
 
 class _RecordedFile(BaseModel):
-    path: str
+    path: Lines
     sha256: str
 
 
@@ -142,7 +143,7 @@ class _RecordedPlant:
             raise InvalidRecording(f"{self._path} is damaged: its provenance names no class and arguments")
         if plant is None:
             raise InvalidRecording(
-                f"{self._path} recorded the Python class {recorded}; no code that a recording names is run: name the "
+                f"{self._path} recorded the Python class {recorded!r}; no code that a recording names is run: name the "
                 f"class yourself, as in --plant tank.py:Tank (verify(..., plant=...))"
             )
         file, name = class_file(plant), recorded.rpartition(":")[2]

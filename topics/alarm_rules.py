@@ -12,7 +12,7 @@ from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, field_v
 
 from topics.calendar import Weekday, check_hours
 from topics.errors import did_you_mean
-from topics.messages import AlarmPriority, Finite, Message, NotifyType, SafeName
+from topics.messages import AlarmPriority, Finite, Lines, Message, NotifyType, SafeName
 from topics.points import check_order
 
 Hours = Annotated[tuple[Finite, Finite], AfterValidator(check_hours)]
@@ -73,7 +73,7 @@ class AlarmRule(_Part):
     weekdays: Annotated[tuple[Weekday, ...], Field(min_length=1)] | None = None
     priority: AlarmPriority = AlarmPriority.MEDIUM
     notify: NotifyType = NotifyType.ALARM
-    text: Annotated[str, Field(max_length=500)] = ""
+    text: Annotated[Lines, Field(max_length=500)] = ""
 
     @model_validator(mode="before")
     @classmethod

@@ -19,6 +19,7 @@ from pydantic import BaseModel, ValidationError
 
 from topics.errors import BadMessage, did_you_mean
 from topics.messages import SCHEMA_VERSION, AlarmList, Batch, Claim, Geometry, Manifest, Message, Sample, Status
+from topics.printable import replace_controls
 
 M = TypeVar("M", bound=Message)
 
@@ -118,17 +119,20 @@ def decode(message: type[M], payload: bytes, declared: str = "") -> M:
     try:
         fields = _unpacked(payload, MAX_ITEMS.get(message, MAX_ENTRIES))
     except Exception as error:  # msgpack raises a dozen unrelated classes on malformed input
-        raise BadMessage(f"not msgpack: {type(error).__name__} {error}".rstrip()) from None
+        raise BadMessage(replace_controls(f"not msgpack: {type(error).__name__} {error}".rstrip())) from None
     if not isinstance(fields, dict):
         raise BadMessage(f"a {message.__name__} should be a map of its fields, got {type(fields).__name__}")
     try:
         return message.__pydantic_validator__.validate_python(fields)  # type: ignore[no-any-return]
     except ValidationError as error:
-        raise BadMessage(f"{message.__name__}: {describe_validation_errors(error)}") from None
+        raise BadMessage(replace_controls(f"{message.__name__}: {describe_validation_errors(error)}")) from None
 
 
 def text_field(payload: bytes, name: str, limit: int) -> str:
-    """Return up to `limit` characters of one string in a map that need not be valid; empty if it cannot be read."""
+    """Return up to `limit` characters of one string in a map that need not be valid, without control characters.
+
+    It is empty if it cannot be read.
+    """
     if len(payload) > MAX_BYTES:
         return ""
     try:
@@ -136,7 +140,7 @@ def text_field(payload: bytes, name: str, limit: int) -> str:
     except Exception:  # msgpack raises a dozen unrelated classes on malformed input
         return ""
     text = fields.get(name) if isinstance(fields, dict) else None
-    return text[:limit] if isinstance(text, str) else ""
+    return replace_controls(text[:limit]) if isinstance(text, str) else ""
 
 
 def _unpacked(payload: bytes, limit: int) -> Any:

@@ -52,6 +52,7 @@ from topics.messages import (
     WeatherSeries,
     Write,
 )
+from topics.printable import replace_controls
 
 PREFIX = f"zenostat/v{SCHEMA_VERSION}"
 NODE_CHUNK = 2
@@ -193,13 +194,13 @@ def root(node: str) -> str:
 
 
 def node_of(key: str) -> str:
-    """Return the node's name in a full key."""
-    return key.split("/")[NODE_CHUNK]
+    """Return the node's name in a full key, without control characters."""
+    return replace_controls(key.split("/")[NODE_CHUNK])
 
 
 def last_chunk(key: str) -> str:
-    """Return the last chunk of a full key: the name of a point, a controller or an instance."""
-    return key.rsplit("/", 1)[1]
+    """Return the last chunk of a full key, the name of a point, a controller or an instance: no control characters."""
+    return replace_controls(key.rsplit("/", 1)[1])
 
 
 _UNSAFE = re.compile(r"[^A-Za-z0-9_.\-]+")

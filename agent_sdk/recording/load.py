@@ -17,6 +17,7 @@ from topics import codec
 from topics.errors import BadMessage, InvalidRecording
 from topics.extras import requires_extra
 from topics.messages import Event, Manifest
+from topics.printable import replace_controls
 from topics.recording import RecordedEpisode
 
 
@@ -112,9 +113,10 @@ class _Samples:
         raw["baseline"].append(sample["baseline"])
         raw["baseline_effective"].append(sample["baseline_effective"])
         self.order = None
-        self.time = sample["time"][0]
+        self.time = replace_controls(sample["time"][0])
         if sample["sources"] != self._mapping[0]:
-            indices = [self._sources.setdefault(name, len(self._sources)) for name in sample["sources"]]
+            names = map(replace_controls, sample["sources"])
+            indices = [self._sources.setdefault(name, len(self._sources)) for name in names]
             self._mapping = sample["sources"], np.array(indices, np.intp)
         self._source_rows.append(self._mapping[1][np.frombuffer(sample["source_index"], "<u2")])
 

@@ -12,6 +12,7 @@ import msgpack
 from topics import codec, keys
 from topics.errors import BadMessage
 from topics.messages import ANONYMOUS, REJECTIONS, AlarmTransition, ErrorReply, Event, EventKind
+from topics.printable import replace_controls
 from topics.recording import RecordedMessage, RecordedRequest
 
 if TYPE_CHECKING:
@@ -136,7 +137,9 @@ class LogBuilder:
         elif kind == "command":
             subject = _answer_text(fields)
         else:
-            subject = ", ".join(f"{key} {value}" for key, value in fields.items() if _is_shown(key, value))
+            subject = replace_controls(
+                ", ".join(f"{key} {value}" for key, value in fields.items() if _is_shown(key, value))
+            )
         entry = LogEntry(_utc(time_ns), simulated, source, kind, subject, _reply_text(request))
         self._entries.append(entry)
 
@@ -159,7 +162,7 @@ def _fields(payload: bytes) -> Mapping[str, Any]:
 
 
 def _source(fields: Mapping[str, Any]) -> str:
-    return str(fields.get("controller") or fields.get("source") or "")
+    return replace_controls(str(fields.get("controller") or fields.get("source") or ""))
 
 
 def _is_shown(key: str, value: Any) -> bool:
@@ -167,14 +170,14 @@ def _is_shown(key: str, value: Any) -> bool:
 
 
 def _answer_text(fields: Mapping[str, Any]) -> str:
-    return f"answers step {fields.get('step', '?')} of episode {fields.get('episode', '?')}"
+    return replace_controls(f"answers step {fields.get('step', '?')} of episode {fields.get('episode', '?')}")
 
 
 def _write_text(name: str, fields: Mapping[str, Any]) -> str:
     value, priority = fields.get("value"), fields.get("priority", 8)
     text = f"{name} relinquished" if value is None else f"{name} = {value}"
     duration = f" for {fields['duration_s']:g} s" if isinstance(fields.get("duration_s"), int | float) else ""
-    return f"{text} at priority {priority}{duration}"
+    return replace_controls(f"{text} at priority {priority}{duration}")
 
 
 def _reply_text(request: RecordedRequest) -> str:

@@ -180,7 +180,7 @@ def _number_class(place: int) -> str:
 
 def _cell(place: int, value: Any) -> str:
     text = value if isinstance(value, str) else NONE if isnan(value) else number(float(value))
-    return f'<td class="n">{text}</td>' if place else f'<th scope="row">{escape(str(text))}</th>'
+    return f'<td class="n">{escape(text)}</td>' if place else f'<th scope="row">{escape(str(text))}</th>'
 
 
 def _origin(comparison: Comparison) -> str:

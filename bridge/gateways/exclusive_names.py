@@ -14,6 +14,7 @@ from zenoh.handlers import Callback
 
 from topics import keys
 from topics.errors import NameInUse
+from topics.printable import replace_controls
 
 
 @asynccontextmanager
@@ -68,7 +69,7 @@ def _token_name(name: str, instance: str) -> str:
 
 async def _check(session: zenoh.Session, node: str, names: Mapping[str, str], precedes: Callable[[str], bool]) -> None:
     for token in await liveliness_tokens(session, keys.GATEWAY_TOKEN.at(node, name="*")):
-        name, host, process, instance = map(unquote, keys.last_chunk(token).split(":"))
+        name, host, process, instance = (replace_controls(unquote(part)) for part in keys.last_chunk(token).split(":"))
         if name in names and precedes(instance):
             raise NameInUse(
                 f"a gateway of node {node!r} uses {name!r} already (process {process} on {host}); {names[name]}"

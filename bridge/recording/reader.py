@@ -25,6 +25,7 @@ from bridge.recording.file import MAGIC
 from topics import codec, recording
 from topics.errors import BadMessage, InvalidRecording
 from topics.messages import SCHEMA_VERSION, Geometry, Manifest
+from topics.printable import replace_controls, replace_controls_in_lines
 
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
@@ -131,7 +132,7 @@ class RecordingReader:
         try:
             self.root = self.about["root"]
             self.manifest = Manifest.model_validate_json(attached[recording.MANIFEST])
-            self.scenario = attached[recording.SCENARIO].decode()
+            self.scenario = replace_controls_in_lines(attached[recording.SCENARIO].decode())
             self.provenance: dict[str, Any] = json.loads(attached[recording.PROVENANCE])
             geometry = attached.get(recording.GEOMETRY)
             self.geometry = None if geometry is None else codec.decode(Geometry, geometry)
@@ -144,14 +145,12 @@ class RecordingReader:
             if opcode == Opcode.HEADER:
                 header = Header.read(stream)
                 if header.profile != recording.PROFILE:
-                    raise InvalidRecording(
-                        f"{self.path} is an MCAP file of {header.library or 'another program'}, not a recording of "
-                        "Zenostat"
-                    )
+                    library = replace_controls(header.library) or "another program"
+                    raise InvalidRecording(f"{self.path} is an MCAP file of {library}, not a recording of Zenostat")
             elif opcode == Opcode.METADATA:
                 metadata = Metadata.read(stream)
                 if metadata.name == recording.ABOUT:
-                    self.about = metadata.metadata
+                    self.about = _printable(metadata.metadata)
                     self._check_version()
             elif opcode == Opcode.ATTACHMENT:
                 attachment = Attachment.read(stream)
@@ -257,12 +256,13 @@ class RecordingReader:
                     items.append(RecordedItem(*channel, time_ns, data[position + 22 : position + length]))
             elif opcode == _IS_SCHEMA:
                 schema = Schema.read(ReadDataStream(io.BytesIO(data[position : position + length])))
-                names[schema.id] = schema.name
+                names[schema.id] = replace_controls(schema.name)
             elif opcode == _IS_CHANNEL:
                 found_channel = Channel.read(ReadDataStream(io.BytesIO(data[position : position + length])))
                 name = names[found_channel.schema_id]
                 is_selected = schemas is None or name in schemas
-                channels[found_channel.id] = (found_channel.topic[prefix:], name) if is_selected else None
+                topic = replace_controls(found_channel.topic[prefix:])
+                channels[found_channel.id] = (topic, name) if is_selected else None
             position += length
         return items, expected
 
@@ -284,9 +284,14 @@ def _read_summary(body: bytes, at: int, messages: int, end: RecordingEnd) -> Non
         return
     if metadata.name != recording.SUMMARY:
         return
-    end.metadata, end.text = metadata.metadata, metadata.metadata.get("reason", "")
+    end.metadata = _printable(metadata.metadata)
+    end.text = end.metadata.get("reason", "")
     if end.metadata.get("messages", str(messages)) != str(messages):
         end.text, end.is_damaged = f"messages are missing before byte {at:,}", True
+
+
+def _printable(metadata: dict[str, str]) -> dict[str, str]:
+    return {name: replace_controls_in_lines(text) for name, text in metadata.items()}
 
 
 def _chunk_data(body: bytes) -> bytes:

@@ -22,6 +22,7 @@ from bridge.recording.reader import RecordedItem, RecordingReader
 from topics import codec
 from topics.errors import BadMessage, InvalidRecording
 from topics.messages import Flag
+from topics.printable import replace_controls
 from topics.recording import RecordedEpisode, RecordedOrder, RecordedSnapshot
 
 _TRUNCATED = int(Flag.TRUNCATED)
@@ -383,7 +384,7 @@ class Verifier:
 
     def _set_difference(self, sample: dict[str, Any], slot: int, name: str, recorded: Any, present: Any) -> None:
         if self.result.difference is None:
-            episode, step, time = sample["episode"][slot], sample["step"][slot], sample["time"][slot]
+            episode, step, time = sample["episode"][slot], sample["step"][slot], replace_controls(sample["time"][slot])
             self.result.difference = Difference(episode, slot, step, time, name, recorded, present)
 
 

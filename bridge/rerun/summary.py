@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -16,6 +17,7 @@ from bridge.rerun.totals import TotalRows
 
 NUMBERS = "numbers"
 _NO_VALUE = "\N{EN DASH}"
+_MARKUP = re.compile(r"[\\`*\[\]<>!#~&]")
 _MAX_NAMES = 3
 MAX_TEXTS = 500
 """Largest number of texts in an episode."""
@@ -150,7 +152,12 @@ def _kh(value: float | None) -> str:
 def _listing(names: Sequence[str]) -> str:
     shown = ", ".join(names[:_MAX_NAMES])
     more = f" and {len(names) - _MAX_NAMES} more" if len(names) > _MAX_NAMES else ""
-    return f"{shown}{more}" or "none"
+    return _literal(f"{shown}{more}") or "none"
+
+
+def _literal(text: str) -> str:
+    """Return a text for a cell of a table in markdown, with a backslash before what would be markup or a link."""
+    return _MARKUP.sub(r"\\\g<0>", text.replace("|", "/"))
 
 
 @dataclass(slots=True)
@@ -176,14 +183,14 @@ def overview(rows: list[NodeRow]) -> str:
         energy = numbers.facility_kwh if numbers.facility_kwh is not None else numbers.hvac_kwh
         cells = (
             f"**{row.name}**" + ("" if row.is_connected else " (gone)"),
-            row.building,
+            _literal(row.building),
             clock(numbers.time),
             zones,
             quantity(numbers.hvac_kw, "kW"),
             quantity(energy, "kWh", 0),
             quantity(numbers.occupied_kh, "K h"),
-            ", ".join(numbers.controllers) or "none",
-            ", ".join(numbers.faults) or "none",
+            _literal(", ".join(numbers.controllers)) or "none",
+            _literal(", ".join(numbers.faults)) or "none",
         )
         lines.append("| " + " | ".join(cell.replace("|", "/") for cell in cells) + " |")
     return "\n".join(lines)

@@ -9,6 +9,7 @@ import zenoh
 from topics import codec, keys
 from topics.errors import PeerError, from_wire
 from topics.messages import ErrorReply, Message
+from topics.printable import replace_controls
 
 M = TypeVar("M", bound=Message)
 
@@ -49,7 +50,7 @@ def ask(
     for reply in replies:
         if reply.ok is None:
             reason = reply.err.payload.to_string() if reply.err else "no reason given"
-            raise PeerError(f"node {node!r} did not answer {topic.key}: {reason}")
+            raise PeerError(f"node {node!r} did not answer {topic.key}: {replace_controls(reason)}")
         encoding, payload = str(reply.ok.encoding), reply.ok.payload.to_bytes()
         if encoding == codec.encoding(ErrorReply):
             raise from_wire(codec.decode(ErrorReply, payload, encoding).__dict__)

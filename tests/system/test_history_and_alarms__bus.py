@@ -267,7 +267,7 @@ def test_a_recording__has_the_alarms_and_is_verified(bus: agent_sdk.Bus, module_
         ("alarm", "", "hot: temperature is normal again: 21 degC", "normal"),
     ]
     assert all(entry.is_accepted for entry in loaded.log)
-    assert verify(path).passed
+    assert verify(path, plant=f"{module_scratch}/oven.py:Oven").passed
 
 
 # On the command line

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from topics.messages.base import Count, Message, SourceName
+from topics.messages.base import Count, Lines, Message, SourceName
 
 
 class EventState(StrEnum):
@@ -89,7 +89,7 @@ class AlarmStatus(Message):
     """
 
     alarm: str
-    text: str = ""
+    text: Lines = ""
     point: str
     unit: str
     low: float | None = None

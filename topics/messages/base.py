@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, GetCoreSchemaHandler
+from pydantic_core import CoreSchema
+from pydantic_core.core_schema import no_info_after_validator_function
+
+from topics.printable import replace_controls, replace_controls_in_lines
 
 SCHEMA_VERSION = 2
 """Version of the contract; part of every key's root and of every message's encoding."""
@@ -14,6 +18,9 @@ SafeName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.\-]{0,127}$")
 
 SourceName = Annotated[str, Field(max_length=128)]
 """Name that the sender of a request or a write gives itself."""
+
+Lines = Annotated[str, AfterValidator(replace_controls_in_lines)]
+"""A text that may have several lines. All other texts of messages have one."""
 
 ANONYMOUS = "anonymous"
 """Source of a write that names none."""
@@ -31,8 +38,37 @@ Scalar = Annotated[str, Field(strict=True)] | Annotated[bool, Field(strict=True)
 
 Seed = Annotated[int, Field(ge=0, strict=True)]
 
+_REPLACING = (replace_controls, replace_controls_in_lines)
+_NO_SCHEMAS = ("metadata", "serialization", "config", "default", "expected", "members")
+
+
+def _printable(schema: Any) -> Any:
+    """Return a copy of a part of a core schema in which control characters of its texts are replaced."""
+    if isinstance(schema, list | tuple):
+        return type(schema)(map(_printable, schema))
+    if not isinstance(schema, dict):
+        return schema
+    kind = schema.get("type")
+    if not isinstance(kind, str):  # a mapping of fields
+        return {name: _printable(value) for name, value in schema.items()}
+    if kind == "function-after" and schema["function"].get("function") in _REPLACING:
+        return schema
+    if kind == "str" and "pattern" not in schema:  # no pattern of a message allows a control character
+        return no_info_after_validator_function(replace_controls, schema)
+    return {name: value if name in _NO_SCHEMAS else _printable(value) for name, value in schema.items()}
+
 
 class Message(BaseModel):
-    """Base class of all messages."""
+    """Base class of all messages.
+
+    A message comes from anybody, and its texts reach terminals, logs, reports and pictures. So in each of its texts,
+    control characters are replaced when it is validated (`topics.printable`); data of any type stays as it is.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, ser_json_inf_nan="null")
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Return the class's schema, in which each text is validated with `replace_controls`."""
+        schema: CoreSchema = _printable(handler(source))
+        return schema

@@ -5,7 +5,7 @@ from __future__ import annotations
 from enum import StrEnum
 
 from topics.messages.alarms import AlarmChange
-from topics.messages.base import Count, Message
+from topics.messages.base import Count, Lines, Message
 
 
 class EventKind(StrEnum):
@@ -49,7 +49,7 @@ class Event(Message):
     """
 
     kind: EventKind
-    text: str
+    text: Lines
     source: str = ""
     error: str = ""
     episode: Count = 0

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from topics.messages.base import SCHEMA_VERSION, Count, Message, SafeName
+from topics.messages.base import SCHEMA_VERSION, Count, Lines, Message, SafeName
 from topics.messages.enums import Aggregation, Mode, Policy, TimeField
 from topics.messages.status import Statistics
 
@@ -154,7 +154,7 @@ class Manifest(Message):
     meters: tuple[Meter, ...]
     actuators: tuple[Actuator, ...]
     task: Task = Task()
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[Lines, ...] = ()
     versions: Versions
     host: str = ""
     cpu: int | None = None

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from topics.messages.base import Count, Message, SourceName
+from topics.messages.base import Count, Lines, Message, SourceName
 
 
 class OnFull(StrEnum):
@@ -66,4 +66,4 @@ class RecordingStatus(Message):
     bytes: Count = 0
     waits: Count = 0
     waited_s: float = 0.0
-    reason: str = ""
+    reason: Lines = ""

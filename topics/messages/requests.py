@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from topics.messages.base import Count, Finite, Message, Priority, Raw, SafeName, Seed, SourceName
+from topics.messages.base import Count, Finite, Lines, Message, Priority, Raw, SafeName, Seed, SourceName
 from topics.messages.enums import EngineStart, Mode
 
 
@@ -156,7 +156,7 @@ class WeatherSeries(Message):
 class ScenarioText(Message):
     """The scenario that a node simulates, as a scenario file (YAML)."""
 
-    text: str
+    text: Lines
 
 
 class PriorityArrays(Message):
@@ -206,7 +206,7 @@ class Ack(Message):
 
     episode: list[Count]
     step: list[Count] = Field(default_factory=list)
-    text: str = ""
+    text: Lines = ""
     episode_starts: list[EpisodeStart] = Field(default_factory=list)
 
 
@@ -214,4 +214,4 @@ class ErrorReply(Message):
     """The node rejected a request: an error class of `topics.errors` and its text."""
 
     error: str
-    message: str
+    message: Lines

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from topics.messages.base import Count, Message, Priority, SafeName
+from topics.messages.base import Count, Lines, Message, Priority, SafeName
 from topics.messages.enums import ControllerState, Mode, Policy, State
 from topics.messages.recording import RecordingStatus
 
@@ -95,7 +95,7 @@ class Status(Message):
     rejected: Count
     late: Count
     duplicate: Count
-    failure: str = ""
+    failure: Lines = ""
     failure_error: str = ""
     node_rss_bytes: Count = 0
     engine_rss_bytes: Count = 0

@@ -1,0 +1,136 @@
+"""Texts of a hostile program on the bus reach no terminal, log, report or monitor with their control characters."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import msgpack
+import pytest
+import zenoh
+from support.nodes import NodeProgram, until
+from support.recordings import rewrite
+from support.run_cli import run_in_process as run
+
+import agent_sdk
+from agent_sdk.recording import load
+from bridge.recording.reader import RecordedItem
+from bridge.rerun.summary import NodeNumbers, NodeRow, markdown, overview
+from topics import codec, keys
+from topics.errors import UnknownName
+from topics.messages import ErrorReply, Event, Write
+from topics.printable import replace_controls
+
+PLANT = "agent_sdk.testing.fake_plant:FakePlant"
+EVIL = "\x1b]0;owned\x07\x9b31m\u202e\r\nok"
+HARMLESS = replace_controls(EVIL)
+
+
+def is_plain(text: str) -> bool:
+    """Whether a terminal shows all of a text and obeys none of it but line ends."""
+    return replace_controls(text, keep="\n") == text
+
+
+@contextmanager
+def raw_session(endpoint: str) -> Iterator[zenoh.Session]:
+    config = zenoh.Config()
+    config.insert_json5("mode", '"client"')
+    config.insert_json5("connect/endpoints", f'["{endpoint}"]')
+    with zenoh.open(config) as session:
+        yield session
+
+
+@pytest.fixture(scope="module")
+def recorded(module_scratch: Path) -> tuple[Path, list[bytes]]:
+    """A recording of a node to which a hostile client wrote, and the events that the node sent."""
+    path, events = module_scratch / "run.mcap", list[bytes]()
+    with (
+        NodeProgram(module_scratch / "room", plant=PLANT, name="room", record=str(path)) as program,
+        agent_sdk.connect(program.endpoint, affinity="off") as bus,
+        raw_session(program.endpoint) as session,
+    ):
+        subscriber = session.declare_subscriber(keys.EVENT.at("room"), lambda m: events.append(m.payload.to_bytes()))
+        actuator = bus.manifest("room").actuators[0]
+        encoding = zenoh.Encoding(codec.encoding(Write))
+        key = keys.ACTUATOR.at("room", name=actuator.name)
+        with bus.controller("room", name="plain") as link:
+            session.put(key, codec.pack(value=actuator.low, source=EVIL), encoding=encoding)
+            session.put(key, codec.pack(value=[EVIL], source=EVIL), encoding=encoding)
+            session.put(
+                keys.ACTUATOR.at("room", name="x\x1b[2J"), codec.pack(value=1.0, source=EVIL), encoding=encoding
+            )
+            session.put(keys.COMMAND.at("room", name="x\x1b[2J"), codec.pack(**{EVIL: 1}))
+            until(lambda: sum(HARMLESS.encode() in event for event in events) >= 3, "events of all writes")
+            link.reset(seed=1).send(None)
+            link.receive()
+            with pytest.raises(UnknownName) as caught:
+                bus.acknowledge("room", EVIL, source=EVIL, comment=EVIL)
+            assert is_plain(str(caught.value))
+        subscriber.undeclare()
+        status = run("status", "--connect", program.endpoint)
+        assert is_plain(status.stdout + status.stderr)
+    return path, events
+
+
+def test_a_node_sends_no_control_character_that_it_received(recorded: tuple[Path, list[bytes]]) -> None:
+    for raw in recorded[1]:
+        event = msgpack.unpackb(raw)
+        assert all(is_plain(value) for value in event.values() if isinstance(value, str)), event
+
+
+@pytest.fixture(scope="module")
+def hostile(recorded: tuple[Path, list[bytes]]) -> Path:
+    """The recording as a hostile program would write it: every text that is not a name has control characters."""
+
+    def changed(_: int, item: RecordedItem) -> bytes:
+        message: dict[str, Any] = msgpack.unpackb(item.payload)
+        for name in ("text", "source", "comment", "message"):
+            if isinstance(message.get(name), str):
+                message[name] = EVIL
+        if item.schema == "Sample":
+            message["sources"] = ["baseline", *(EVIL for _ in message["sources"][1:])]
+        return msgpack.packb(message)
+
+    path = recorded[0]
+    return rewrite(path, path.with_name("hostile.mcap"), changed, about={"zenostat": EVIL})
+
+
+@pytest.mark.parametrize("command", [("log",), ("verify", "--plant", PLANT), ("report",), ("export", "--to", "csv")])
+def test_no_command_prints_a_control_character_of_a_file(
+    hostile: Path, tmp_path: Path, command: tuple[str, ...]
+) -> None:
+    out = tmp_path / ("out.html" if command == ("report",) else "out.csv")
+    output = ("--out", str(out)) if command[0] in ("report", "export") else ()
+    printed = run(command[0], str(hostile), *command[1:], *output)
+    assert is_plain(printed.stdout + printed.stderr)
+    if command[0] == "log":
+        assert printed.returncode == 0
+        assert HARMLESS in printed.stdout
+    if out.exists():
+        assert is_plain(out.read_text(encoding="utf-8").replace("\t", " "))
+
+
+def test_a_loaded_recording_has_none(hostile: Path) -> None:
+    loaded = load(hostile)
+    assert all(is_plain(f"{entry.source} {entry.subject} {entry.result}") for entry in loaded.log)
+    assert any(HARMLESS in entry.source for entry in loaded.log)
+    assert {event.text for _, event in loaded.events} == {replace_controls(EVIL, keep="\n")}
+
+
+def test_the_replies_of_a_hostile_node_are_errors_without_them() -> None:
+    reply = codec.decode(ErrorReply, codec.pack(error="RequestRejected", message=EVIL))
+    assert is_plain(reply.message)
+    assert codec.decode(Event, codec.pack(kind="failed", text=EVIL)).text == reply.message
+
+
+def test_the_monitor_shows_names_as_they_are_and_not_as_markdown() -> None:
+    known = {"zones": 1, "controllers": ("[x](http://a) <b>|*y*",), "faults": ("a*b",)}
+    numbers = NodeNumbers(**{field.name: known.get(field.name) for field in fields(NodeNumbers)})
+    shown = markdown(numbers) + overview([NodeRow("room", "![i](http://a/i.png)", numbers)])
+    assert "[x](http" not in shown
+    assert "![i]" not in shown
+    assert r"\[x\](http://a) \<b\>/\*y\*" in shown
+    assert r"a\*b" in shown
