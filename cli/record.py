@@ -59,6 +59,8 @@ def describe_recording(status: RecordingStatus) -> str:
         return f"recording to {status.path}"
     if status.state is RecordingState.ENDED and not status.bytes:
         return f"nothing was recorded to {status.path}, because no reset of all slots came"
+    if status.reason and not status.bytes:
+        return f"there is no recording at {status.path}: {status.reason}"
     text = f"recorded {status.messages:,} messages, {status.bytes / 1e6:.1f} MB, to {status.path}"
     text += f"; waited for the disk {status.waits} times, {status.waited_s:.1f} s in total" if status.waits else ""
     return text + (f"; stopped early: {status.reason}" if status.reason else "")

@@ -8,6 +8,7 @@ import hashlib
 import importlib
 import itertools
 import os
+import stat
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -62,9 +63,47 @@ def next_recording(record: Path) -> Path:
 
 
 def check_path(path: Path, *, overwrite: bool = False) -> None:
-    """Raise `InvalidConfig` if there is a file at `path` that must not be replaced; nothing is created."""
+    """Raise `InvalidConfig` if there is something at `path` that must not be replaced; nothing is created or opened."""
+    _check_regular(path)
     if not overwrite and (path.exists() or path.is_symlink()):
         raise InvalidConfig(_exists(path))
+
+
+def open_regular(path: Path, flags: int) -> int:
+    """Open a regular file and return its descriptor; never waits, as opening a pipe does.
+
+    Raises:
+        InvalidConfig: `path` is a folder, a pipe, a device or a socket.
+        OSError: it cannot be opened.
+    """
+    _check_regular(path)  # opening a device may act on it
+    descriptor = os.open(path, flags | os.O_NONBLOCK | os.O_CLOEXEC, 0o644)
+    if (kind := _other_kind(os.fstat(descriptor).st_mode)) is not None:
+        os.close(descriptor)
+        raise InvalidConfig(_not_a_file(path, kind))
+    return descriptor
+
+
+def _check_regular(path: Path) -> None:
+    try:
+        mode = path.stat().st_mode
+    except OSError:
+        return
+    if (kind := _other_kind(mode)) is not None:
+        raise InvalidConfig(_not_a_file(path, kind))
+
+
+def _other_kind(mode: int) -> str | None:
+    """Return what a path that is not a regular file is."""
+    if stat.S_ISREG(mode):
+        return None
+    kinds = ((stat.S_ISDIR, "folder"), (stat.S_ISFIFO, "pipe"), (stat.S_ISSOCK, "socket"))
+    return next((kind for is_kind, kind in kinds if is_kind(mode)), "device")
+
+
+def _not_a_file(path: Path, kind: str) -> str:
+    hint = "name a file in it" if kind == "folder" else "a recording is a regular file; choose another name"
+    return f"{path} is a {kind}; {hint}"
 
 
 def open_recording(path: Path, *, overwrite: bool = False) -> int:
@@ -72,11 +111,11 @@ def open_recording(path: Path, *, overwrite: bool = False) -> int:
 
     Raises:
         InvalidConfig: the file exists (with `overwrite`: and is not a recording), another program is recording to it,
-            or it cannot be created.
+            it is no regular file, or it cannot be created.
     """
     try:
         _create_folder(path.parent)
-        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | (0 if overwrite else os.O_EXCL), 0o644)
+        descriptor = open_regular(path, os.O_RDWR | os.O_CREAT | (0 if overwrite else os.O_EXCL))
     except FileExistsError:
         raise InvalidConfig(_exists(path)) from None
     except OSError as error:
@@ -105,14 +144,15 @@ def _create_folder(folder: Path) -> None:
 
 
 def _exists(path: Path) -> str:
-    if path.is_dir():
-        return f"{path} is a folder; name a file in it"
     try:
-        with path.open("rb") as file:
-            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        descriptor = open_regular(path, os.O_RDONLY)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        finally:
+            os.close(descriptor)
     except BlockingIOError:
         return f"another node is recording to {path}; choose another name"
-    except OSError:
+    except (OSError, InvalidConfig):
         pass
     return (
         f"{path} exists; choose another name, or a folder, in which each run has a file of its own, or replace it "

@@ -9,6 +9,7 @@ from __future__ import annotations
 import fcntl
 import io
 import json
+import os
 import struct
 import zlib
 from collections.abc import Collection, Iterator
@@ -21,9 +22,9 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Header, Metadata, Schema
 
-from bridge.recording.file import MAGIC
+from bridge.recording.file import MAGIC, open_regular
 from topics import codec, recording
-from topics.errors import BadMessage, InvalidRecording
+from topics.errors import BadMessage, InvalidConfig, InvalidRecording
 from topics.messages import SCHEMA_VERSION, Geometry, Manifest
 from topics.printable import replace_controls, replace_controls_in_lines
 
@@ -90,9 +91,11 @@ class RecordingReader:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         try:
-            self._file: BinaryIO = self.path.open("rb")
+            self._file: BinaryIO = os.fdopen(open_regular(self.path, os.O_RDONLY), "rb")
         except OSError as error:
             raise InvalidRecording(f"cannot read {self.path}: {error.strerror}") from None
+        except InvalidConfig as error:
+            raise InvalidRecording(f"cannot read {error}") from None
         try:
             self._size = self.path.stat().st_size
             self._read_head()

@@ -6,9 +6,11 @@ with a reason. The file is complete up to its last chunk, whatever ends the proc
 
 from __future__ import annotations
 
+import errno
 import itertools
 import json
 import os
+import stat
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -33,12 +35,18 @@ MAX_CHANNELS = 4096
 _CHUNK_BYTES = 1 << 20
 _CHUNK_NS = 900_000_000
 _INTERVAL_S = 0.25
+_LOOK_S = 0.25
+"""Time after which the thread looks whether the file is still where it was."""
 _TURN = 128
 """Messages that the thread adds to a chunk before it lets the node's thread have the GIL."""
 _CLOSE_TIMEOUT_S = 30.0
 
 Attachments = Callable[[], Mapping[str, bytes]]
 """Returns the attachments by name; called once, by the thread that writes."""
+
+
+class _FileRemoved(OSError):
+    """The file has no name any more."""
 
 
 class Recorder:
@@ -87,6 +95,8 @@ class Recorder:
         self._messages = self._bytes = 0
         self.reason = ""
         self._closing = self._is_closed = False
+        self._is_regular = stat.S_ISREG(os.fstat(descriptor).st_mode)
+        self._looked_s = monotonic()
         self._wake, self._room = threading.Event(), threading.Condition()
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
@@ -202,6 +212,8 @@ class Recorder:
         except Exception as error:  # whatever it is, it ends the recording and not the node
             text = error.strerror if isinstance(error, OSError) and error.strerror else f"{error}"
             self._pending.clear()
+            if isinstance(error, _FileRemoved):
+                self._messages = self._bytes = 0
             self._stop(f"cannot write {self.path}: {text}")
             self._pending.clear()
         finally:
@@ -228,11 +240,24 @@ class Recorder:
             self._write_pending(writer)
             if is_last:
                 break
+            self._check_file()
         writer.flush()
         self._update(writer)
         writer.add_metadata(recording.SUMMARY, self._summary())
         writer.finish()
         self._update(writer)
+        self._check_file(at_once=True)
+
+    def _check_file(self, *, at_once: bool = False) -> None:
+        """Stop if the file has been moved, and raise `_FileRemoved` if it has been removed: no write reports that."""
+        is_due = at_once or monotonic() - self._looked_s >= _LOOK_S
+        if not self._is_regular or self.reason or not is_due:
+            return
+        self._looked_s = monotonic()
+        if not os.fstat(self._descriptor).st_nlink:
+            raise _FileRemoved(errno.ENOENT, "the file has been removed")
+        if not self.path.exists():
+            self._stop(f"{self.path} has been moved; the moved file ends there")
 
     def _write_pending(self, writer: ChunkWriter) -> None:
         pending = self._pending
@@ -245,6 +270,7 @@ class Recorder:
             if writer.size >= _CHUNK_BYTES:
                 writer.flush()
                 self._update(writer)
+            self._check_file()
             os.sched_yield()
         if self._is_waiting or (writer.started_ns and time_ns() - writer.started_ns >= _CHUNK_NS):
             writer.flush()

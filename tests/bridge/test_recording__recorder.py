@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import resource
+import shutil
+import socket
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 import pytest
@@ -18,7 +20,7 @@ from bridge.recording.channels import SAMPLES
 from bridge.recording.file import MAGIC, check_path, open_recording, recording_path
 from bridge.recording.reader import RecordingReader
 from topics import codec, keys
-from topics.errors import InvalidConfig
+from topics.errors import InvalidConfig, InvalidRecording
 from topics.messages import Command, OnFull, RecordingState
 
 
@@ -192,6 +194,70 @@ def test_only_a_recording_is_overwritten(tmp_path: Path) -> None:
     assert path.read_text() == "not a recording"
     path.write_bytes(MAGIC + b"anything")
     os.close(open_recording(path, overwrite=True))
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+@pytest.mark.parametrize("kind", ["pipe", "folder", "device", "socket"])
+def test_only_a_regular_file_is_recorded_to_or_read_and_nothing_waits(
+    tmp_path: Path, kind: str, *, overwrite: bool
+) -> None:
+    path = tmp_path / "a.mcap"
+    if kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "folder":
+        path.mkdir()
+    elif kind == "device":
+        path.symlink_to("/dev/null")
+    else:
+        with closing(socket.socket(socket.AF_UNIX)) as bound:
+            bound.bind(str(path))
+    for function in (check_path, open_recording):
+        with pytest.raises(InvalidConfig, match=rf"a\.mcap is a {kind}; "):
+            function(path, overwrite=overwrite)
+    with pytest.raises(InvalidRecording, match=rf"cannot read .*a\.mcap is a {kind}"):
+        RecordingReader(path)
+
+
+def test_a_removed_file_stops_the_recording_and_is_not_claimed(tmp_path: Path) -> None:
+    reasons = list[str]()
+    path = tmp_path / "runs" / "a.mcap"
+    recorder = new_recorder(path, on_stopped=reasons.append)
+    recorder.add(SAMPLES, bytes(1000))
+    until(lambda: recorder.status().bytes > 1000, "a chunk is written")
+    shutil.rmtree(path.parent)
+    until(lambda: reasons, "the recorder notices it")
+    recorder.close()
+    assert reasons == [f"cannot write {path}: the file has been removed"]
+    status = recorder.status()
+    assert (status.state, status.messages, status.bytes) == (RecordingState.STOPPED, 0, 0)
+    assert not path.parent.exists()
+
+
+def test_a_file_that_is_removed_just_before_the_end_is_not_claimed(tmp_path: Path) -> None:
+    recorder = new_recorder(tmp_path / "a.mcap")
+    recorder.add(SAMPLES, bytes(1000))
+    (tmp_path / "a.mcap").unlink()
+    recorder.close()
+    status = recorder.status()
+    assert (status.state, status.bytes) == (RecordingState.STOPPED, 0)
+    assert "the file has been removed" in status.reason
+
+
+def test_a_moved_file_is_complete_up_to_there(tmp_path: Path) -> None:
+    path, reasons = tmp_path / "a.mcap", list[str]()
+    recorder = new_recorder(path, on_stopped=reasons.append)
+    for number in range(5):
+        recorder.add(SAMPLES, number.to_bytes(4, "little"))
+    path.rename(tmp_path / "b.mcap")
+    until(lambda: reasons, "the recorder notices it")
+    recorder.add(SAMPLES, bytes(4))
+    recorder.close()
+    assert recorder.status().state is RecordingState.STOPPED
+    assert numbers(tmp_path / "b.mcap") == [*range(5)]
+    with RecordingReader(tmp_path / "b.mcap") as opened:
+        list(opened.messages())
+        assert opened.end.is_complete
+        assert opened.end.text == reasons[0] == f"{path} has been moved; the moved file ends there"
 
 
 def test_a_folder_gets_a_file_for_each_run(tmp_path: Path) -> None:

@@ -50,7 +50,8 @@ def test_a_node_reports_once_that_its_recording_stopped() -> None:
     [
         (RecordingStatus(path="/x", state=RecordingState.ENDED), "nothing was recorded to /x"),
         (RecordingStatus(path="/x", state=RecordingState.ENDED, messages=7, bytes=9000), "recorded 7 messages"),
-        (STOPPED, "stopped early: No space left on device"),
+        (STOPPED.model_copy(update={"bytes": 9000}), "stopped early: No space left on device"),
+        (STOPPED, "there is no recording at /x/run.mcap: No space left on device"),
     ],
 )
 def test_an_ended_recording_is_described(status: RecordingStatus, expected: str) -> None:
