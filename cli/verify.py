@@ -105,4 +105,5 @@ def _json(result: Verification) -> dict[str, object]:
         "greatest": result.greatest,
         "skipped": result.skipped,
         "notes": result.notes,
+        "end": result.end,
     }

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Sequence
+import importlib.util
 from importlib.machinery import PathFinder
 from pathlib import Path
 
@@ -29,12 +28,12 @@ def class_file(plant: str) -> Path:
 
 
 def _module_file(module: str) -> Path | None:
-    folders: Sequence[str] = [str(Path.cwd()), *sys.path]
-    name, parts, spec = "", module.split("."), None
+    top, *parts = module.split(".")
+    # `importlib.util.find_spec` of a name without dots imports nothing, and knows editable installations.
+    spec = PathFinder.find_spec(top, [str(Path.cwd())]) or importlib.util.find_spec(top)
+    name = top
     for part in parts:
-        name = f"{name}.{part}" if name else part
-        spec = PathFinder.find_spec(name, folders)
-        if spec is None:
-            return None
-        folders = spec.submodule_search_locations or ()
+        folders = spec.submodule_search_locations if spec is not None else None
+        name = f"{name}.{part}"
+        spec = PathFinder.find_spec(name, folders) if folders else None
     return Path(spec.origin) if spec is not None and spec.origin and spec.origin.endswith(".py") else None

@@ -275,7 +275,10 @@ class RecordingReader:
             fcntl.flock(self._file, fcntl.LOCK_UN)
         except BlockingIOError:
             return "it is still being recorded"
-        return f"it was cut off after byte {at:,}, because the node was killed or its disk was full"
+        return (
+            f"it was cut off after byte {at:,}, because the node was killed, which loses up to the last second, or its "
+            "disk was full"
+        )
 
 
 def _read_summary(body: bytes, at: int, messages: int, end: RecordingEnd) -> None:

@@ -1,7 +1,8 @@
 """Record the messages of a node: an append on the node's thread, and a thread that writes.
 
 Nothing is dropped: if the file cannot be written as fast as the node simulates, the node waits, or the recording ends
-with a reason. The file is complete up to its last chunk, whatever ends the process; a chunk is written every second.
+with a reason. The file is complete up to its last chunk, whatever ends the process; a chunk is written at least
+once per second.
 """
 
 from __future__ import annotations
@@ -33,8 +34,9 @@ MAX_CHANNELS = 4096
 """Largest number of channels for controllers and actuators; messages of further ones share the channel `others`."""
 
 _CHUNK_BYTES = 1 << 20
-_CHUNK_NS = 900_000_000
+_CHUNK_NS = 700_000_000
 _INTERVAL_S = 0.25
+"""A message waits for at most both together, which is less than a second, before it is written."""
 _LOOK_S = 0.25
 """Time after which the thread looks whether the file is still where it was."""
 _TURN = 128

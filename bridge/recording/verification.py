@@ -74,7 +74,8 @@ class Verification:
         greatest: greatest absolute difference by point, if a tolerance was set; infinite where only one value is NaN.
         tolerance: greatest absolute difference that is accepted; None: all values are equal to the bit.
         skipped: what could not be verified, and why.
-        notes: what differs from the recording's software, model and weather, and how its file ends.
+        notes: what differs from the recording's software, model and weather.
+        end: why the recording ends early; empty if it does not.
         is_damaged: whether the file is damaged, and could be verified only up to there.
     """
 
@@ -87,6 +88,7 @@ class Verification:
     tolerance: float | None = None
     skipped: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    end: str = ""
     is_damaged: bool = False
 
     @property
@@ -100,16 +102,17 @@ class Verification:
         compared = f"{self.steps:,} steps, {self.points} points, {self.actuators} actuators"
         if self.difference is not None:
             return f"different after {compared}: {self.difference}"
+        end = f"; the recording ends early: {self.end}" if self.end else ""
         if not self.episodes:
-            return "nothing could be verified"
+            return f"nothing could be verified{end}"
         if not self.steps and self.tolerance is None:
             plural = "s" if self.episodes > 1 else ""
-            return f"identical: the first sample of {self.episodes} episode{plural}; there is no timestep after it"
+            compared = f"the first sample of {self.episodes} episode{plural}, after which there is no timestep"
         if self.tolerance is None:
-            return f"identical{' up to the damage' if self.is_damaged else ''}: {compared}"
+            return f"identical{' up to the damage' if self.is_damaged else ''}: {compared}{end}"
         above = [name for name, value in self.greatest.items() if not value <= self.tolerance]
         within = f"{len(above)} of {len(self.greatest)} differ by more than" if above else "all are within"
-        return f"compared: {compared}; {within} {self.tolerance:g}"
+        return f"compared: {compared}; {within} {self.tolerance:g}{end}"
 
 
 @dataclass(slots=True)
@@ -204,9 +207,7 @@ class Verifier:
             if result.difference is not None and result.tolerance is None:
                 return result
         end = self._reader.end
-        result.is_damaged = end.is_damaged
-        if end.text:
-            result.notes.append(f"the recording ends early: {end.text}" if not end.is_damaged else end.text)
+        result.is_damaged, result.end = end.is_damaged, end.text
         if self._unknown_samples:
             result.skipped.insert(
                 0, f"{self._unknown_samples:,} samples of episodes whose start is not in the recording"

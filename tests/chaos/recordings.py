@@ -40,7 +40,7 @@ def recording_faults(path: Path, heard: Iterable[Any]) -> list[str]:
     """What is wrong with the recording of a run that a monitor has heard: it verifies, and has all of it."""
     result = verify(path)
     faults = [] if result.passed else [str(result)]
-    faults += [*result.skipped, *result.notes]
+    faults += [*result.skipped, *result.notes, *([result.end] if result.end else [])]
     with RecordingReader(path) as reader:
         samples = [codec.decode(Sample, item.payload) for item in reader.messages({"Sample"})]
         if not reader.end.is_complete:

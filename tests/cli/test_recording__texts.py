@@ -64,3 +64,20 @@ def test_a_damaged_file_is_not_said_to_be_identical_as_a_whole() -> None:
     result.is_damaged = True
     assert str(result) == "identical up to the damage: 477 steps, 40 points, 10 actuators"
     assert not result.passed
+    result.end = "messages are missing before byte 900; what is before it is read"
+    assert str(result).endswith("10 actuators; the recording ends early: " + result.end)
+
+
+@pytest.mark.parametrize(
+    ("fields", "expected"),
+    [
+        ({"end": "cut"}, "identical: the first sample of 2 episodes, after which there is no timestep"),
+        ({"end": "cut", "is_damaged": True}, "identical up to the damage: the first sample of 2 episodes, after which"),
+        ({"end": "cut", "episodes": 0}, "nothing could be verified"),
+        ({"end": "cut", "tolerance": 0.5}, "compared: 0 steps, 4 points, 1 actuators; all are within 0.5"),
+    ],
+)
+def test_the_end_of_a_file_is_part_of_the_one_sentence_on_it(fields: dict[str, Any], expected: str) -> None:
+    text = str(Verification(**({"episodes": 2, "points": 4, "actuators": 1} | fields)))
+    assert text.startswith(expected)
+    assert text.endswith("; the recording ends early: cut")

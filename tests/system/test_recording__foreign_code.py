@@ -12,6 +12,8 @@ import pytest
 from support.recordings import record_samples, rewrite
 from support.run_cli import run_in_process as run
 
+from agent_sdk.testing import fake_plant
+from bridge.python_plant.class_file import class_file
 from bridge.recording.reader import RecordingReader
 from eplus_node.verification import verify
 from topics.errors import InvalidConfig, InvalidRecording, UsageError
@@ -184,3 +186,16 @@ def test_a_provenance_that_is_not_one_is_named(tmp_path: Path, value: Any) -> No
     path = rewrite(source, tmp_path / "other.mcap", provenance=value)
     with pytest.raises(UsageError, match="is damaged"):
         verify(path)
+
+
+def test_a_module_is_found_without_importing_its_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    package = tmp_path / "loud"
+    package.mkdir()
+    (package / "__init__.py").write_text("raise RuntimeError('imported')\n")
+    (package / "quiet.py").write_text("class Quiet: pass\n")
+    monkeypatch.chdir(tmp_path)
+    assert class_file("loud.quiet:Quiet") == package / "quiet.py"
+    assert class_file("agent_sdk.testing.fake_plant:FakePlant").samefile(str(fake_plant.__file__))
+    for unknown in ("loud.nothing:Quiet", "nowhere:Quiet", "loud.quiet.more:Quiet", "nothing.py:Quiet", "math:Quiet"):
+        with pytest.raises(InvalidConfig, match="no file"):
+            class_file(unknown)
