@@ -29,6 +29,9 @@ OUTDOOR_TEMPERATURE = ("Weather Data", "Outdoor Dry Bulb", "Environment")
 
 _FORKS_BEFORE_COLLAPSE = 4
 
+_MINUTE_TOLERANCE = 0.01
+"""In minutes: rounding errors are smaller, and a system timestep has at least one minute."""
+
 # Plain numbers on the hot path: in Python 3.11, looking up an enum's member raises and catches an error.
 _SAMPLE, _STEP, _FORK = float(FrameKind.SAMPLE), float(OrderKind.STEP), float(OrderKind.FORK)
 
@@ -60,6 +63,7 @@ class Engine:
         self.steps_per_hour = int(spec["steps_per_hour"])
         self.zone_steps = 0
         self.zone_step_min = 0.0
+        self.zone_end_min = 0.0  # both within the hour
         self.minute = 0.0
         self.in_run_period = False  # including its warm-up
         self.warmed_up = False
@@ -77,10 +81,15 @@ class Engine:
         self.out_size = len(self.out) * self.out.itemsize
         kinds = [(aggregation, system) for _, _, aggregation, system in spec["sensors"]]
         # Variables of the zone kind have one value per zone timestep; only the others are aggregated.
+        self.zone_sensors = [i for i, (_, system) in enumerate(kinds) if not system]
         self.aggregated = [i for i, (aggregation, system) in enumerate(kinds) if system and aggregation != "instant"]
+        self.states = [i for i, (aggregation, system) in enumerate(kinds) if system and aggregation == "instant"]
         self.summed = [kinds[i][0] == "sum" for i in self.aggregated]
+        read = [*self.zone_sensors, *self.aggregated, *self.states]
+        self.order = sorted(range(len(read)), key=read.__getitem__)  # from the order of reading to that of the sensors
         self.totals: list[float] = []
         self.warmup_totals: list[float] = []
+        self.last_states: list[float] = []
 
     def _bind_library(self) -> None:
         # PyDLL keeps the GIL: the getters take a fraction of a microsecond and there is no other thread.
@@ -104,7 +113,7 @@ class Engine:
         runtime = self.api.runtime
         runtime.callback_begin_new_environment(self.state, self._guarded(self._on_environment))
         runtime.callback_after_new_environment_warmup_complete(self.state, self._guarded(self._on_warmed_up))
-        if self.aggregated:
+        if self.aggregated or self.states:
             runtime.callback_end_system_timestep_after_hvac_reporting(self.state, self._guarded(self._on_system_step))
         runtime.callback_end_zone_timestep_after_zone_reporting(self.state, self._guarded(self._on_zone_step))
         spec = self.spec
@@ -143,7 +152,7 @@ class Engine:
         if self.api.exchange.kind_of_sim(state) != RUN_PERIOD:
             return
         self._find_handles(state)
-        self.zone_step_min = self.zone_step_h(state) * 60.0
+        self.zone_step_min = self.zone_end_min = self.zone_step_h(state) * 60.0
         self.in_run_period = True
 
     def _find_handles(self, state: int) -> None:
@@ -162,10 +171,16 @@ class Engine:
         for names, handle in zip(points, [*self.sensors, *self.feedback, *self.actuators], strict=True):
             if handle < 0:
                 raise LookupError(f"EnergyPlus has no {' / '.join(map(str, names))} in this run")
+        self.zone_handles = [self.sensors[i] for i in self.zone_sensors]
         self.aggregated_handles = [self.sensors[i] for i in self.aggregated]
+        self.state_handles = [self.sensors[i] for i in self.states]
 
     def _on_system_step(self, state: int) -> None:
-        """Add to means and sums as EnergyPlus's reports do: value times its share of the zone timestep."""
+        """Read system variables as EnergyPlus has just reported them; add to means and sums as its reports do.
+
+        An EMS program may change its output variables right after this report; EnergyPlus reports that change in the
+        next system timestep. At the end of the zone timestep, it would be a step ahead.
+        """
         if not self.in_run_period:
             return
         # EnergyPlus computes weights from differences of the minute within the hour, whose rounding errors carry
@@ -173,18 +188,17 @@ class Engine:
         end = self.minute + self.system_step_h(state) * 60.0
         share = (end - self.minute) / self.zone_step_min
         self.minute = end
-        if share == 1.0 and not self.totals:
-            return  # the system timestep fills the zone timestep, whose value is read at its end
         values = map(self.get_variable, repeat(state), self.aggregated_handles)
         parts = [v if s else v * share for v, s in zip(values, self.summed, strict=True)]
         self.totals = [a + b for a, b in zip(self.totals, parts, strict=True)] if self.totals else parts
+        if end > self.zone_end_min - _MINUTE_TOLERANCE:
+            self.last_states = list(map(self.get_variable, repeat(state), self.state_handles))
 
     def _gather(self, state: int) -> None:
-        values = list(map(self.get_variable, repeat(state), self.sensors))
-        if self.totals:
-            for index, total in zip(self.aggregated, self.totals, strict=True):
-                values[index] = total
-            self.totals = []
+        zone_values = map(self.get_variable, repeat(state), self.zone_handles)
+        read = [*zone_values, *self.totals, *self.last_states]
+        self.totals = []
+        values = [read[i] for i in self.order]
         if self.step:
             values.extend(map(self.get_meter, repeat(state), self.meters))
         else:
@@ -211,8 +225,10 @@ class Engine:
     def _on_zone_step(self, state: int) -> None:
         if self.in_run_period:
             self.zone_steps += 1
-            if self.zone_steps % self.steps_per_hour == 0:
+            in_hour = self.zone_steps % self.steps_per_hour
+            if not in_hour:
                 self.minute = 0.0
+            self.zone_end_min = (in_hour + 1) * self.zone_step_min
         if not self.warmed_up:
             self.warmup_totals, self.totals = self.totals, []
             return

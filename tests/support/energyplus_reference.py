@@ -12,17 +12,20 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from models.building.model import for_episode, read_building, write
+import agent_sdk
+from models.building.edits import Edits
+from models.building.model import for_episode, read_building, with_edits, write
 from models.catalog import find_building, find_weather
 from models.weather import design_days
 from models.weather.header import read_header
-from topics.messages import Aggregation, Meter, Sensor
+from support.nodes import NodeProgram
+from topics.messages import Aggregation, Manifest, Meter, Sensor
 
 _RUN = """
 import sys
@@ -48,10 +51,62 @@ class Case:
     begin: str
     end: str
     steps_per_hour: int
+    edits: Edits = field(default_factory=dict, hash=False)
 
     def settings(self) -> dict[str, object]:
         """As settings of a node."""
         return {name: getattr(self, name) for name in self.__slots__}
+
+
+Runs = tuple[Manifest, NDArray[np.float64], NDArray[np.float64]]
+"""A manifest; the values of each timestep over the bus, shape (steps, points); those of EnergyPlus alone."""
+
+
+def run_both(case: Case, folder: Path, **points: object) -> Runs:
+    """Run a case over the bus without commands, and by EnergyPlus alone.
+
+    Args:
+        case: what is simulated.
+        folder: for the files of both.
+        points: settings of the node: `sensors`, `meters`, `actuators`.
+    """
+    with NodeProgram(folder, **case.settings(), **points) as node:
+        with agent_sdk.connect(node.endpoint, affinity="off") as bus:
+            manifest = bus.manifest("office")
+        alone = Alone(case, manifest.sensors, manifest.meters, folder / "alone")
+        try:
+            manifest, samples = _over_the_bus(node)
+            expected = alone.values()
+        finally:
+            alone.close()
+    assert samples.shape == (manifest.steps + 1, len(manifest.names))
+    assert expected.shape == (manifest.steps, len(manifest.names))
+    return manifest, samples[1:], expected
+
+
+def _over_the_bus(node: NodeProgram) -> tuple[Manifest, NDArray[np.float64]]:
+    """All samples of an episode that nobody commands; shape (steps + 1, points)."""
+    with agent_sdk.connect(node.endpoint, affinity="off") as bus, bus.controller("office") as link:
+        samples = []
+        for sample in link:
+            assert sample.step == len(samples)
+            assert set(sample.value_source.values()) <= {""}
+            samples.append(sample.values)
+            sample.send()
+        assert sample.truncated
+        return link.manifest, np.array(samples)
+
+
+def check_equal(manifest: Manifest, got: NDArray[np.float64], expected: NDArray[np.float64]) -> None:
+    """Equal to the bit, or a message with the first difference of each point."""
+    differences = []
+    for column, name in enumerate(manifest.names):
+        rows = np.flatnonzero(got[:, column] != expected[:, column])
+        if rows.size:
+            first = rows[0]
+            values = f"{got[first, column]!r}, EnergyPlus writes {expected[first, column]!r}"
+            differences.append(f"{name}: {rows.size} of {len(got)} differ; sample {first + 1} has {values}")
+    assert not differences, "\n".join(differences)
 
 
 class Alone:
@@ -59,7 +114,7 @@ class Alone:
 
     def __init__(self, case: Case, sensors: Sequence[Sensor], meters: Sequence[Meter], folder: Path) -> None:
         self.sensors, self.meters, self.folder = sensors, meters, folder
-        model = read_building(find_building(case.building))
+        model = with_edits(read_building(find_building(case.building)), case.edits)
         period = model.period(case.begin, case.end, case.steps_per_hour)
         self.steps, self.steps_per_hour = period.steps, period.steps_per_hour
         weather = find_weather(case.weather).path

@@ -12,11 +12,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
-from support.energyplus_reference import Alone, Case
-from support.nodes import WEATHER, NodeProgram
+from support.energyplus_reference import Case, Runs, check_equal, run_both
+from support.nodes import WEATHER
 
-import agent_sdk
 from models.building.model import read_building
 from models.catalog import find_building, find_weather
 from models.points import discovery, selection
@@ -56,49 +54,8 @@ def _with_other_readings(case: Case) -> dict[str, list[str]]:
     return {name: list(spec) for name, spec in (found | more).items()}
 
 
-def _over_the_bus(node: NodeProgram) -> tuple[Manifest, NDArray[np.float64]]:
-    """All samples of an episode that nobody commands; shape (steps + 1, points)."""
-    with agent_sdk.connect(node.endpoint, affinity="off") as bus, bus.controller("office") as link:
-        samples = []
-        for sample in link:
-            assert sample.step == len(samples)
-            assert set(sample.value_source.values()) == {""}
-            samples.append(sample.values)
-            sample.send()
-        assert sample.truncated
-        return link.manifest, np.array(samples)
-
-
-Runs = tuple[Manifest, NDArray[np.float64], NDArray[np.float64]]
-
-
 def _both(case: Case, folder: Path) -> Runs:
-    """What came over the bus for each timestep, and what EnergyPlus alone wrote."""
-    sensors = _with_other_readings(case)
-    with NodeProgram(folder, **case.settings(), sensors=sensors) as node:
-        with agent_sdk.connect(node.endpoint, affinity="off") as bus:
-            manifest = bus.manifest("office")
-        alone = Alone(case, manifest.sensors, manifest.meters, folder / "alone")
-        try:
-            manifest, samples = _over_the_bus(node)
-            expected = alone.values()
-        finally:
-            alone.close()
-    assert samples.shape == (manifest.steps + 1, len(manifest.names))
-    assert expected.shape == (manifest.steps, len(manifest.names))
-    return manifest, samples[1:], expected
-
-
-def _check_equal(manifest: Manifest, got: NDArray[np.float64], expected: NDArray[np.float64]) -> None:
-    """Equal to the bit, or a message with the first difference of each point."""
-    faults = []
-    for column, name in enumerate(manifest.names):
-        rows = np.flatnonzero(got[:, column] != expected[:, column])
-        if rows.size:
-            first = rows[0]
-            values = f"{got[first, column]!r}, EnergyPlus writes {expected[first, column]!r}"
-            faults.append(f"{name}: {rows.size} of {len(got)} differ; sample {first + 1} has {values}")
-    assert not faults, "\n".join(faults)
+    return run_both(case, folder, sensors=_with_other_readings(case))
 
 
 def _check_kinds(manifest: Manifest) -> None:
@@ -109,7 +66,7 @@ def _check_kinds(manifest: Manifest) -> None:
 
 @pytest.fixture(scope="module")
 def both(module_folder: Path) -> Callable[[Case], Runs]:
-    """`_both`, once for each case."""
+    """Both runs, once for each case."""
     return cache(lambda case: _both(case, module_folder / _name(case)))
 
 
@@ -121,7 +78,7 @@ def week(request: pytest.FixtureRequest, both: Callable[[Case], Runs]) -> Runs:
 def test_a_week_equals_energyplus_alone(week) -> None:
     manifest, got, expected = week
     _check_kinds(manifest)
-    _check_equal(manifest, got, expected)
+    check_equal(manifest, got, expected)
 
 
 def test_each_point_lives(week) -> None:
@@ -179,4 +136,4 @@ def test_a_year_equals_energyplus_alone(case: Case, folder: Path) -> None:
     manifest, got, expected = _both(case, folder)
     _check_kinds(manifest)
     assert manifest.steps == 35040
-    _check_equal(manifest, got, expected)
+    check_equal(manifest, got, expected)
