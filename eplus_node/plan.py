@@ -12,7 +12,7 @@ from bridge.node.fault_injection import FaultInjection
 from bridge.node.plant import PlantDescription, Provenance, RunPeriod
 from eplus_node.config import NodeConfig, scenario_of
 from models import catalog, energyplus
-from models.building import conflicts
+from models.building import conflicts, output_objects
 from models.building import model as building
 from models.building.geometry import BuildingGeometry, building_geometry
 from models.building.model import Building
@@ -73,6 +73,8 @@ def plan(config: NodeConfig) -> Plan:
     errors = ErrorCollector()
     scenario = scenario_of(config, errors)
     model = _read_model(scenario, errors)
+    if config.output_dir is None:
+        errors.collect(lambda: output_objects.check_edits(scenario.edits))
     sources = tuple(errors.collect(lambda name=name: _source(name, scenario)) for name in scenario.weather if name)  # type: ignore[misc]
     errors.collect(lambda: noise.resolve_columns(scenario.weather_noise))
     output_dir = config.output_dir

@@ -74,3 +74,24 @@ END_USES = (
 
 HVAC_END_USES = END_USES[:7]
 """End uses of heating, cooling and ventilation."""
+
+COMPUTED_ON_REQUEST = frozenset(
+    {
+        "system node dewpoint temperature",
+        "system node relative humidity",
+        "system node specific heat",
+        "system node wetbulb temperature",
+        "space wetbulb globe temperature",
+        "zone wetbulb globe temperature",
+        "facility any zone oscillating temperatures during occupancy time",
+        "facility any zone oscillating temperatures in deadband time",
+        "facility any zone oscillating temperatures time",
+        "zone oscillating temperatures during occupancy time",
+        "zone oscillating temperatures in deadband time",
+        "zone oscillating temperatures time",
+    }
+)
+"""Output variables that stay 0 unless an `Output:Variable` object requests them, case-folded.
+
+A request by EnergyPlus's API does not suffice in 25.2.
+"""

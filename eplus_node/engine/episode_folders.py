@@ -39,6 +39,7 @@ class EpisodeFolders:
             plan.sources,
             plan.scenario.weather_noise,
             outputs=self.keep,
+            requested=plan.points.requested,
             noise_start=plan.scenario.noise_start,
         )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
@@ -10,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from models import energyplus
-from models.building import idf, schema, transition
+from models.building import idf, output_objects, schema, transition
 from models.building.edits import Edits, apply_edits
 from models.cache import cached_bytes, digest
 from models.catalog import Entry
@@ -20,49 +21,6 @@ from topics.errors import InvalidConfig
 
 Objects = dict[str, dict[str, Any]]
 """epJSON: object type, object name, fields."""
-
-_SILENT = {
-    "OutputControl:Files": {
-        "silent": {
-            f"output_{name}": "No"
-            for name in [
-                "csv",
-                "mtr",
-                "eso",
-                "eio",
-                "tabular",
-                "sqlite",
-                "json",
-                "audit",
-                "space_sizing",
-                "zone_sizing",
-                "system_sizing",
-                "dxf",
-                "bnd",
-                "rdd",
-                "mdd",
-                "mtd",
-                "shd",
-                "dfs",
-                "glhe",
-                "delightin",
-                "delighteldmp",
-                "delightdfdmp",
-                "edd",
-                "dbg",
-                "perflog",
-                "sln",
-                "sci",
-                "wrl",
-                "screen",
-                "extshd",
-                "tarcog",
-            ]
-        }
-    }
-}
-"""Turns off every output file that EnergyPlus can omit, all but `eplusout.err` and `eplusout.end`."""
-
 
 _MAX_ERRORS = 10
 """Number of errors that an error message lists."""
@@ -200,7 +158,9 @@ def with_edits(building: Building, edits: Edits) -> Building:
     )
 
 
-def for_episode(building: Building, period: Period, *, outputs: bool = False) -> dict[str, Objects]:
+def for_episode(
+    building: Building, period: Period, *, outputs: bool = False, requested: Iterable[tuple[str, str]] = ()
+) -> dict[str, Objects]:
     """Return the objects for one episode: its run period and timestep, without design-day environments.
 
     Objects that act on the building are unchanged.
@@ -209,11 +169,12 @@ def for_episode(building: Building, period: Period, *, outputs: bool = False) ->
         building: the model.
         period: the run period.
         outputs: whether to keep the model's output objects; otherwise EnergyPlus writes only its errors.
+        requested: name and key of the output variables to compute that EnergyPlus computes only on request.
     """
     objects = {kind: copy(items) for kind, items in building.objects.items()}
     if not outputs:
-        kept = "OutputControl:ReportingTolerances"
-        objects = {k: v for k, v in objects.items() if not k.startswith("Output") or k == kept} | _SILENT
+        objects = output_objects.without_files(objects)
+    objects = output_objects.with_requests(objects, requested)
     own = {k: v for k, v in building.run_period.items() if k != "day_of_week_for_start_day"}
     objects["RunPeriod"] = {
         "zenostat": own

@@ -10,6 +10,7 @@ from typing import TypeVar
 from models.building.model import Building
 from models.points.discovery import ActuatorPoint, MeterPoint, PointCatalog, Variable, locations
 from topics.energyplus_names import (
+    COMPUTED_ON_REQUEST,
     COOLING_SETPOINT,
     COOLING_SETPOINT_VARIABLE,
     FUELS,
@@ -73,6 +74,12 @@ class Points:
     actuators: tuple[Actuator, ...]
     system: tuple[bool, ...]
     meter_handles: tuple[int, ...]
+
+    @property
+    def requested(self) -> tuple[tuple[str, str], ...]:
+        """Name and key of the output variables that EnergyPlus computes only on request; each once."""
+        names = [(s.variable, s.key) for s in self.sensors if s.variable.casefold() in COMPUTED_ON_REQUEST]
+        return tuple(dict.fromkeys(names))
 
 
 @dataclass(frozen=True, slots=True)

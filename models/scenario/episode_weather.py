@@ -101,10 +101,12 @@ class EpisodeFactory:
         weather_noise: Variability,
         *,
         outputs: bool,
+        requested: Sequence[tuple[str, str]] = (),
         noise_start: NoiseStart = "episode",
     ) -> None:
         self._building, self._period, self._sources = building, period, sources
         self._weather_noise, self._output_variables, self._noise_start = weather_noise, outputs, noise_start
+        self._requested = requested
         self._weathers: dict[int, epw.Weather] = {}
         self._late_noise: dict[int, _LateNoise] = {}
 
@@ -127,7 +129,7 @@ class EpisodeFactory:
         return EpisodeFiles(self._write_model(self._sources[source], folder), weather), late.offset
 
     def _write_model(self, source: WeatherSource, folder: Path) -> Path:
-        objects = for_episode(self._building, self._period, outputs=self._output_variables)
+        objects = for_episode(self._building, self._period, outputs=self._output_variables, requested=self._requested)
         if source.site is not None:
             objects = design_days.apply(objects, source.site)
         return write(objects, folder)
