@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import sqlite3
 import subprocess
 import sys
@@ -23,6 +24,9 @@ from topics.errors import ModelError
 ISOLATED = (sys.executable, "-P", "-m")
 """Command prefix for a package's programs: `-P` excludes the caller's folder (and its `models.py`) from imports."""
 
+_ACTIONS = {"convert": "convert", "survey": "start"}
+"""What EnergyPlus does for each verb, for errors."""
+
 
 def call(verb: str, *arguments: str | Path, file: str | Path | None = None) -> None:
     """Run this module as a program, which writes its result to the file that the last argument names.
@@ -33,7 +37,7 @@ def call(verb: str, *arguments: str | Path, file: str | Path | None = None) -> N
         file: the file that an error refers to; the first argument if None.
 
     Raises:
-        ModelError: the child failed; the text has the severe lines of `eplusout.err`.
+        ModelError: the child failed; the text has the severe messages of `eplusout.err`, and the lines of `file`.
     """
     folder = Path(arguments[-1]).parent
     finished = subprocess.run(
@@ -45,9 +49,13 @@ def call(verb: str, *arguments: str | Path, file: str | Path | None = None) -> N
         check=False,
     )
     if not Path(arguments[-1]).exists():
+        code, source = finished.returncode, Path(file or arguments[0])
         output = (finished.stdout or "").strip().splitlines()[-5:]
-        fallback = "\n  ".join([f"It exited with code {finished.returncode} and this output:", *output])
-        raise ModelError(f"EnergyPlus could not {verb} {file or arguments[0]}. {explain(folder, fallback)}")
+        fallback = "\n  ".join([f"It exited with code {code} and this output:", *output])
+        reports = sorted(folder.rglob("eplusout.err"), key=lambda path: path.stat().st_mtime_ns)
+        reason = explain(reports[-1].parent if reports else folder, fallback, source=source)
+        crash = f": it crashed ({signal.Signals(-code).name})" if code < 0 else ""
+        raise ModelError(f"EnergyPlus could not {_ACTIONS[verb]} {source}{crash}. {reason}")
 
 
 @cache
@@ -155,8 +163,7 @@ def _run_until_ready(model: dict[str, Any], weather: str, folder: str) -> list[l
     api.runtime.callback_begin_new_environment(state, ready)
     api.runtime.run_energyplus(state, ["-w", weather, "-d", folder, path])
     if not points:
-        sys.stdout.write(explain(Path(folder), "EnergyPlus stopped before its first environment"))
-        sys.exit(1)
+        sys.exit("EnergyPlus stopped before its first environment")
     return points
 
 

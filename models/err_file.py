@@ -4,32 +4,56 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from models.building.source_lines import locate, read_objects
+
 _SEVERE = ("** Severe  **", "**  Fatal  **")
 _CONTINUATION = "**   ~~~   **"
 
+_FIRST, _LAST = 7, 3
+"""Numbers of messages that an explanation has."""
 
-def severe_lines(folder: Path, *, limit: int = 20) -> list[str]:
-    """Return the severe and fatal messages of a run with their continuation lines, at most the last `limit` lines.
+_MAX_LINES = 8
+"""Lines of a message that an explanation has."""
 
-    The reason for a fatal error is in the severe messages before it, so both are included.
-    """
+
+def severe_messages(folder: Path) -> list[list[str]]:
+    """Return the severe and fatal messages of a run in their order, each with its continuation lines."""
     try:
         text = (folder / "eplusout.err").read_text(errors="replace")
     except OSError:
         return []
-    kept: list[str] = []
+    messages: list[list[str]] = []
     within = False
     for line in text.splitlines():
         if any(mark in line for mark in _SEVERE):
             within = True
+            messages.append([])
         elif _CONTINUATION not in line:
             within = False
         if within:
-            kept.append(" ".join(line.split()))
-    return kept[-limit:]
+            messages[-1].append(" ".join(line.split()))
+    return messages
 
 
-def explain(folder: Path, fallback: str) -> str:
-    """Return those messages as the end of an error text, or `fallback` if there are none."""
-    lines = severe_lines(folder)
-    return "\n  ".join(["EnergyPlus reports:", *lines]) if lines else fallback
+def explain(folder: Path, fallback: str, *, source: Path | None = None) -> str:
+    """Return the messages as the end of an error text, or `fallback` if there are none.
+
+    The first messages are the reason of an invalid model, and the others follow from them; the last ones are the reason
+    where a simulation fails later.
+
+    Args:
+        folder: EnergyPlus's output folder.
+        fallback: the text if there are no messages.
+        source: the user's model file; its line is added where a message names one of its objects.
+    """
+    messages = severe_messages(folder)
+    if not messages:
+        return fallback
+    objects = read_objects(source) if source is not None else []
+    blocks = []
+    for message in messages if len(messages) <= _FIRST + _LAST else [*messages[:_FIRST], *messages[-_LAST:]]:
+        location = locate(" ".join(message), objects) if objects else None
+        blocks.append([*message[:_MAX_LINES], *([f"({source}, {location})"] if location else [])])
+    if len(blocks) < len(messages):
+        blocks.insert(_FIRST, [f"… {len(messages) - len(blocks)} more messages …"])
+    return "\n  ".join(["EnergyPlus reports:", *(line for block in blocks for line in block)])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +16,13 @@ from models.scenario.episode_weather import EpisodeFiles
 from topics.errors import ModelError
 
 
-def _failure(text: str, folder: Path) -> ModelError:
-    return ModelError(f"{text}. {explain(folder, 'EnergyPlus gave no reason in eplusout.err')}")
+def _failure(source: Path | None, text: str, folder: Path) -> ModelError:
+    return ModelError(f"{text}. {explain(folder, 'EnergyPlus gave no reason in eplusout.err', source=source)}")
 
 
 ENERGYPLUS = EngineProgram(
     command=(*ISOLATED, "eplus_node.engine"),
-    failure=_failure,
+    failure=partial(_failure, None),
     explain=explain,
     # Huge pages mean fewer page tables for a fork to copy: a fork takes half the time (docs/performance.md).
     environment={"GLIBC_TUNABLES": "glibc.malloc.hugetlb=1"},
@@ -37,8 +39,10 @@ def engine_spec(plan: Plan, files: EpisodeFiles, folder: Path, **settings: Any) 
         settings: further fields of `EngineSpec`.
     """
     points = plan.points
+    source = Path(plan.building.file) if plan.building.file else None
+    program = replace(ENERGYPLUS, failure=partial(_failure, source), explain=partial(explain, source=source))
     return EngineSpec(
-        program=ENERGYPLUS,
+        program=program,
         folder=folder,
         values=len(points.sensors) + len(points.meters),
         actuators=len(points.actuators),

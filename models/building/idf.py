@@ -16,7 +16,7 @@ from typing import Any
 from models import energyplus
 from models.building import schema
 from models.building.transition import idf_objects
-from models.err_file import severe_lines
+from models.err_file import severe_messages
 from topics.errors import InvalidConfig, ModelError, did_you_mean
 
 _MAX_ERRORS = 10
@@ -35,7 +35,8 @@ def convert(path: Path, target: Path) -> None:
     converted: dict[str, Any] = json.loads(target.read_bytes()) or {}
     if not read.keys() & {kind.casefold() for kind in schema.types()}:
         raise InvalidConfig(f"{path} is not an IDF: it contains no object that EnergyPlus {energyplus.version()} knows")
-    errors = [_with_suggestions(line) for line in severe_lines(target.parent) if "Fatal" not in line]
+    messages = [line for message in severe_messages(target.parent) for line in message]
+    errors = [_with_suggestions(line) for line in messages if "Fatal" not in line]
     errors += _lost_objects(read, converted)
     if errors:
         more = [f"and {len(errors) - _MAX_ERRORS} more"] if len(errors) > _MAX_ERRORS else []

@@ -16,7 +16,7 @@ from support.weather_files import DRY_BULB, Outdoors, run
 
 from models.building.model import for_episode, read_building, write
 from models.catalog import find_building, find_weather
-from models.err_file import severe_lines
+from models.err_file import severe_messages
 from models.scenario.run_period import Period
 from models.weather.design_days import Site, apply, from_header, site, standard_pressure
 from models.weather.header import DesignConditions, Header, read_header
@@ -255,7 +255,7 @@ def test_a_real_building_is_sized_for_the_header(folder: Path) -> None:
     path = write(apply(objects, site(phoenix, read_header(phoenix))), folder)
     done = run_program([executable, "-P", "-c", _RUN, str(path), str(phoenix), str(folder)], check=False)
     assert done.returncode == 0
-    assert severe_lines(folder) == []
+    assert severe_messages(folder) == []
     assert "DesignDay" not in (folder / "eplusout.err").read_text()
     sized = [line for line in (folder / "eplusout.eio").read_text().splitlines() if "Zone Sizing Information," in line]
     assert {line.split(",")[7].strip() for line in sized if not line.startswith("!")} == {

@@ -103,7 +103,7 @@ def test_an_error_of_energyplus_names_the_users_file(tmp_path: Path, monkeypatch
     lights = read_building(OFFICE).objects["Lights"]
     name, fields = next(iter(lights.items()))
     lost = _office_with({"Lights": {name: fields | {"zone_or_zonelist_or_space_or_spacelist_name": "Nowhere"}}})
-    with pytest.raises(ModelError, match=r"could not survey /home/me/mine\.epJSON\.(?s:.*)NOWHERE") as caught:
+    with pytest.raises(ModelError, match=r"could not start /home/me/mine\.epJSON\.(?s:.*)NOWHERE") as caught:
         discover(lost, bundled_weathers()[0].path)
     assert "making-" not in str(caught.value)
 
