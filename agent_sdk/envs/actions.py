@@ -45,6 +45,7 @@ class Actions:
         self._actuators, self._unbound = {a.name: (i, a) for i, a in enumerate(manifest.actuators)}, unbound
         codes = [CommandOp.KEEP if a.name in unbound else CommandOp.SET for a in manifest.actuators]
         self.operations = bytes(codes) if unbound else None
+        self._is_set = np.array(codes) == CommandOp.SET
 
     @property
     def names(self) -> list[str]:
@@ -80,11 +81,9 @@ class Actions:
             context.clear()
         return values, operations
 
-    def commanded(self, values: NDArray[np.float64], operations: bytes | None) -> NDArray[np.float64]:
-        """Return the values of a command with NaN for actuators that it does not set; shape as `values`."""
-        if operations is None:
-            return values
-        return np.where(np.frombuffer(operations, np.uint8).reshape(values.shape) == CommandOp.SET, values, np.nan)
+    def commanded(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the values of a command with NaN for actuators that no action sets; shape as `values`."""
+        return values if self.operations is None else np.where(self._is_set, values, np.nan)
 
     def rows(self, actions: ArrayLike, slots: int, unread: Collection[int] = ()) -> NDArray[np.float64]:
         """Return the values of several slots, shape (slots, actuators).

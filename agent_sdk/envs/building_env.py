@@ -127,7 +127,7 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
 
         self._sample: SampleView | None = None
         self._ended = self._busy = False
-        self._pending: tuple[ArrayLike, NDArray[np.float64], bytes | None] | None = None
+        self._pending: tuple[ArrayLike, NDArray[np.float64]] | None = None
         self._infos = SampleInfos(has_limits=self._state.limits is not None)
         self._connection.warn(stacklevel=3)
 
@@ -338,20 +338,20 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
             raise EpisodeChanged("the episode is over; call reset()" if previous else "call reset() before step()")
         commanded, operations = self._actions.command(action, self._state.context)
         self.link.send(commanded, operations)
-        self._pending = action, commanded, operations
+        self._pending = action, commanded
 
     def step_wait(self) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Wait for the sample of the timestep that `step_async` began; return and raise what `step` does."""
         if self._pending is None:
             raise UsageError("no timestep was begun; call step_async() before step_wait()")
-        (action, commanded, operations), self._pending = self._pending, None
+        (action, commanded), self._pending = self._pending, None
         link = self.link
         sample = self._sample = link.receive()
         infos, state, reward, violation = self._infos, self._state, 0.0, ""
         values, end, info = sample.values, sample.time, infos.of_sample(sample, link)
         begin = end - self._timestep
         fault_free = sample.fault_free_values if sample.message.fault_free_values else values
-        info["action"] = self._actions.commanded(commanded, operations)
+        info["action"] = self._actions.commanded(commanded)
         if state.reward is not None:
             total, info["reward_terms"], info["reward_metrics"] = state.reward(fault_free, begin)
             reward = float(total)

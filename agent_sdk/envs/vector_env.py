@@ -246,7 +246,7 @@ class BuildingVectorEnv(ConnectedEnv, VectorEnv[Observations, Any, NDArray[Any]]
         link.send(commanded if self.num_envs > 1 else commanded[0], operations, still=restarting)
         sample = self._sample = VectorSample(link.receive())
         entries = self._infos.of_sample(sample, link)
-        entries["action"] = self._actions.commanded(commanded, operations)
+        entries["action"] = self._actions.commanded(commanded)
         rewards, terminated, truncated, infos = self._outcome(sample, entries, restarting)
         if self._renderer is not None:
             advanced = [slot for slot in range(self.num_envs) if slot not in restarting]

@@ -60,9 +60,17 @@ class _Logic(WrapperLogic):
         self._randoms.seed(start.slots, start.seeds)
         for row, slot in enumerate(start.slots):
             self._now[slot], self._set[slot] = start.infos.time(row), {}
+        # A caller's own context after the reset replaces that of a table. A function draws once for each timestep,
+        # and at a snapshot only after its random generator has been restored.
+        if self._table is not None:
+            self._apply(start.slots)
         return start.observations
 
     def act(self, slots: list[int], actions: Values) -> Values:
+        self._apply(slots)
+        return actions
+
+    def _apply(self, slots: list[int]) -> None:
         contexts = [self._context(slot) for slot in slots]
         changes = [
             {
@@ -76,7 +84,6 @@ class _Logic(WrapperLogic):
             self.view.call_each(slots, "set_context", changes)
         for slot, values in zip(slots, changes, strict=True):
             self._set[slot] |= values
-        return actions
 
     def _context(self, slot: int) -> Context:
         if self._table is not None:
@@ -104,11 +111,12 @@ class ChangingContext(BuildingWrapper):
         schedule: a table of times (`{"07:00": {"occupants": 1.0}, "18:00": {"occupants": 0.0}}`, or with days,
             `"07-01 07:00"`), in which each entry is valid until the next one; or a function of the time and of a
             random generator that `reset(seed=)` seeds. The value None relinquishes an actuator. An actuator that is
-            not named keeps its value.
+            not named keeps its value. A `set_context` after the reset or a step replaces a table's value until the
+            table changes it.
 
     Raises:
-        InvalidConfig: the table is invalid. `InvalidAction` at a step: the node does not have the actuator, an action
-            sets it, or the value is out of bounds.
+        InvalidConfig: the table is invalid. `InvalidAction` at a reset or step: the node does not have the actuator, an
+            action sets it, or the value is out of bounds.
     """
 
     logic = _Logic

@@ -696,9 +696,19 @@ def test_context_that_cannot_be() -> None:
     with pytest.raises(InvalidConfig, match="'02-30 07:00' is not a time"):
         w.ChangingContext(fake(), {"02-30 07:00": {}})
     env = w.ChangingContext(fake(), {"00:00": {"cool": 25.0}})
-    env.reset()
     with pytest.raises(InvalidAction, match="'cool' is not an actuator outside the actions"):
-        env.step(MIDDLE)
+        env.reset()
+
+
+def test_context__set_after_the_reset_replaces_that_of_a_table() -> None:
+    """As in Sinergym, whose `reset(options={"initial_context": …})` replaces the configured one."""
+    env = w.ChangingContext(fake(steps_per_hour=1), {"00:00": {"occupants": 0.5}, "03:00": {"occupants": 0.75}})
+    for own in (0.25, None, 0.125):
+        env.reset()
+        if own is not None:
+            env.unwrapped.set_context({"occupants": own})  # type: ignore[attr-defined]
+        effective = [env.step(MIDDLE)[4]["effective"][2] for _ in range(5)]
+        assert effective == [own or 0.5] * 3 + [0.75] * 2
 
 
 # Logs

@@ -76,8 +76,8 @@ def test_infos_of_a_real_building_have_one_form(scratch: Path) -> None:
     assert (Path(info["output_dir"]) / "eplusout.err").is_file()
 
 
-def test_what_no_action_sets_was_not_commanded() -> None:
-    """A context is a command in the step that first has it."""
+def test_info_action__is_nan_for_actuators_that_no_action_sets() -> None:
+    """A context shows in the effective values, in the step that first has it as in all others."""
     env, vector = FakeEnv(**DAY, **BESIDE), FakeVectorEnv(2, **DAY, **BESIDE)
     at = [actuator.name for actuator in env.manifest.actuators].index
     assert np.isnan(env.reset(seed=0)[1]["action"]).all()
@@ -88,10 +88,11 @@ def test_what_no_action_sets_was_not_commanded() -> None:
             vector.envs[1].set_context({"equipment": context})
         *_, info = env.step(np.array([27.0], np.float32))
         *_, infos = vector.step(np.full((2, 1), 27.0, np.float32))
-        for row, said in ((info["action"], context), (infos["action"][0], None), (infos["action"][1], context)):
+        for row in (info["action"], *infos["action"]):
             assert row[at("zone_1_cooling_setpoint")] == 27.0
-            assert np.isnan(row[at("zone_1_heating_setpoint")])
-            assert row[at("equipment")] == said if said is not None else np.isnan(row[at("equipment")])
+            assert np.isnan(row[[at("zone_1_heating_setpoint"), at("equipment")]]).all()
+        if context is not None:
+            assert info["effective"][at("equipment")] == infos["effective"][1, at("equipment")] == context
 
 
 @pytest.mark.parametrize(
