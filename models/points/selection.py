@@ -56,6 +56,10 @@ _FEEDBACK = {
 # Rates and flows: EnergyPlus itself reports their means, and energy can be calculated only from means.
 _RATES = {"W", "W/m2", "W/m", "W/m2-K", "kg/s", "kgWater/s", "m3/s", "kmol/s", "L/s", "ach"}
 
+# What EnergyPlus reports for a node that has no such setpoint (`SensedNodeFlagValue` in its source).
+_NODE_SETPOINT = "System Node Setpoint "
+_NO_SETPOINT = -999.0
+
 # EnergyPlus's own limits on surface temperatures (Input Output Reference, HeatBalanceAlgorithm and
 # "Temperature out of bounds" warnings): no simulation continues with air beyond them.
 _AIR_TEMPERATURE_BOUNDS = (-100.0, 200.0)
@@ -209,6 +213,8 @@ def default_aggregation(variable: Variable) -> Aggregation:
 def sensor_bounds(variable: Variable) -> tuple[float | None, float | None]:
     """Return the bounds of the variable's values; None if there is none."""
     name = variable.name
+    if name.startswith(_NODE_SETPOINT):
+        return (_NO_SETPOINT, None)
     if variable.unit == "degC" and name.startswith(("Zone ", "Site ")) and "Air " in name:
         return _AIR_TEMPERATURE_BOUNDS
     if name.endswith("Occupant Count") or (name.startswith("Site ") and variable.unit in ("W/m2", "m/s")):

@@ -190,6 +190,8 @@ def test_an_unknown_reading_is_refused_with_those_there_are() -> None:
 @pytest.mark.parametrize(
     ("variable", "bounds"),
     [
+        (Variable("System Node Setpoint Humidity Ratio", "NODE", "kgWater/kgDryAir", True, False), (-999.0, None)),
+        (Variable("System Node Humidity Ratio", "NODE", "kgWater/kgDryAir", True, False), (0.0, None)),
         (state("Zone Air Temperature", "k", "degC"), (-100.0, 200.0)),
         (state("Site Outdoor Air Drybulb Temperature", "k", "degC"), (-100.0, 200.0)),
         (state("Zone Air Relative Humidity", "k", "percent"), (0.0, 100.0)),

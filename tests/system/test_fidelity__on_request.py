@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from models.catalog import find_building, find_weather
 from models.points.discovery import discover
 from topics.energyplus_names import COMPUTED_ON_REQUEST
 from topics.errors import InvalidConfig
+from topics.points import bound_arrays
 
 CASE = Case("warehouse", WEATHER, "07-01", "07-02", 4)
 
@@ -39,6 +41,21 @@ def test_each_variable__equals_the_report_and_is_not_constant(folder: Path) -> N
     episodes = list((folder / "run" / "run").rglob("episode-*"))
     written = {path.name for episode in episodes for path in episode.rglob("*") if path.is_file()}
     assert not {name for name in written if name.endswith((".eso", ".mtr", ".sql", ".csv", ".rdd"))}
+
+
+@pytest.mark.slow
+def test_every_variable_and_meter__equals_the_report_within_its_bounds(folder: Path) -> None:
+    """Also the setpoints of nodes that have none, which EnergyPlus reports as -999."""
+    points = discover(read_building(find_building(CASE.building)), find_weather(WEATHER).path)
+    sensors = {f"s{i}": [v.name, v.key] for i, v in enumerate(points.by_variable.values())}
+    meters = {f"m{i}": meter.name for i, meter in enumerate(points.meters)}
+    case = replace(CASE, end=CASE.begin)
+    manifest, got, expected = run_both(case, folder, sensors=sensors, meters=meters, actuators={})
+    check_equal(manifest, got, expected)
+    low, high = bound_arrays(manifest.points)
+    outside = ((got < low) | (got > high)).any(axis=0)
+    assert not [point for point, is_outside in zip(manifest.points, outside, strict=True) if is_outside]
+    assert -999.0 in got
 
 
 @pytest.mark.parametrize(
