@@ -16,8 +16,7 @@ from topics.units import unit_label
 
 if TYPE_CHECKING:
     from models.building.model import Building
-    from models.points.discovery import PointCatalog
-    from models.points.selection import PointListing
+    from models.points.listing import PointListing
 
 
 class Kind(StrEnum):
@@ -34,14 +33,15 @@ def points(
     kind: Annotated[Kind | None, typer.Option(help="Show only this kind.")] = None,
     match: Annotated[str, typer.Option(help="Show only points whose name, key or location contains this text.")] = "",
     default: Annotated[
-        bool, typer.Option("--default", help="Show only the points that a node has by default.")
+        bool, typer.Option("--default", help="Show the points that a node has by default, with their names on the bus.")
     ] = False,
     monitoring: Annotated[
-        bool,
+        bool | None,
         typer.Option(
-            "--monitoring", help="Show only the points for pictures and reports, of which agents observe none."
+            help="Show only the default points for pictures and reports, of which agents observe none; with "
+            "--default --no-monitoring, those of a node with that option."
         ),
-    ] = False,
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
     """List a building's points with units, bounds and locations. The first call for a building takes seconds.
@@ -51,48 +51,47 @@ def points(
     from models import catalog
     from models.building.model import read_building
     from models.points.discovery import discover
-    from models.points.selection import listing
+    from models.points.listing import listing
 
     with err.status(f"reading the points of {building} with EnergyPlus"):
         model = read_building(catalog.find_building(building))
         discovered = discover(model, catalog.weathers()[0].path)
-    selected = _keys(model, discovered, default=default, monitoring=monitoring) if default or monitoring else None
-    listed = [
-        row
-        for row in listing(discovered, model)
-        if (kind is None or row.kind == kind)
-        and (selected is None or (row.kind, row.name.casefold(), row.key.casefold()) in selected)
-    ]
+    of_run = default or bool(monitoring)
+    rows = _of_run(building, model, default=default, monitoring=monitoring) if of_run else listing(discovered, model)
+    listed = [row for row in rows if kind is None or row.kind == kind]
     rows = _matching(listed, match, f"no {kind or 'point'} of {model.name}")
     if as_json:
         show_json([asdict(row) for row in rows])
         return
-    columns = ("kind", "name", "key (location)", "unit", "low", "high")
+    columns = ("kind", *(("bus name",) if of_run else ()), "name", "key (location)", "unit", "low", "high")
     show(
         f"{model.name}: {len(rows):,} points",
         columns,
-        [_cells(row) for row in rows],
+        [_cells(row, of_run=of_run) for row in rows],
         right=("low", "high"),
-        wrap=("name", "key (location)"),
+        wrap=("bus name", "name", "key (location)"),
     )
 
 
-def _keys(
-    building: Building, discovered: PointCatalog, *, default: bool, monitoring: bool
-) -> set[tuple[str, str, str]]:
-    """Return (kind, name, key), case-folded, of the points that a node has by default, or for monitoring."""
+def _of_run(name: str, building: Building, *, default: bool, monitoring: bool | None) -> list[PointListing]:
+    """Return the points that a node of the building has by default, or those of them for pictures and reports."""
+    from eplus_node.config import read_config, scenario_of
+    from eplus_node.plan import run_points
+    from models import catalog
+    from models.points.discovery import discover
+    from models.points.listing import run_listing
     from models.points.monitoring import monitoring_meters, monitoring_sensors
-    from models.points.selection import default_actuators, default_meters, default_sensors
 
-    keys: set[tuple[str, str, str]] = set()
+    weather = catalog.weathers()[0]
+    scenario = scenario_of(read_config({"building": name, "weather": weather.name}))
+    points = run_points(building, scenario, weather.path, monitoring=monitoring is not False)
+    rows = [*run_listing(points, building)]
     if default:
-        keys |= {("sensor", *spec) for spec in default_sensors(discovered).values()}
-        keys |= {("meter", name, "") for name in default_meters(discovered).values()}
-        keys |= {("actuator", f"{a} / {b}", key) for a, b, key in default_actuators(discovered).values()}
-    if monitoring:
-        keys |= {("sensor", *spec) for spec in monitoring_sensors(building, discovered).values()}
-        keys |= {("meter", name, "") for name in monitoring_meters(discovered).values()}
-    return {(kind, name.casefold(), key.casefold()) for kind, name, key in keys}
+        return rows
+    discovered = discover(building, weather.path)
+    shown = {(name.casefold(), key.casefold()) for name, key in monitoring_sensors(building, discovered).values()}
+    shown |= {(meter.casefold(), "") for meter in monitoring_meters(discovered).values()}
+    return [row for row in rows if (row.name.casefold(), row.key.casefold()) in shown]
 
 
 def _matching(listed: Sequence[PointListing], match: str, prefix: str) -> list[PointListing]:
@@ -107,11 +106,12 @@ def _matching(listed: Sequence[PointListing], match: str, prefix: str) -> list[P
 
 
 def _parts(row: PointListing) -> tuple[str, ...]:
-    return row.name, row.key, row.where
+    return row.bus_name, row.name, row.key, row.where
 
 
-def _cells(row: PointListing) -> tuple[str, ...]:
+def _cells(row: PointListing, *, of_run: bool) -> tuple[str, ...]:
     low, high = ("" if bound is None else f"{bound:g}" for bound in (row.low, row.high))
     is_named_by_key = not row.where or row.where.casefold() == row.key.casefold()
     place = row.key if is_named_by_key else f"{row.key} ({row.where})".lstrip()
-    return row.kind, row.name, place, unit_label(row.unit), low, high
+    names = (row.bus_name, row.name) if of_run else (row.name,)
+    return row.kind, *names, place, unit_label(row.unit), low, high

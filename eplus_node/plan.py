@@ -89,7 +89,9 @@ def plan(config: NodeConfig) -> Plan:
             errors.collect(lambda source=source: check_covers(source.header, period, source.name))  # type: ignore[misc]
         errors.collect(lambda: _check_noise_start(scenario, model, period))
     if model is not None and valid_sources:
-        chosen = errors.collect(lambda: _points(model, scenario, valid_sources[0].path, monitoring=config.monitoring))
+        chosen = errors.collect(
+            lambda: run_points(model, scenario, valid_sources[0].path, monitoring=config.monitoring)
+        )
     if chosen is not None:
         task = errors.collect(lambda: task_of(scenario, chosen))
     file = config.faults
@@ -246,7 +248,19 @@ def _source(name: str, scenario: Scenario) -> WeatherSource:
     return WeatherSource(entry.name, entry.path, header, site)
 
 
-def _points(model: Building, scenario: Scenario, any_weather: Path, *, monitoring: bool) -> Points:
+def run_points(model: Building, scenario: Scenario, any_weather: Path, *, monitoring: bool) -> Points:
+    """Return the points of a scenario's run.
+
+    Args:
+        model: the scenario's model, edited.
+        scenario: what is measured and controlled; by default the model's default points.
+        any_weather: a weather file, to start EnergyPlus.
+        monitoring: whether to add the points for pictures and reports.
+
+    Raises:
+        UnknownName, InvalidConfig: the points of the scenario have errors.
+        ModelError: EnergyPlus cannot start the model.
+    """
     offered = discovery.discover(model, any_weather)
     actuators = None
     if scenario.actuators is not None:

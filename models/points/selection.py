@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite, nan
 from typing import TypeVar
 
 from models.building.model import Building
-from models.points.discovery import ActuatorPoint, MeterPoint, PointCatalog, Variable, locations
+from models.points.discovery import ActuatorPoint, MeterPoint, PointCatalog, Variable
 from topics.energyplus_names import (
     COMPUTED_ON_REQUEST,
     COOLING_SETPOINT,
@@ -84,28 +84,6 @@ class Points:
         """Name and key of the output variables that EnergyPlus computes only on request; each once."""
         names = [(s.variable, s.key) for s in self.sensors if s.variable.casefold() in COMPUTED_ON_REQUEST]
         return tuple(dict.fromkeys(names))
-
-
-@dataclass(frozen=True, slots=True)
-class PointListing:
-    """A point of a model, for lists.
-
-    Attributes:
-        kind: `sensor`, `meter`, `actuator`, or `internal` (a constant of the model).
-        name: the variable, the meter, the component type and control type, or the internal variable.
-        key: EnergyPlus's name of the object that has it; empty for a meter.
-        low, high: bounds of its values, or of the values that an actuator accepts; None if there is none.
-        where: the zone, air loop or plant loop that it belongs to, `Environment`, `facility` for the whole
-            building; empty if the model does not show it.
-    """
-
-    kind: str
-    name: str
-    key: str
-    unit: str
-    low: float | None
-    high: float | None
-    where: str
 
 
 def select_points(
@@ -227,12 +205,12 @@ def sensor_bounds(variable: Variable) -> tuple[float | None, float | None]:
 def _meter(available: PointCatalog, name: str, spec: object) -> tuple[Meter, MeterPoint]:
     for candidate in available.meters:
         if candidate.name.casefold() == str(spec).casefold():
-            return Meter(name=name, meter=candidate.name, unit=candidate.unit, low=_meter_low(candidate)), candidate
+            return Meter(name=name, meter=candidate.name, unit=candidate.unit, low=meter_low(candidate)), candidate
     hint = did_you_mean(str(spec), (m.name for m in available.meters))
     raise UnknownName(f"meter {name!r}: the model has no meter {spec!r}; {hint}")
 
 
-def _meter_low(meter: MeterPoint) -> float | None:
+def meter_low(meter: MeterPoint) -> float | None:
     """Return 0 for a fuel's meter, since consumption is never negative."""
     return 0.0 if meter.name.split(":")[0] in FUELS else None
 
@@ -355,43 +333,3 @@ def default_actuators(available: PointCatalog) -> dict[str, tuple[str, str, str]
         for a in available.actuators
         if a.component_type == THERMOSTAT and a.control_type in _SETPOINT_BOUNDS
     }
-
-
-def listing(available: PointCatalog, building: Building) -> Iterator[PointListing]:
-    """Yield all points of a model with bounds and location; takes a tenth of a second for 20,000."""
-    location = locations(building.objects)
-
-    def place(key: str) -> str:
-        return location.get(key.upper()) or _SITE_KEYS.get(key.upper(), "")
-
-    for v in available.variables:
-        yield PointListing("sensor", v.name, v.key, v.unit, *sensor_bounds(v), place(v.key))
-    own_meters = {
-        n for kind, items in building.objects.items() if kind.startswith("Meter:") for n in map(str.upper, items)
-    }
-    for m in available.meters:
-        yield PointListing(
-            "meter", m.name, "", m.unit, _meter_low(m), None, _meter_place(m.name.upper(), location, own_meters)
-        )
-    for a in available.actuators:
-        name = f"{a.component_type} / {a.control_type}"
-        yield PointListing("actuator", name, a.key, a.unit, *actuator_bounds(building, a), place(a.key))
-    for i in available.internal:
-        yield PointListing("internal", i.name, i.key, i.unit, None, None, place(i.key))
-
-
-# EnergyPlus's keys of points that belong to no zone and no loop.
-_SITE_KEYS = {
-    "ENVIRONMENT": "Environment",
-    "WHOLE BUILDING": "facility",
-    "FACILITY": "facility",
-    "SITE": "facility",
-    "SIMHVAC": "facility",
-}
-
-
-def _meter_place(name: str, location: Mapping[str, str], own: Collection[str]) -> str:
-    """Return the zone for `…:Zone:NAME`, "" for a space type or a meter that the model defines, else `facility`."""
-    if ":ZONE:" in name:
-        return location.get(name.rpartition(":ZONE:")[2], "")
-    return "" if ":SPACETYPE:" in name or name in own else "facility"

@@ -92,6 +92,7 @@ def test_points__have_units_and_bounds() -> None:
 def test_points__without_a_unit_show_none() -> None:
     done = run_in_process("points", "ref-small-office", "--default", "--match", "occupant", columns=200)
     cells = done.stdout.splitlines()[1].split()
+    assert cells[:2] == ["sensor", "core_zn_occupants"]
     assert cells[-2:] == ["CORE_ZN", "0"], "its key, no unit, and the low bound"
 
 
@@ -123,9 +124,12 @@ def test_points__show_a_location_once_and_nothing_is_cut_at_80_columns(monkeypat
     terminal = Console(width=80, force_terminal=True, color_system=None, file=io.StringIO())
     monkeypatch.setattr("cli.tables.out", terminal)
     run_in_process(*select)
-    _, heading, _, *lines = terminal.file.getvalue().splitlines()
+    printed = terminal.file.getvalue().splitlines()
+    rule = next(number for number, line in enumerate(printed) if line.startswith("─"))
+    heading, lines = printed[rule - 1], printed[rule + 1 :]  # its last line: that of a heading of one line
     assert max(map(len, lines)) <= 80
-    name, place, unit = (heading.index(column) for column in ("name", "key (location)", "unit"))
+    place, unit = heading.index("(location)"), heading.index("unit")
+    name = heading.rindex("name", 0, place)  # after `bus name`
     cells: list[tuple[str, str]] = []
     for line in lines:  # a row goes on in the lines that have no kind
         begun = cells.pop() if line[0] == " " else ("", "")

@@ -15,13 +15,12 @@ from models import catalog
 from models.building.model import Building, for_episode, read_building, write
 from models.building.summary import zone_areas
 from models.points.discovery import ActuatorPoint, InternalVariable, MeterPoint, PointCatalog, Variable, discover
+from models.points.listing import PointListing, listing
 from models.points.selection import (
     MeterSpec,
-    PointListing,
     Points,
     Spec,
     default_aggregation,
-    listing,
     select_points,
     sensor_bounds,
 )
