@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import os
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -54,7 +55,8 @@ def evaluate(
         Path | None, typer.Option(help="Record to this folder: a file for each controller, named after it.")
     ] = None,
     file: Annotated[
-        Path | None, typer.Option("--out", help="Write the table of episodes to FILE.parquet or FILE.csv.")
+        Path | None,
+        typer.Option("--out", help="Write the table of episodes to FILE.parquet or FILE.csv; its folder is created."),
     ] = None,
     report: Annotated[Path | None, typer.Option(help=REPORT_HELP)] = None,
     figures: Annotated[Path | None, typer.Option(help=FIGURES_HELP)] = None,
@@ -161,15 +163,17 @@ def _cell(metric: MetricSummary | None) -> str:
 
 
 def check_file(path: Path) -> None:
-    """Check that a table can be written to a path.
+    """Check that a table can be written to a path, whose folder need not exist.
 
     Raises:
-        InvalidConfig: the suffix is not supported, the folder is missing, or a Parquet file needs a missing extra.
+        InvalidConfig: the suffix is not supported, the folder cannot be created, or a Parquet file needs a missing
+            extra.
     """
     if path.suffix not in (".parquet", ".csv"):
         raise InvalidConfig(f"--out {path}: expected a .parquet or .csv file")
-    if not path.absolute().parent.is_dir():
-        raise InvalidConfig(f"--out {path}: there is no folder {path.absolute().parent}")
+    existing = next(folder for folder in path.absolute().parents if folder.exists())
+    if not existing.is_dir() or not os.access(existing, os.W_OK | os.X_OK):
+        raise InvalidConfig(f"--out {path}: {existing} is not a folder that can be written to")
     if path.suffix == ".parquet":
         _parquet()
 
@@ -183,7 +187,11 @@ def _parquet() -> tuple[Any, Any]:
 
 
 def write(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
-    """Write rows with equal keys atomically. None becomes an empty cell in CSV and null in Parquet."""
+    """Write rows with equal keys atomically; None becomes an empty cell in CSV and null in Parquet.
+
+    The file's folder is created if it does not exist.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_file(path) as temporary:
         (_write_parquet if path.suffix == ".parquet" else _write_csv)(rows, temporary)
 

@@ -42,7 +42,7 @@ def daily(values: Any) -> Any:
 
 
 def draw_zones(found: dict[str, Any], titles: dict[str, str], path: Path) -> None:
-    """Draw daily means of outdoor air, both zones and the cooling setpoint over the year, a panel per controller."""
+    """Draw daily means of outdoor air, both zones and the cooling setpoint, a panel per controller."""
     figure, panels = plt.subplots(
         len(titles), figsize=(theme.FULL_IN, 2.4 * len(titles) + 0.6), sharex=True, squeeze=False, layout="constrained"
     )
@@ -55,8 +55,8 @@ def draw_zones(found: dict[str, Any], titles: dict[str, str], path: Path) -> Non
             axes.plot(daily(episode[point]), color=theme.LIGHT[color], label=label)
         setpoint = daily(episode["west_zone_clg_setpoint"])
         axes.plot(setpoint, color=theme.LIGHT["ink"], linestyle="--", linewidth=1, label="cooling setpoint")
-        axes.set(title=title, ylabel="°C, daily mean", xlim=(0, len(outdoor) - 1))
-    panels[-1, 0].set_xlabel("day of the year")
+        axes.set(title=title, ylabel="°C, daily mean", xlim=(0, max(len(outdoor) - 1, 1)))
+    panels[-1, 0].set_xlabel("day of the period")
     panels[0, 0].legend(loc="lower center", ncols=5)
     save(figure, path)
 
@@ -118,7 +118,9 @@ def draw_months(found: dict[str, Any], path: Path) -> None:
     for name, episode in found.items():
         month = episode.time[:-1].astype("datetime64[M]").astype(int) % 12  # of the begin of each timestep
         values = episode["HVAC_electricity_demand_rate"][1:]
-        power[name] = np.array([values[month == number].mean() for number in range(12)])
+        present = np.unique(month)  # all months of a year, or those of a shorter period
+        power[name] = np.full(12, np.nan)
+        power[name][present] = [values[month == number].mean() for number in present]
     figure, (above, below) = plt.subplots(2, figsize=(theme.FULL_IN, 4.0), sharex=True, layout="constrained")
     width = 0.8 / len(power)
     for place, (name, values) in enumerate(power.items()):

@@ -122,13 +122,14 @@ def write_rows(rows: list[dict[str, Any]], path: Path) -> None:
         writer.writerows(rows)
 
 
-def record_best(settings: Settings, folder: Path) -> dict[str, float]:
-    """Record an episode of the best model, and return its row."""
+def record_best(settings: Settings, folder: Path, evaluations: list[dict[str, float]]) -> dict[str, float]:
+    """Record an episode of the best model, and return its row, with the episode of training of its evaluation."""
     with make_env(settings, record=folder, node=settings.algorithm) as env:
         normalization = VecNormalize.load(str(folder / "best.vecnormalize.pkl"), DummyVecEnv([lambda: env]))
         model = ALGORITHMS[settings.algorithm].load(folder / "best.zip", env=normalization, device="cpu")
         (result,) = evaluate_model(model, env, seed=EVALUATION_SEED)
-    return row(0, result.steps, result)
+    best = max(evaluations, key=lambda evaluation: evaluation["mean_reward"])
+    return row(int(best["step"]), result.steps, result)
 
 
 def describe(result: dict[str, float]) -> str:
@@ -156,14 +157,17 @@ def main() -> None:
     parser.add_argument("--set", type=number, action="append", default=[], metavar="NAME=VALUE", dest="parameters")
     parser.add_argument("--out", type=Path, required=True, metavar="FOLDER")
     options = parser.parse_args()
+    if options.episodes < options.evaluate_every:
+        parser.error(f"--evaluate-every {options.evaluate_every} is never reached in --episodes {options.episodes}")
     period = {name: value for name in ("begin", "end") if (value := getattr(options, name))}
     settings = Settings(
         options.algorithm, options.scenario, period, dict(options.parameters), options.episodes,
         options.evaluate_every, options.slots, options.seed,
     )  # fmt: skip
-    for result in train(settings, options.out):
+    evaluations = train(settings, options.out)
+    for result in evaluations:
         print(describe(result))
-    print("best:", describe(record_best(settings, options.out)))
+    print("best:", describe(record_best(settings, options.out, evaluations)))
 
 
 if __name__ == "__main__":

@@ -79,7 +79,7 @@ def test_json_is_the_table_of_the_episodes_and_csv_the_same(scratch: Path) -> No
     ("arguments", "says"),
     [
         (["--controller", "rbc", "--out", "rows.txt"], "--out rows.txt: expected a .parquet or .csv file"),
-        (["--controller", "rbc", "--out", "nowhere/rows.csv"], "there is no folder"),
+        (["--controller", "rbc", "--out", "/dev/null/rows.csv"], "/dev/null is not a folder that can be written to"),
         (["--controller", "rbcc"], "no controller 'rbcc'; did you mean 'rbc'"),
         (["--controller", "rbc", "--controller", "rbc"], "the controller rbc is listed twice"),
         (["--controller", "rbc", "--set", "mergin=1"], "none of the controllers has the parameter 'mergin'"),
@@ -120,6 +120,14 @@ def test_evaluate__a_signal_leaves_nothing(scratch: Path, number: signal.Signals
     command = [*ZENOSTAT, "evaluate", "office.yaml", "--controller", "signals.py:Signals", "--out", "rows.csv"]
     interrupted(command, (scratch / "step-40").exists, "it simulates", cwd=scratch, number=number)
     assert list(scratch.glob("*rows*")) == []
+
+
+def test_write__creates_the_folder_of_a_table(tmp_path: Path) -> None:
+    path = tmp_path / "runs" / "july" / "rows.csv"
+    check_file(path)
+    assert not path.parent.exists()  # nothing is written before there are results
+    write([{"a": 1, "b": None}], path)
+    assert path.read_text() == "a,b\n1,\n"
 
 
 def test_parquet_needs_its_extra(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from support.run_cli import run_program
 
 from models import data_packs
 
@@ -28,6 +29,23 @@ def test_a_short_training_writes_its_curve_its_best_model_and_a_recording(scratc
     assert [(row["step"], row["episode"]) for row in rows] == [(96.0, 1.0), (192.0, 2.0)]
     for row in rows:
         assert row["mean_reward"] == pytest.approx(-(0.5 * 5e-5 * row["power_w"] + 0.5 * row["deviation_k"]))
-    best = max(row["mean_reward"] for row in rows)
-    assert f"best: episode 0.0000  mean_reward {best:.4f}" in done.stdout
+    best = max(rows, key=lambda row: row["mean_reward"])
+    assert f"best: episode {best['episode']:.4f}  mean_reward {best['mean_reward']:.4f}" in done.stdout
     assert {path.suffix for path in (scratch / "run").iterdir()} == {".zip", ".pkl", ".csv", ".json", ".mcap"}
+
+
+@pytest.mark.slow
+def test_the_pages_first_command_and_its_figures__work_in_an_empty_folder_on_part_of_a_year(scratch: Path) -> None:
+    pytest.importorskip("matplotlib")
+    data_packs.add("sinergym-paper")
+    page = (SCRIPTS.parents[1] / "docs" / "paper.md").read_text()
+    command = next(line for line in page.splitlines() if line.startswith("zenostat evaluate"))
+    (scratch / "examples").symlink_to(SCRIPTS.parent)
+    period = ["--begin", "06-30", "--end", "07-01"]
+    done = run_program(*command.split()[1:], *period, cwd=scratch)
+    assert done.returncode == 0, done.stderr
+    assert (scratch / "runs" / "year.csv").is_file()
+    script = [sys.executable, "-W", "error", str(SCRIPTS / "figures.py"), "runs", "--out", "figures"]
+    drawn = subprocess.run(script, cwd=scratch, capture_output=True, text=True, timeout=280)
+    assert (drawn.returncode, drawn.stderr) == (0, "")
+    assert (scratch / "figures" / "paper-months.png").is_file()
