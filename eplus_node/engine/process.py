@@ -11,8 +11,10 @@ import json
 import os
 import socket
 from array import array
+from collections.abc import Iterable
 from itertools import repeat
 from math import isfinite
+from operator import itemgetter
 from typing import Any, NoReturn
 
 from bridge.engine.protocol import PROCESS_ID, FrameKind, OrderKind
@@ -26,6 +28,9 @@ RUN_PERIOD = 3
 
 OUTDOOR_TEMPERATURE = ("Weather Data", "Outdoor Dry Bulb", "Environment")
 """The actuator that overrides the outdoor temperature of the weather file."""
+
+_EMS_KEY = "ems"
+"""EnergyPlus's key of the output variables of EMS programs, case-folded."""
 
 _FORKS_BEFORE_COLLAPSE = 4
 
@@ -86,10 +91,13 @@ class Engine:
         self.states = [i for i, (aggregation, system) in enumerate(kinds) if system and aggregation == "instant"]
         self.summed = [kinds[i][0] == "sum" for i in self.aggregated]
         read = [*self.zone_sensors, *self.aggregated, *self.states]
-        self.order = sorted(range(len(read)), key=read.__getitem__)  # from the order of reading to that of the sensors
+        order = sorted(range(len(read)), key=read.__getitem__)
+        # From the order of reading to that of the sensors.
+        self.arrange: Any = itemgetter(*order) if len(order) > 1 else tuple
         self.totals: list[float] = []
-        self.warmup_totals: list[float] = []
-        self.last_states: list[float] = []
+        # Of the latest zone timestep: means and sums, then states; empty if they are read at its end.
+        self.system_values: list[float] = []
+        self.has_program_variables = any(key.casefold() == _EMS_KEY and system for _, key, _, system in spec["sensors"])
 
     def _bind_library(self) -> None:
         # PyDLL keeps the GIL: the getters take a fraction of a microsecond and there is no other thread.
@@ -113,7 +121,7 @@ class Engine:
         runtime = self.api.runtime
         runtime.callback_begin_new_environment(self.state, self._guarded(self._on_environment))
         runtime.callback_after_new_environment_warmup_complete(self.state, self._guarded(self._on_warmed_up))
-        if self.aggregated or self.states:
+        if self.aggregated or self.has_program_variables:
             runtime.callback_end_system_timestep_after_hvac_reporting(self.state, self._guarded(self._on_system_step))
         runtime.callback_end_zone_timestep_after_zone_reporting(self.state, self._guarded(self._on_zone_step))
         spec = self.spec
@@ -173,13 +181,14 @@ class Engine:
                 raise LookupError(f"EnergyPlus has no {' / '.join(map(str, names))} in this run")
         self.zone_handles = [self.sensors[i] for i in self.zone_sensors]
         self.aggregated_handles = [self.sensors[i] for i in self.aggregated]
-        self.state_handles = [self.sensors[i] for i in self.states]
+        self.system_handles = [self.sensors[i] for i in [*self.aggregated, *self.states]]
 
     def _on_system_step(self, state: int) -> None:
         """Read system variables as EnergyPlus has just reported them; add to means and sums as its reports do.
 
         An EMS program may change its output variables right after this report; EnergyPlus reports that change in the
-        next system timestep. At the end of the zone timestep, it would be a step ahead.
+        next system timestep. At the end of the zone timestep, they would be a step ahead. All other system variables
+        keep their values until then.
         """
         if not self.in_run_period:
             return
@@ -188,17 +197,29 @@ class Engine:
         end = self.minute + self.system_step_h(state) * 60.0
         share = (end - self.minute) / self.zone_step_min
         self.minute = end
-        values = map(self.get_variable, repeat(state), self.aggregated_handles)
+        if share == 1.0 and not self.has_program_variables:
+            self.system_values = []  # read with the zone variables: one visit to EnergyPlus takes less time than two
+            return
+        if end < self.zone_end_min - _MINUTE_TOLERANCE:
+            self.totals = self._totals(map(self.get_variable, repeat(state), self.aggregated_handles), share)
+            return
+        values = list(map(self.get_variable, repeat(state), self.system_handles))
+        if share != 1.0:
+            count = len(self.aggregated)
+            values[:count] = self._totals(values[:count], share)
+            self.totals = []
+        self.system_values = values
+
+    def _totals(self, values: Iterable[float], share: float) -> list[float]:
         parts = [v if s else v * share for v, s in zip(values, self.summed, strict=True)]
-        self.totals = [a + b for a, b in zip(self.totals, parts, strict=True)] if self.totals else parts
-        if end > self.zone_end_min - _MINUTE_TOLERANCE:
-            self.last_states = list(map(self.get_variable, repeat(state), self.state_handles))
+        return [a + b for a, b in zip(self.totals, parts, strict=True)] if self.totals else parts
 
     def _gather(self, state: int) -> None:
-        zone_values = map(self.get_variable, repeat(state), self.zone_handles)
-        read = [*zone_values, *self.totals, *self.last_states]
-        self.totals = []
-        values = [read[i] for i in self.order]
+        if self.system_values:
+            zone_values = map(self.get_variable, repeat(state), self.zone_handles)
+            values = list(self.arrange([*zone_values, *self.system_values]))
+        else:
+            values = list(map(self.get_variable, repeat(state), self.sensors))
         if self.step:
             values.extend(map(self.get_meter, repeat(state), self.meters))
         else:
@@ -218,7 +239,6 @@ class Engine:
     def _on_warmed_up(self, state: int) -> None:
         if self.in_run_period and not self.warmed_up:
             self.warmed_up = True
-            self.totals = self.warmup_totals
             self._gather(state)
             self._exchange(state)
 
@@ -230,7 +250,6 @@ class Engine:
                 self.minute = 0.0
             self.zone_end_min = (in_hour + 1) * self.zone_step_min
         if not self.warmed_up:
-            self.warmup_totals, self.totals = self.totals, []
             return
         if self.finishing:
             return
