@@ -79,7 +79,9 @@ class InProcess:
         """Return the values of all points."""
         exchange = self.api.exchange
         values = [exchange.get_variable_value(state, h) for h in self.sensors]
-        return values + [exchange.get_meter_value(state, h) for h in self.points.meter_handles]
+        return values + [
+            sum(exchange.get_meter_value(state, part.index) for part in parts) for parts in self.points.meter_parts
+        ]
 
     def set(self, state: Any, values: Any) -> None:
         """Set all actuators."""

@@ -21,8 +21,9 @@ def show_results(results: Mapping[str, tuple[EpisodeMetrics, float]], title: str
     pairs = list(results.values())
     rows = {
         "electricity (kWh)": [_number(r.energy_kwh.get("electricity"), 0) for r, _ in pairs],
-        "  of which HVAC (kWh)": [_number(r.hvac_electricity_kwh, 0) for r, _ in pairs],
+        "  electricity of the HVAC (kWh)": [_number(r.hvac_electricity_kwh, 0) for r, _ in pairs],
         "gas (kWh)": [_number(r.energy_kwh.get("natural_gas"), 0) for r, _ in pairs],
+        "  gas of the HVAC (kWh)": [_number(r.hvac_kwh.get("natural_gas"), 0) for r, _ in pairs],
         "peak (kW)": [_number(r.peak_kw, 1) for r, _ in pairs],
         "outside comfort, occupied (K h)": [_number(r.occupied_outside_kh, 1) for r, _ in pairs],
         "outside comfort, always (K h)": [_number(r.outside_kh, 1) for r, _ in pairs],

@@ -20,7 +20,11 @@ COOLING_SETPOINT_VARIABLE = "Zone Thermostat Cooling Setpoint Temperature"
 """Output variables that report a thermostat's effective setpoints."""
 
 HVAC_POWER = "Facility Total HVAC Electricity Demand Rate"
-"""Output variable of the HVAC's electric power in W, with the key `Whole Building`."""
+"""Output variable of an electric power in W, with the key `Whole Building`.
+
+EnergyPlus adds up the meters `Electricity:HVAC` and `Electricity:Plant`: with chillers and pumps, and with electric
+water heaters. `HVAC_METERS` count the HVAC alone.
+"""
 
 ZONE_TEMPERATURE = "Zone Air Temperature"
 OCCUPANTS = "Zone People Occupant Count"
@@ -94,4 +98,11 @@ COMPUTED_ON_REQUEST = frozenset(
 """Output variables that stay 0 unless an `Output:Variable` object requests them, case-folded.
 
 A request by EnergyPlus's API does not suffice in 25.2.
+"""
+
+HVAC_METERS = {f"HVAC:{fuel}": tuple(f"{use}:{fuel}" for use in HVAC_END_USES) for fuel in FUELS}
+"""Meters that Zenostat adds to those of EnergyPlus, with the meters of EnergyPlus whose sum they are.
+
+EnergyPlus's own `Electricity:HVAC` leaves out plant loops (chillers, boilers, cooling towers, their pumps), and
+`NaturalGas:Facility` has kitchens and hot water; these are the rows of its end-use table.
 """

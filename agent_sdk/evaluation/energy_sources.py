@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from topics.energyplus_names import END_USES, FACILITY_POWER, HVAC_END_USES, HVAC_POWER
+from topics.energyplus_names import FACILITY_POWER, HVAC_POWER
 from topics.messages import Aggregation, Manifest
 
 J_PER_KWH = 3.6e6
@@ -16,84 +16,90 @@ FUELS = {
 }  # fmt: skip
 """Energy carriers, with their names in EnergyPlus's meters."""
 
-HVAC = "hvac_electricity"
-"""Electricity of the HVAC, beside the fuels of the whole building."""
+WITHOUT_PLANT = "without chillers, boilers, cooling towers and their pumps"
+WITH_PLANT = "with electric water heaters and other plant equipment"
+"""What distinguishes EnergyPlus's own quantities from the end uses of the HVAC."""
 
 
 @dataclass(frozen=True, slots=True)
 class EnergySource:
-    """Points that add up to an energy.
+    """A point that measures an energy.
 
     Attributes:
-        indices: indices among the values of a sample.
-        to_kwh: factor from their sum to kWh of the timestep.
-        source: the points, for readers.
+        index: index among the values of a sample.
+        to_kwh: factor from its value to kWh of the timestep.
+        source: the point, for readers.
+        is_building: whether it measures a whole building, of which the HVAC is a part.
     """
 
-    indices: tuple[int, ...]
+    index: int
     to_kwh: float
     source: str
+    is_building: bool = False
 
 
 def facility_sources(manifest: Manifest) -> dict[str, EnergySource]:
-    """Return the sources of all fuels of the building, and of `HVAC`, that the node measures.
+    """Return the sources of all fuels of the building that the node measures.
 
     They are meters; without one, the demand rate of electricity times the timestep.
     """
-    meter_names = {fuel: f"{name}:Facility" for fuel, name in FUELS.items()} | {HVAC: "Electricity:HVAC"}
-    by_name = {name.casefold(): key for key, name in meter_names.items()} | {key: key for key in meter_names}
-    sources: dict[str, EnergySource] = {}
-    for index, meter in enumerate(manifest.meters, len(manifest.sensors)):
-        key = by_name.get((meter.meter or meter.name).casefold())
-        if key is not None and meter.unit == "J":
-            sources[key] = EnergySource((index,), 1.0 / J_PER_KWH, f"meter {meter.meter or meter.name}")
-    for key, variable in (("electricity", FACILITY_POWER), (HVAC, HVAC_POWER)):
-        sensors = [_rate_source(manifest, index) for index in _rates(manifest, variable)]
-        if sensors:
-            sources.setdefault(key, sensors[0])
-    return {key: sources[key] for key in meter_names if key in sources}
+    meters = _meters(manifest)
+    sources = {
+        fuel: replace(source, is_building=True)
+        for fuel, name in FUELS.items()
+        if (source := meters.get(f"{name}:Facility".casefold())) is not None
+    }
+    sources |= {fuel: meters[fuel] for fuel in FUELS if fuel in meters and fuel not in sources}
+    for index in _rates(manifest, FACILITY_POWER)[:1]:
+        sources.setdefault("electricity", replace(_rate_source(manifest, index), is_building=True))
+    return {fuel: sources[fuel] for fuel in FUELS if fuel in sources}
 
 
 def hvac_sources(manifest: Manifest) -> dict[str, EnergySource]:
-    """Return the sources of the energy of heating, cooling and ventilation by fuel.
+    """Return the sources of the energy of heating, cooling and ventilation by fuel, where the node measures it.
 
-    A fuel with meters of end uses (`Heating:NaturalGas`) has those of `HVAC_END_USES`; they may be none. Without any,
-    electricity is the HVAC's mean demand rate times the timestep, and else the energy of the whole building.
+    They are the meters `HVAC:<fuel>` (`topics.energyplus_names.HVAC_METERS`), or a plant's own that are named as the
+    metrics (`hvac_electricity`). Without one, EnergyPlus's own `<fuel>:HVAC` or demand rate serve, whose source tells
+    what they leave out or have in addition. A meter of the whole building never does.
     """
-    facility = facility_sources(manifest)
-    meters = {
-        meter.meter.casefold(): index
+    meters = _meters(manifest)
+    sources: dict[str, EnergySource] = {}
+    for fuel, name in FUELS.items():
+        group = meters.get(f"{name}:HVAC".casefold())
+        if group is not None:
+            group = replace(group, source=f"{group.source}, {WITHOUT_PLANT}")
+        source = meters.get(f"HVAC:{name}".casefold()) or meters.get(f"hvac_{fuel}") or group
+        if source is not None:
+            sources[fuel] = source
+    for index in _rates(manifest, HVAC_POWER)[:1]:
+        rate = _rate_source(manifest, index)
+        sources.setdefault("electricity", replace(rate, source=f"{rate.source}, {WITH_PLANT}"))
+    return {fuel: sources[fuel] for fuel in FUELS if fuel in sources}
+
+
+def _meters(manifest: Manifest) -> dict[str, EnergySource]:
+    """Return the meters of energy by EnergyPlus's name, case-folded, or that of a plant's own."""
+    return {
+        (meter.meter or meter.name).casefold(): EnergySource(
+            index, 1.0 / J_PER_KWH, f"meter {meter.meter or meter.name}"
+        )
         for index, meter in enumerate(manifest.meters, len(manifest.sensors))
         if meter.unit == "J"
     }
-    sources: dict[str, EnergySource] = {}
-    for fuel, name in FUELS.items():
-        if any(f"{use}:{name}".casefold() in meters for use in END_USES):
-            uses = [f"{use}:{name}" for use in HVAC_END_USES if f"{use}:{name}".casefold() in meters]
-            indices = tuple(meters[use.casefold()] for use in uses)
-            sources[fuel] = EnergySource(indices, 1.0 / J_PER_KWH, f"meters {', '.join(uses)}" if uses else "")
-        elif fuel == "electricity" and (rates := _rates(manifest, HVAC_POWER, Aggregation.MEAN)):
-            sources[fuel] = _rate_source(manifest, rates[0])
-        elif fuel in facility:
-            sources[fuel] = facility[fuel]
-    if "electricity" not in sources and HVAC in facility:
-        sources = {"electricity": facility[HVAC], **sources}
-    return sources
 
 
-def _rates(manifest: Manifest, variable: str, aggregation: Aggregation | None = None) -> list[int]:
-    """Return the sensors of a demand rate in W, with this aggregation or with any."""
-    return [
+def _rates(manifest: Manifest, variable: str) -> list[int]:
+    """Return the sensors of a demand rate in W, means over the timestep first."""
+    rates = [
         index
         for index, sensor in enumerate(manifest.sensors)
-        if sensor.variable.casefold() == variable.casefold()
-        and sensor.unit == "W"
-        and aggregation in (None, sensor.aggregation)
+        if sensor.variable.casefold() == variable.casefold() and sensor.unit == "W"
     ]
+    return sorted(rates, key=lambda index: manifest.sensors[index].aggregation is Aggregation.INSTANT)
 
 
 def _rate_source(manifest: Manifest, index: int) -> EnergySource:
     sensor = manifest.sensors[index]
     note = ", read at its end (an approximation)" if sensor.aggregation is Aggregation.INSTANT else ""
     source = f"sensor {sensor.name}, W times the timestep{note}"
-    return EnergySource((index,), 1e-3 / (3600.0 / manifest.step_s), source)
+    return EnergySource(index, 1e-3 / (3600.0 / manifest.step_s), source)

@@ -206,10 +206,10 @@ def evaluate(
             `agent_sdk.time_series`.
         emissions: emission factors for the KPI of emissions, in the same forms; numbers are in kg CO2 per kWh.
         progress: callback for each timestep.
-        trace: keep the samples of the first episode of each controller, with the points that reports show besides
-            those of the scenario (`monitoring`), which no controller observes; see `Evaluation.report`.
+        trace: keep the samples of the first episode of each controller; see `Evaluation.report`.
         record: folder for a recording (`.mcap`) of each controller's node, which has the controller's name.
-        overrides: arguments of `BuildingEnv` that override those of the scenario.
+        overrides: arguments of `BuildingEnv` that override those of the scenario. `monitoring` is on by default: nodes
+            also measure what metrics, KPIs and reports need, which no controller observes.
 
     Raises:
         UsageError: a controller, a parameter or the scenario is invalid, or no controller fits the scenario.
@@ -219,7 +219,7 @@ def evaluate(
     settings = {**of_scenario(scenario), **overrides}
     if record is not None:
         settings["record"] = record
-    if trace and not {"connect", "link"} & settings.keys():  # a node that runs elsewhere has what it has
+    if not {"connect", "link"} & settings.keys():  # a node that runs elsewhere has what it has
         settings.setdefault("monitoring", True)
     prices, emissions = read_prices(prices), read_emissions(emissions)
     factories = controller_factories(controllers)

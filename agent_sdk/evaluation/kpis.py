@@ -7,14 +7,14 @@ timestep, so energies are exact sums; temperatures are states at its end, so the
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from datetime import datetime
 from math import ceil, floor
 
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk.evaluation.energy_sources import EnergySource, hvac_sources
+from agent_sdk.evaluation.energy_sources import FUELS, EnergySource, facility_sources, hvac_sources
 from agent_sdk.evaluation.tariffs import FuelRate
 from bridge.display.comfort import Comfort
 from topics.messages import Aggregation, Manifest
@@ -113,9 +113,11 @@ class KpiAccumulator:
     ) -> None:
         self._area_m2, self._step_s = manifest.floor_area_m2, manifest.step_s
         self._comfort = comfort
-        self._energies = hvac_sources(manifest)
+        self._energies = _energies(manifest)
         fuels = list(self._energies)
-        self._columns, self._to_kwh = _selection(self._energies.values())
+        self._columns = np.array([energy.index for energy in self._energies.values()], np.intp)
+        self._to_kwh = np.array([energy.to_kwh for energy in self._energies.values()])
+        self._is_building = np.array([energy.is_building for energy in self._energies.values()], bool)
         self._rates = {
             kpi: [(rates or {}).get(fuel) for fuel in fuels]
             for kpi, rates in (("cost_tot", prices), ("emis_tot", emissions))
@@ -124,7 +126,7 @@ class KpiAccumulator:
         self._groups = {
             kpi: np.array([fuel in group for fuel in fuels])
             for kpi, group in _PEAKS.items()
-            if any(fuel in group and self._energies[fuel].indices for fuel in fuels)
+            if any(fuel in group for fuel in fuels)
         }
         self._co2 = np.array([i for i, s in enumerate(manifest.sensors) if s.variable.casefold() == _CO2], np.intp)
         zones = () if comfort is None else comfort.zones.tolist()
@@ -157,7 +159,7 @@ class KpiAccumulator:
         if len(self._co2):
             at_begin, at_end = (np.maximum(row[self._co2] - CO2_LIMIT_PPM, 0.0) for row in (previous, values))
             self._excess_ppmh += step_h * float(at_begin @ (1.0 - self._co2_weights) + at_end @ self._co2_weights)
-        kwh = self._to_kwh @ values[self._columns]
+        kwh = self._to_kwh * values[self._columns]
         self._kwh += kwh
         self._rate(kwh, begin)
         if self._groups:
@@ -177,19 +179,25 @@ class KpiAccumulator:
                         self._is_unrated[kpi] = True
 
     def result(self) -> dict[str, float | None]:
-        """Return the KPIs by the names of `KPIS`; None where the node lacks the points, its floor area or a rate."""
+        """Return the KPIs by the names of `KPIS`; None where the node lacks the points, its floor area or a rate.
+
+        A fuel of which only the whole building is measured makes energy, cost, emissions and its own peak unknown, if
+        the building uses any of it.
+        """
         kpis: dict[str, float | None] = dict.fromkeys(KPIS)
         if self._comfort is not None:
             kpis["tdis_tot"] = self._outside_kh / len(self._comfort.zones)
         kpis["idis_tot"] = self._excess_ppmh / max(len(self._co2), 1)
         if self._area_m2 is None or not self._energies:
             return kpis
-        kpis["ener_tot"] = float(self._kwh.sum()) / self._area_m2
-        for kpi, total in self._totals.items():
-            if self._is_wanted[kpi] and not self._is_unrated[kpi]:
-                kpis[kpi] = total / self._area_m2
-        for kpi, peak in zip(self._groups, self._peaks.result().tolist(), strict=True):
-            kpis[kpi] = peak / self._area_m2
+        is_unknown = self._is_building & (self._kwh != 0.0)
+        if not is_unknown.any():
+            kpis["ener_tot"] = float(self._kwh.sum()) / self._area_m2
+            for kpi, total in self._totals.items():
+                if self._is_wanted[kpi] and not self._is_unrated[kpi]:
+                    kpis[kpi] = total / self._area_m2
+        for (kpi, group), peak in zip(self._groups.items(), self._peaks.result().tolist(), strict=True):
+            kpis[kpi] = None if is_unknown[group].any() else peak / self._area_m2
         return kpis
 
     def _describe(self) -> dict[str, str]:
@@ -197,8 +205,13 @@ class KpiAccumulator:
         if self._comfort is not None:
             sources["tdis_tot"] = self._comfort.source
         if self._area_m2 is not None and self._energies:
-            energies = "; ".join(dict.fromkeys(energy.source for energy in self._energies.values() if energy.source))
-            floor_area = f"{energies}; per m² of {self._area_m2:,.0f} m² floor area"
+            energies = [energy.source for energy in self._energies.values() if not energy.is_building]
+            whole = ", ".join(fuel for fuel, energy in self._energies.items() if energy.is_building)
+            if whole:
+                energies.append(
+                    f"unknown if {whole} is used, of which the HVAC's part is not measured (monitoring does)"
+                )
+            floor_area = f"{'; '.join(energies)}; per m² of {self._area_m2:,.0f} m² floor area"
             names = ["ener_tot", *(kpi for kpi, wanted in self._is_wanted.items() if wanted), *self._groups]
             sources |= dict.fromkeys(names, floor_area)
             for kpi, rates in self._rates.items():
@@ -209,12 +222,10 @@ class KpiAccumulator:
         return sources
 
 
-def _selection(energies: Iterable[EnergySource]) -> tuple[NDArray[np.intp], Floats]:
-    """Return the indices of all sources, and the matrix from their values to energies in kWh, by fuel."""
-    energies = list(energies)
-    columns = sorted({index for energy in energies for index in energy.indices})
-    rows = [[energy.to_kwh if column in energy.indices else 0.0 for column in columns] for energy in energies]
-    return np.array(columns, np.intp), np.array(rows, np.float64).reshape(len(energies), len(columns))
+def _energies(manifest: Manifest) -> dict[str, EnergySource]:
+    """Return the source of the HVAC's energy of each fuel, else that of the whole building or plant."""
+    hvac, facility = hvac_sources(manifest), facility_sources(manifest)
+    return {fuel: hvac.get(fuel) or facility[fuel] for fuel in FUELS if fuel in hvac or fuel in facility}
 
 
 def _end_weights(sensors: list[int] | tuple[int, ...], manifest: Manifest) -> Floats:

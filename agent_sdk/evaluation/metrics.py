@@ -10,7 +10,7 @@ import numpy as np
 
 from agent_sdk.bus.sample import SampleView
 from agent_sdk.evaluation.comfort import comfort
-from agent_sdk.evaluation.energy_sources import HVAC, facility_sources
+from agent_sdk.evaluation.energy_sources import facility_sources, hvac_sources
 from agent_sdk.evaluation.kpis import KPIS, KpiAccumulator
 from agent_sdk.evaluation.tariffs import Rate, read_emissions, read_prices
 from agent_sdk.rewards import Reward
@@ -26,7 +26,7 @@ class EpisodeMetrics:
         reward: sum of the rewards.
         terms: sum of each reward term.
         energy_kwh: energy by fuel (the keys of `FUELS`), for the fuels that the scenario measures.
-        hvac_electricity_kwh: electricity of heating, cooling and ventilation.
+        hvac_kwh: energy of heating, cooling and ventilation by fuel, for the fuels of which it is measured.
         mean_power_w: mean electric power of the facility, else of the HVAC; see `MetricsAccumulator.sources`.
         peak_kw: maximum of the mean power in a timestep, from the same source.
         mean_deviation_k: deviation from the comfort band, mean over its zones and all timesteps.
@@ -42,7 +42,7 @@ class EpisodeMetrics:
     reward: float | None
     terms: dict[str, float]
     energy_kwh: dict[str, float]
-    hvac_electricity_kwh: float | None
+    hvac_kwh: dict[str, float]
     mean_power_w: float | None
     peak_kw: float | None
     mean_deviation_k: float | None
@@ -54,6 +54,11 @@ class EpisodeMetrics:
     terminated: bool
     kpis: dict[str, float | None] = field(default_factory=dict)
 
+    @property
+    def hvac_electricity_kwh(self) -> float | None:
+        """Electricity of heating, cooling and ventilation."""
+        return self.hvac_kwh.get("electricity")
+
     def metrics(self) -> dict[str, float | None]:
         """Return all metrics by name, terms as `reward.energy` and `mean_reward.energy`, fuels as `electricity_kwh`."""
         steps = max(self.steps, 1)
@@ -64,7 +69,8 @@ class EpisodeMetrics:
             **rewards,
             **means,
             **energy,
-            "hvac_electricity_kwh": self.hvac_electricity_kwh,
+            "hvac_electricity_kwh": None,
+            **{f"hvac_{fuel}_kwh": value for fuel, value in self.hvac_kwh.items()},
             "mean_power_w": self.mean_power_w,
             "peak_kw": self.peak_kw,
             "mean_deviation_k": self.mean_deviation_k,
@@ -79,12 +85,15 @@ class EpisodeMetrics:
         }
 
 
+_HVAC = "hvac_"
+
+
 class MetricsAccumulator:
     """Accumulate metrics over the samples of an episode, from sample 0.
 
-    Energy is taken from the meters `<fuel>:Facility` and `Electricity:HVAC`; of a plant that is no EnergyPlus model,
-    from meters named as the metrics, such as `electricity`. Without a meter, electricity is the demand rate of the
-    facility or the HVAC times the timestep. Comfort is measured against the band of the reward; for
+    Energy is taken from the meters `<fuel>:Facility` and `HVAC:<fuel>`; of a plant that is no EnergyPlus model, from
+    meters named as the metrics, such as `electricity`. Without a meter, electricity is the demand rate of the facility
+    or the HVAC times the timestep. Comfort is measured against the band of the reward; for
     `MultiZoneReward`, against each zone's setpoints.
 
     Args:
@@ -106,10 +115,11 @@ class MetricsAccumulator:
         self._step_h = manifest.step_s / 3600.0
         self._step = timedelta(hours=self._step_h)
         meters = facility_sources(manifest)
+        meters |= {f"{_HVAC}{fuel}": source for fuel, source in hvac_sources(manifest).items()}
         self._names = tuple(meters)
-        self._indices = np.array([meter.indices[0] for meter in meters.values()], np.intp)
+        self._indices = np.array([meter.index for meter in meters.values()], np.intp)
         self._to_kwh = np.array([meter.to_kwh for meter in meters.values()])
-        electric = [name for name in ("electricity", HVAC) if name in meters]
+        electric = [name for name in ("electricity", f"{_HVAC}electricity") if name in meters]
         self._electric = self._names.index(electric[0]) if electric else None
         self._comfort = comfort(manifest, reward)
         self.sources = {f"{name}_kwh": meter.source for name, meter in meters.items()}
@@ -161,7 +171,6 @@ class MetricsAccumulator:
     def result(self, *, terminated: bool = False) -> EpisodeMetrics:
         """Return the totals so far; without any timestep, energy, power and comfort are None."""
         kwh = dict(zip(self._names, self._kwh.tolist(), strict=True)) if self._steps else {}
-        hvac_kwh = kwh.pop(HVAC, None)
         electric = self._electric if self._steps else None
         comfort = self._comfort if self._steps else None
         mean_kwh = None if electric is None else float(self._kwh[electric]) / self._steps
@@ -169,8 +178,8 @@ class MetricsAccumulator:
             steps=self._steps,
             reward=None if self._terms is None else sum(self._terms.values()),
             terms=dict(self._terms or {}),
-            energy_kwh=kwh,
-            hvac_electricity_kwh=hvac_kwh,
+            energy_kwh={name: value for name, value in kwh.items() if not name.startswith(_HVAC)},
+            hvac_kwh={name.removeprefix(_HVAC): value for name, value in kwh.items() if name.startswith(_HVAC)},
             mean_power_w=None if mean_kwh is None else mean_kwh / self._step_h * 1e3,
             peak_kw=None if electric is None else self._peak_kwh / self._step_h,
             mean_deviation_k=None if comfort is None else self._outside_k / (self._steps * len(comfort.zones)),

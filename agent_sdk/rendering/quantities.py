@@ -84,10 +84,9 @@ class FrameQuantities:
         return Panel("Occupancy", "people", [curve], weight=0.5, from_zero=True, is_filled=True, min_span=2.0)
 
     def _power(self, point_roles: PointRoles) -> list[Panel]:
-        sources = (("Whole building", point_roles.facility_power), ("HVAC", point_roles.hvac_power))
         curves = [
-            Curve(text, PALETTE[i], column(source.index, source.to_kw), held=True)
-            for i, (text, source) in enumerate(sources)
+            Curve(source.label, PALETTE[i], column(source.index, source.to_kw), held=True)
+            for i, source in enumerate((point_roles.facility_power, point_roles.hvac_power))
             if source is not None
         ]
         if not curves:

@@ -91,13 +91,14 @@ class Quantities:
 
     @cached_property
     def energy_kwh(self) -> dict[str, Floats]:
-        """Energy in each timestep by fuel, and `hvac_electricity`, kWh, each of shape (steps,)."""
+        """Energy in each timestep by fuel, and of the HVAC as `hvac_electricity`, kWh, each of shape (steps,)."""
         values, points = self.trace.values[1:], self.roles
         sources: dict[str, PowerSource | EndUse | None] = {
             "electricity": points.facility_power,
             "hvac_electricity": points.hvac_power,
         }
         sources |= {meter.fuel: meter for meter in points.fuels if meter.fuel != "electricity"}
+        sources |= {f"hvac_{meter.fuel}": meter for meter in points.hvac_fuels}
         return {
             name: values[:, source.index] * source.to_kw * self.step_h
             for name, source in sources.items()

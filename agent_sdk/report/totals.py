@@ -64,20 +64,7 @@ def metrics(comparison: Comparison) -> list[Metric]:
         name for run in comparison.runs for result in run.results for name, value in result.metrics().items()
         if value is not None
     )  # fmt: skip
-    fuels = dict.fromkeys(fuel for run in comparison.runs for result in run.results for fuel in result.energy_kwh)
-    rows = []
-    if "electricity_kwh" in known:
-        rows.append(Metric("electricity_kwh", "Electricity", "kWh"))
-    if "hvac_electricity_kwh" in known:
-        is_part = "electricity_kwh" in known
-        rows.append(
-            Metric("hvac_electricity_kwh", "of which HVAC" if is_part else "HVAC electricity", "kWh", -1, is_part)
-        )
-    rows += [
-        Metric(f"{fuel}_kwh", fuel_label(fuel).capitalize(), "kWh")
-        for fuel in fuels
-        if fuel != "electricity" and any(_values(run, f"{fuel}_kwh", any_zero=False) for run in comparison.runs)
-    ]
+    rows = _energies(comparison)
     rows += [metric for metric in _COMMON if metric.key in known]
     if "reward" in known:
         rows.append(Metric("reward", "Reward", "", 1))
@@ -92,6 +79,24 @@ def metrics(comparison: Comparison) -> list[Metric]:
     return rows + [
         metric for metric in _COUNTS if any(_values(run, metric.key, any_zero=False) for run in comparison.runs)
     ]
+
+
+def _energies(comparison: Comparison) -> list[Metric]:
+    """Return the metrics of each fuel and of the HVAC's part of it, without fuels that are never used."""
+    results = [result for run in comparison.runs for result in run.results]
+    fuels = dict.fromkeys(fuel for result in results for fuel in ("electricity", *result.energy_kwh, *result.hvac_kwh))
+    rows = []
+    for fuel in fuels:
+        whole, part = (
+            any(_values(run, key, any_zero=fuel == "electricity") for run in comparison.runs)
+            for key in (f"{fuel}_kwh", f"hvac_{fuel}_kwh")
+        )
+        if whole:
+            rows.append(Metric(f"{fuel}_kwh", fuel_label(fuel).capitalize(), "kWh"))
+        if part or (whole and any(fuel in result.hvac_kwh for result in results)):
+            label = "of which HVAC" if whole else f"HVAC {fuel_label(fuel)}"
+            rows.append(Metric(f"hvac_{fuel}_kwh", label, "kWh", is_part=whole))
+    return rows
 
 
 def kpis(comparison: Comparison) -> list[Metric]:

@@ -17,7 +17,7 @@ class EnergyReward(ComfortBand):
         weight: w, the weight of energy, 0 to 1.
         lambda_temperature: 1/K.
         energy: name or names of meters (J) or power sensors (W); None: the meter Electricity:Facility, else
-            Electricity:HVAC, else the sensor of the HVAC's electricity demand.
+            HVAC:Electricity, else Electricity:HVAC, else EnergyPlus's Facility Total HVAC Electricity Demand Rate.
     """
 
     weight: float = Field(0.5, ge=0.0, le=1.0)

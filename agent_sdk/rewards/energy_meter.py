@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk.rewards.selectors import indices, of_variables
+from agent_sdk.rewards.selectors import indices, observed_meters, of_variables
 from topics.energyplus_names import HVAC_POWER
 from topics.errors import InvalidConfig, did_you_mean
 from topics.messages import Aggregation, Manifest, Sensor
 from topics.points import value_index
 
 J_PER_KWH = 3.6e6
-METERS = ("Electricity:Facility", "Electricity:HVAC")
+METERS = ("Electricity:Facility", "HVAC:Electricity", "Electricity:HVAC")
 """Default meters; the first that exists is used."""
 
 
@@ -27,8 +27,8 @@ class EnergyMeter:
 
     Args:
         kind: the reward's kind.
-        names: meters and sensors to add up; None: the meter Electricity:Facility, else Electricity:HVAC, else the
-            sensor of the HVAC's electricity demand.
+        names: meters and sensors to add up; None: the meter Electricity:Facility, else HVAC:Electricity, else
+            Electricity:HVAC, else the sensor of EnergyPlus's Facility Total HVAC Electricity Demand Rate.
         manifest: the node's manifest.
         default: meters for `names=None`, instead of those of electricity; the first that exists is used.
 
@@ -56,7 +56,7 @@ class EnergyMeter:
 
 
 def _default(kind: str, manifest: Manifest, default: Sequence[str]) -> list[int]:
-    meters = {m.meter.casefold(): len(manifest.sensors) + i for i, m in enumerate(manifest.meters) if m.observed}
+    meters = observed_meters(manifest)
     for meter in default:
         if meter.casefold() in meters:
             return [meters[meter.casefold()]]

@@ -55,7 +55,7 @@ class MultiZoneReward(RewardConfig):
 
     @override
     def bind(self, manifest: Manifest) -> BoundReward:
-        power = Power(powers(self.kind, self.power, manifest))
+        power = Power(*powers(self.kind, self.power, manifest))
         air, heating, cooling = map(indices, zip(*self._points(manifest), strict=True))
         terms = [
             Term("energy", -self.weight * self.lambda_energy, power),

@@ -35,7 +35,7 @@ class NormalizedReward(ComfortBand):
         max_degrees: K; None starts at 0.
         moving: whether the maxima grow.
         forget: whether a new episode resets the maxima.
-        power: name or names of the sensors for P, W; None is the HVAC's electricity demand.
+        power: name or names of the sensors for P, W; None is the HVAC's electric power.
     """
 
     kind: Literal["normalized"] = "normalized"
@@ -55,7 +55,7 @@ class NormalizedReward(ComfortBand):
     @override
     def bind(self, manifest: Manifest) -> BoundReward:
         degrees = self._degrees_outside(manifest)
-        power = Power(powers(self.kind, self.power, manifest))
+        power = Power(*powers(self.kind, self.power, manifest))
         maxima = SlotState(self.kind, max_power_w=self.max_power_w or 0.0, max_degrees=self.max_degrees or 0.0)
         relative_power = RelativeToMaximum(power, maxima, "max_power_w", moving=self.moving)
         relative_degrees = RelativeToMaximum(degrees, maxima, "max_degrees", moving=self.moving)

@@ -18,7 +18,7 @@ from agent_sdk.time_series import Price
 from topics.messages import Manifest
 from topics.typing_compat import override
 
-GAS_METERS = ("NaturalGas:Facility", "NaturalGas:HVAC")
+GAS_METERS = ("NaturalGas:Facility", "HVAC:NaturalGas", "NaturalGas:HVAC")
 
 
 class OccupiedCostReward(OccupiedComfort, EnergyReward):
@@ -46,7 +46,7 @@ class OccupiedCostReward(OccupiedComfort, EnergyReward):
         lambda_temperature: 1/(K h); with `by: people` for each person.
         energy: meters of the electricity that is paid by the kWh.
         demand: meters of the electricity whose peak is charged; None: those of `energy`.
-        gas: meters of the gas; None: NaturalGas:Facility, else NaturalGas:HVAC.
+        gas: meters of the gas; None: NaturalGas:Facility, else HVAC:NaturalGas, else NaturalGas:HVAC.
     """
 
     kind: Literal["occupied_cost"] = "occupied_cost"

@@ -16,6 +16,9 @@ from topics.points import value_index
 Indices = NDArray[np.intp]
 """Indices among the values of a sample."""
 
+HVAC_METER = "hvac:electricity"
+"""The meter of the HVAC's electricity, case-folded."""
+
 
 def indices(points: Sequence[int]) -> Indices:
     """Convert to the array type that NumPy indexes fastest with."""
@@ -61,17 +64,32 @@ def of_variables(manifest: Manifest, *variables: str) -> list[int]:
     return []
 
 
-def powers(kind: str, names: Sequence[str] | None, manifest: Manifest) -> Indices:
-    """Return the sensors of electric power in W: those that are named, else the HVAC's electricity demand."""
+def powers(kind: str, names: Sequence[str] | None, manifest: Manifest) -> tuple[Indices, float]:
+    """Return points of electric power and the factor from their sum to the mean power of the timestep in W.
+
+    They are the sensors that are named, else the meter of the HVAC's electricity, else EnergyPlus's demand rate.
+    """
     if names is not None:
-        return indices([named(kind, name, manifest, ["W"]) for name in names])
+        return indices([named(kind, name, manifest, ["W"]) for name in names]), 1.0
+    meters = observed_meters(manifest)
+    if HVAC_METER in meters:
+        return indices([meters[HVAC_METER]]), 1.0 / manifest.step_s
     sensors = of_variables(manifest, HVAC_POWER.casefold())
     if not sensors:
         raise InvalidConfig(
-            f"the {kind} reward needs a sensor of '{HVAC_POWER}' (key 'Whole Building'): "
-            "name one in sensors=, or name another power sensor as the reward's `power`"
+            f"the {kind} reward needs the HVAC's power: name the meter 'HVAC:Electricity' in meters=, or a sensor of "
+            f"'{HVAC_POWER}' (key 'Whole Building') in sensors=, or name another power sensor as the reward's `power`"
         )
-    return indices(sensors[:1])
+    return indices(sensors[:1]), 1.0
+
+
+def observed_meters(manifest: Manifest) -> dict[str, int]:
+    """Return the indices of the observed meters by EnergyPlus's names, case-folded."""
+    return {
+        meter.meter.casefold(): index
+        for index, meter in enumerate(manifest.meters, len(manifest.sensors))
+        if meter.observed
+    }
 
 
 def temperatures(kind: str, names: Sequence[str] | None, manifest: Manifest) -> Indices:

@@ -100,14 +100,19 @@ class TermSum(BoundReward):
 
 
 class Power(Quantity):
-    """The sum of power sensors in W. Metric: power_w."""
+    """The sum of points of power in W. Metric: power_w.
 
-    def __init__(self, sensors: Indices) -> None:
-        self._sensors = sensors
+    Args:
+        points: sensors or meters.
+        to_w: factor from the sum of their values to W.
+    """
+
+    def __init__(self, points: Indices, to_w: float = 1.0) -> None:
+        self._points, self._to_w = points, to_w
 
     @override
     def measure(self, values: NDArray[np.float64], begin: Begin, metrics: Terms) -> Any:
-        power_w = metrics["power_w"] = sum_at(values, self._sensors)
+        power_w = metrics["power_w"] = sum_at(values, self._points) * self._to_w
         return power_w
 
 

@@ -72,7 +72,7 @@ class ThermalSensationReward(Seasonal):
 
     @override
     def bind(self, manifest: Manifest) -> BoundReward:
-        power = Power(powers(self.kind, self.power, manifest))
+        power = Power(*powers(self.kind, self.power, manifest))
         by_ppd = self.by == "ppd"
         votes = self._dissatisfied(manifest) if by_ppd else self._votes(manifest)
         default_limit, scale, mean = (10.0, 0.01, "ppd_mean") if by_ppd else (0.5, 1.0, "pmv_mean")

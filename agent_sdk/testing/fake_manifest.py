@@ -139,7 +139,7 @@ def _check_termination(manifest: Manifest) -> None:
 def _sensors(zones: Sequence[Zone]) -> list[Sensor]:
     outdoor = _sensor("outdoor_temperature", "Site Outdoor Air Drybulb Temperature", "ENVIRONMENT", "degC", _AIR_DEGC)
     power = Sensor(
-        name="hvac_electricity_power", variable="Facility Total HVAC Electricity Demand Rate", key="WHOLE BUILDING",
+        name="hvac_and_plant_power", variable="Facility Total HVAC Electricity Demand Rate", key="WHOLE BUILDING",
         unit="W", aggregation=Aggregation.MEAN, low=0.0,
     )  # fmt: skip
     sensors = [outdoor, power]
@@ -156,7 +156,7 @@ def _sensor(name: str, variable: str, key: str, unit: str, bounds: tuple[float, 
 
 
 def _meters() -> list[Meter]:
-    meters = {"electricity_facility": "Electricity:Facility", "electricity_hvac": "Electricity:HVAC"}
+    meters = {"electricity_facility": "Electricity:Facility", "hvac_electricity": "HVAC:Electricity"}
     return [Meter(name=name, meter=meter, unit="J", low=0.0) for name, meter in meters.items()]
 
 

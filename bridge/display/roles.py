@@ -6,7 +6,7 @@ setpoint schedules, are recognized by the words of their names.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 from bridge.display.colors import RGB, end_use_color, zone_color
@@ -78,15 +78,20 @@ class ZoneRoles:
 
 @dataclass(frozen=True, slots=True)
 class PowerSource:
-    """A point that gives a power: `values[index] * to_kw`, the mean of the timestep in kW."""
+    """A point that gives a power: `values[index] * to_kw`, the mean of the timestep in kW.
+
+    Attributes:
+        label: what it is the power of.
+    """
 
     index: int
     to_kw: float
+    label: str
 
 
 @dataclass(frozen=True, slots=True)
 class EndUse:
-    """A meter of an end use or, with the label `facility`, of all uses of a fuel.
+    """A meter of an end use or, with the label `facility` or `HVAC`, of all uses or those of the HVAC of a fuel.
 
     Attributes:
         label: `cooling`, `interior lights`.
@@ -112,9 +117,11 @@ class PointRoles:
     Attributes:
         zones: in the building's order.
         outdoor_temperature: index into `Manifest.points`; None where the node lacks it.
-        facility_power, hvac_power: electric power of the whole building and of its HVAC.
+        facility_power, hvac_power: electric power of the whole building and of its HVAC; if the HVAC is not measured,
+            of the groups of meters nearest to it, as the label tells.
         end_uses: meters of end uses, those of HVAC first.
         fuels: meters of the whole building, by fuel.
+        hvac_fuels: meters of the HVAC by fuel, without electricity.
         others: the points without a role, as indices by unit, in manifest order.
         labels: names of `Manifest.points` for readers.
         actuator_labels: names of `Manifest.actuators` for readers.
@@ -126,6 +133,7 @@ class PointRoles:
     hvac_power: PowerSource | None = None
     end_uses: tuple[EndUse, ...] = ()
     fuels: tuple[EndUse, ...] = ()
+    hvac_fuels: tuple[EndUse, ...] = ()
     others: dict[str, tuple[int, ...]] = field(default_factory=dict)
     labels: tuple[str, ...] = ()
     actuator_labels: tuple[str, ...] = ()
@@ -135,15 +143,15 @@ def roles(manifest: Manifest) -> PointRoles:
     """Return the roles of a node's points; points that are not recognized are in `others`."""
     zones = _zones(manifest)
     outdoor = _outdoor(manifest)
-    facility = _power(manifest, ("electricity:facility", "electricity", "electricity_facility"), FACILITY_POWER)
-    hvac = _power(manifest, ("electricity:hvac", "hvac_electricity", "electricity_hvac"), HVAC_POWER)
+    facility = _power(manifest, _FACILITY)
+    hvac = _power(manifest, _HVAC)
     if facility is None and not any(point.unit in _KWH for point in manifest.meters):
         facility = _plant_power(manifest, hvac)
-    end_uses, fuels = _meters(manifest)
+    end_uses, fuels, hvac_fuels = _meters(manifest)
     assigned = {index for zone in zones for index in _sensors(zone)}
     assigned |= {source.index for source in (facility, hvac) if source is not None}
     assigned |= set() if outdoor is None else {outdoor}
-    assigned |= {meter.index for meter in (*end_uses, *fuels)}
+    assigned |= {meter.index for meter in (*end_uses, *fuels, *hvac_fuels)}
     assigned |= {i for i, sensor in enumerate(manifest.sensors) if sensor.variable.casefold() in _POWERS}
     others: dict[str, list[int]] = {}
     for index, point in enumerate(manifest.points):
@@ -156,6 +164,7 @@ def roles(manifest: Manifest) -> PointRoles:
         hvac_power=hvac,
         end_uses=tuple(end_uses),
         fuels=tuple(fuels),
+        hvac_fuels=tuple(hvac_fuels),
         others={unit: tuple(indices) for unit, indices in others.items()},
         labels=tuple(label(name) for name in manifest.names),
         actuator_labels=tuple(label(actuator.name) for actuator in manifest.actuators),
@@ -301,18 +310,35 @@ def _outdoor(manifest: Manifest) -> int | None:
     return None
 
 
-def _power(manifest: Manifest, meters: Iterable[str], variable: str) -> PowerSource | None:
-    """Return the first of these meters, else the sensor of this output variable or, of a plant, of a meter's name."""
+_FACILITY = dict.fromkeys(
+    ("electricity:facility", "electricity", "electricity_facility", FACILITY_POWER.casefold()), "Whole building"
+)
+_HVAC = {
+    "hvac:electricity": "HVAC",
+    "hvac_electricity": "HVAC",
+    "electricity_hvac": "HVAC",
+    "electricity:hvac": "HVAC without plant",
+    HVAC_POWER.casefold(): "HVAC and plant",
+}
+"""Meters, the names of a plant's own points, and an output variable, the best one first, with what each measures."""
+
+
+def _power(manifest: Manifest, labels: Mapping[str, str]) -> PowerSource | None:
+    """Return the first of these meters, else of these output variables or of a plant's sensors of these names."""
     first = len(manifest.sensors)
-    names = {(meter.meter or meter.name).casefold(): i for i, meter in reversed(list(enumerate(manifest.meters)))}
-    for name in meters:
-        index = names.get(name)
+    meters = {(meter.meter or meter.name).casefold(): i for i, meter in reversed(list(enumerate(manifest.meters)))}
+    sensors = {
+        (sensor.variable or sensor.name.removesuffix("_power")).casefold(): i
+        for i, sensor in reversed(list(enumerate(manifest.sensors)))
+        if sensor.unit in _KW
+    }
+    for name, text in labels.items():
+        index = meters.get(name)
         if index is not None and manifest.meters[index].unit in _KWH:
-            return PowerSource(first + index, _meter_to_kw(manifest.meters[index], manifest))
-    for index, sensor in enumerate(manifest.sensors):
-        is_named = not sensor.variable and sensor.name.casefold().removesuffix("_power") in meters
-        if sensor.unit in _KW and (sensor.variable.casefold() == variable.casefold() or is_named):
-            return PowerSource(index, _KW[sensor.unit])
+            return PowerSource(first + index, _meter_to_kw(manifest.meters[index], manifest), text)
+    for name, text in labels.items():
+        if name in sensors:
+            return PowerSource(sensors[name], _KW[manifest.sensors[sensors[name]].unit], text)
     return None
 
 
@@ -323,18 +349,21 @@ def _plant_power(manifest: Manifest, hvac: PowerSource | None) -> PowerSource | 
         for index, sensor in enumerate(manifest.sensors)
         if sensor.unit in _KW and not sensor.variable and (hvac is None or index != hvac.index)
     ]
-    return PowerSource(sensors[0], _KW[manifest.sensors[sensors[0]].unit]) if len(sensors) == 1 else None
+    if len(sensors) != 1:
+        return None
+    return PowerSource(sensors[0], _KW[manifest.sensors[sensors[0]].unit], "Whole building")
 
 
 def _meter_to_kw(meter: Meter, manifest: Manifest) -> float:
     return _KWH[meter.unit] * 3600.0 / manifest.step_s
 
 
-def _meters(manifest: Manifest) -> tuple[list[EndUse], list[EndUse]]:
-    """Return the meters of end uses, HVAC first, and those of whole fuels."""
+def _meters(manifest: Manifest) -> tuple[list[EndUse], list[EndUse], list[EndUse]]:
+    """Return the meters of end uses, HVAC first, those of whole fuels, and those of the HVAC's fuels."""
     first = len(manifest.sensors)
     end_uses: list[tuple[tuple[int, int], EndUse]] = []
     fuels: list[EndUse] = []
+    hvac_fuels: list[EndUse] = []
     seen: set[str] = set()
     for index, meter in enumerate(manifest.meters):
         name = (meter.meter or meter.name).casefold()
@@ -351,7 +380,10 @@ def _meters(manifest: Manifest) -> tuple[list[EndUse], list[EndUse]]:
         elif left in _FUEL_RANK and right in ("facility", ""):
             fuel = _FUEL_LABELS[left]
             fuels.append(EndUse("facility", fuel, first + index, to_kw, end_use_color("facility", fuel), is_hvac=False))
-    return [use for _, use in sorted(end_uses, key=lambda entry: entry[0])], fuels
+        elif left == "hvac" and right in _FUEL_RANK and right != "electricity":
+            fuel = _FUEL_LABELS[right]
+            hvac_fuels.append(EndUse("HVAC", fuel, first + index, to_kw, end_use_color("facility", fuel), is_hvac=True))
+    return [use for _, use in sorted(end_uses, key=lambda entry: entry[0])], fuels, hvac_fuels
 
 
 _USE_RANK = {use.casefold(): rank for rank, use in enumerate(END_USES)}

@@ -225,11 +225,8 @@ def _power_series(roles: PointRoles) -> list[Series]:
     plots = []
     fuels = _other_fuels(roles)
     totals: list[tuple[str, RGB, PowerSource | EndUse]] = [
-        (name, color, source)
-        for name, color, source in (
-            ("Whole building", FACILITY, roles.facility_power),
-            ("HVAC", HVAC, roles.hvac_power),
-        )
+        (source.label, color, source)
+        for color, source in ((FACILITY, roles.facility_power), (HVAC, roles.hvac_power))
         if source is not None
     ]
     shown = [*totals, *((use_label(fuel), fuel.color, fuel) for fuel in fuels if not roles.end_uses)]

@@ -38,7 +38,7 @@ class NodeNumbers:
         time: simulated time.
         low_degc, high_degc: lowest and highest zone temperature.
         zones_outside: number of zones outside their comfort band.
-        facility_kw, hvac_kw: electric power.
+        facility_kw, hvac_kw: electric power; `hvac_label`: what the second is measured of.
         facility_kwh, hvac_kwh: electricity since the first sample.
         outside_kh, occupied_kh: kelvin hours outside the band since the first sample: all, and of occupied zones.
         controllers: names of the connected controllers.
@@ -53,6 +53,7 @@ class NodeNumbers:
     zones_outside: int | None = None
     people: float | None = None
     facility_kw: float | None = None
+    hvac_label: str = "HVAC"
     hvac_kw: float | None = None
     facility_kwh: float | None = None
     hvac_kwh: float | None = None
@@ -85,6 +86,7 @@ def numbers_at(
         zones_outside=int((np.abs(block.deviations[row]) > 0.05).sum()) if has_band else None,
         people=float(sum(people)) if people else None,
         facility_kw=_known(totals.facility_kw[row]),
+        hvac_label=roles.hvac_power.label if roles.hvac_power else "HVAC",
         hvac_kw=_known(totals.hvac_kw[row]),
         facility_kwh=_known(totals.facility_kwh[row]),
         hvac_kwh=_known(totals.hvac_kwh[row]),
@@ -119,8 +121,8 @@ def markdown(numbers: NodeNumbers) -> str:
     if numbers.people is not None:
         cells.append(("Occupants", quantity(numbers.people, "people", 0)))
     cells += [
-        ("HVAC", _kw(numbers.hvac_kw)),
-        ("HVAC so far", _kwh(numbers.hvac_kwh)),
+        (numbers.hvac_label, _kw(numbers.hvac_kw)),
+        (f"{numbers.hvac_label} so far", _kwh(numbers.hvac_kwh)),
         ("Whole building", _kw(numbers.facility_kw)),
         ("Electricity so far", _kwh(numbers.facility_kwh)),
         ("Outside comfort, occupied", _kh(numbers.occupied_kh)),
@@ -186,7 +188,7 @@ def overview(rows: list[NodeRow]) -> str:
             _literal(row.building),
             clock(numbers.time),
             zones,
-            quantity(numbers.hvac_kw, "kW"),
+            quantity(numbers.hvac_kw, "kW") + ("" if numbers.hvac_label == "HVAC" else f" ({numbers.hvac_label})"),
             quantity(energy, "kWh", 0),
             quantity(numbers.occupied_kh, "K h"),
             _literal(", ".join(numbers.controllers)) or "none",

@@ -170,11 +170,14 @@ class Engine:
         self.actuators = [exchange.get_actuator_handle(state, *names) for names in spec["actuators"]]
         # EnergyPlus 25.2 returns -1 for the first meter in its list, although reading index 0 works
         # (getMeterHandle treats 0 as "not found"); the discovery of points provides the index of each.
-        self.meters = [int(handle) for _, handle in spec["meters"]]
-        for (name, _), expected in zip(spec["meters"], self.meters, strict=True):
+        for name, expected in (part for _, parts in spec["meters"] for part in parts):
             handle = exchange.get_meter_handle(state, name)
             if handle != expected and not (expected == 0 and handle == -1):
                 raise LookupError(f"meter {name!r} has handle {handle}, expected {expected}")
+        handles = [[int(handle) for _, handle in parts] for _, parts in spec["meters"]]
+        self.meters = [first for first, *_ in handles]
+        # Index in the frame, and the handles to add to what the first meter gives.
+        self.meter_sums = [(i, rest) for i, (_, *rest) in enumerate(handles, len(self.sensors)) if rest]
         points = [*spec["sensors"], *spec["feedback"], *spec["actuators"]]
         for names, handle in zip(points, [*self.sensors, *self.feedback, *self.actuators], strict=True):
             if handle < 0:
@@ -222,6 +225,9 @@ class Engine:
             values = list(map(self.get_variable, repeat(state), self.sensors))
         if self.step:
             values.extend(map(self.get_meter, repeat(state), self.meters))
+            for index, handles in self.meter_sums:
+                for handle in handles:  # `sum` rounds differently from Python 3.12 on
+                    values[index] += self.get_meter(state, handle)
         else:
             values.extend([0.0] * len(self.meters))  # meters start with the first timestep
         values.extend(map(self.get_variable, repeat(state), self.feedback))

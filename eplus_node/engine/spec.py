@@ -65,7 +65,10 @@ def _point_fields(points: Points) -> dict[str, Any]:
             (s.variable, s.key, str(s.aggregation), system)
             for s, system in zip(points.sensors, points.system, strict=True)
         ],
-        "meters": [(m.meter, h) for m, h in zip(points.meters, points.meter_handles, strict=True)],
+        "meters": [
+            (m.meter, [(part.name, part.index) for part in parts])
+            for m, parts in zip(points.meters, points.meter_parts, strict=True)
+        ],
         "actuators": [(a.component_type, a.control_type, a.key) for a in points.actuators],
         "feedback": [(a.feedback, a.key) for a in points.actuators if a.feedback],
     }

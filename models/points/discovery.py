@@ -16,6 +16,7 @@ from models import energyplus
 from models.building.model import Building, Objects, check_runnable, for_episode, write
 from models.cache import cached_bytes, digest
 from models.scenario.run_period import Period
+from topics.energyplus_names import HVAC_METERS
 from topics.units import unit_name
 
 Kinds = Mapping[str, Objects]
@@ -40,11 +41,17 @@ class Variable(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class MeterPoint:
-    """A meter and its index in EnergyPlus's list, which is its handle."""
+    """A meter of EnergyPlus, or a sum of such meters.
+
+    Attributes:
+        index: its index in EnergyPlus's list, which is its handle; -1 for a sum.
+        parts: the meters that a sum adds up, in this order.
+    """
 
     name: str
     unit: str
     index: int
+    parts: tuple[MeterPoint, ...] = ()
 
 
 class ActuatorPoint(NamedTuple):
@@ -130,7 +137,19 @@ def _read(content: bytes) -> PointCatalog:
             actuators.append(ActuatorPoint(name, control, key, unit_name(unit)))
         elif point_type == "InternalVariable":
             internal.append(InternalVariable(name, key, unit_name(unit)))
+    meters += hvac_meters(meters)
     return PointCatalog(tuple(variables), tuple(meters), tuple(actuators), tuple(internal))
+
+
+def hvac_meters(meters: Iterable[MeterPoint]) -> list[MeterPoint]:
+    """Return the sums of `HVAC_METERS` for the fuels that the HVAC of a model uses; its own meters keep their names."""
+    own = {meter.name.casefold(): meter for meter in meters}
+    sums = []
+    for name, addends in HVAC_METERS.items():
+        parts = tuple(own[addend.casefold()] for addend in addends if addend.casefold() in own)
+        if parts and name.casefold() not in own:
+            sums.append(MeterPoint(name, parts[0].unit, -1, parts))
+    return sums
 
 
 _OWN_ZONE = re.compile(r"(zone|space)(_or_\w+)?_name")

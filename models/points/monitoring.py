@@ -17,6 +17,7 @@ from topics.energyplus_names import (
     FUELS,
     HEATING_SETPOINT,
     HEATING_SETPOINT_VARIABLE,
+    HVAC_METERS,
     OCCUPANTS,
     ZONE_TEMPERATURE,
     ZONE_TEMPERATURES,
@@ -79,7 +80,7 @@ def with_monitoring(building: Building, available: PointCatalog, points: Points)
         meters=(*points.meters, *(meter.model_copy(update=_UNOBSERVED) for meter in added.meters)),
         actuators=points.actuators,
         system=(*points.system, *added.system),
-        meter_handles=(*points.meter_handles, *added.meter_handles),
+        meter_parts=(*points.meter_parts, *added.meter_parts),
     )
 
 
@@ -102,10 +103,10 @@ def monitoring_sensors(building: Building, available: PointCatalog) -> dict[str,
 
 
 def monitoring_meters(available: PointCatalog) -> dict[str, str]:
-    """Return by name the default meters and those of all end uses of the model, such as `Cooling:Electricity`."""
+    """Return by name the default meters, those of the HVAC by fuel, and those of all end uses of the model."""
     names = {meter.name for meter in available.meters}
-    end_uses = [f"{end_use}:{fuel}" for end_use in END_USES for fuel in FUELS]
-    return default_meters(available) | {_snake_case(name): name for name in end_uses if name in names}
+    uses = [*HVAC_METERS, *(f"{end_use}:{fuel}" for end_use in END_USES for fuel in FUELS)]
+    return default_meters(available) | {_snake_case(name): name for name in uses if name in names}
 
 
 def _quantity(variable: str) -> str:

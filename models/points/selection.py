@@ -16,6 +16,7 @@ from topics.energyplus_names import (
     FUELS,
     HEATING_SETPOINT,
     HEATING_SETPOINT_VARIABLE,
+    HVAC_METERS,
     HVAC_POWER,
     OCCUPANTS,
     SCHEDULE_VALUE,
@@ -41,7 +42,7 @@ _ZONE_SENSORS = {
 _SITE_SENSORS = {
     "outdoor_temperature": ("Site Outdoor Air Drybulb Temperature", "Environment"),
     "outdoor_humidity": ("Site Outdoor Air Relative Humidity", "Environment"),
-    "hvac_electricity_power": (HVAC_POWER, "Whole Building"),
+    "hvac_and_plant_power": (HVAC_POWER, "Whole Building"),
 }
 
 # Thermostat bounds: those of the medium office in the paper that Zenostat follows (Sinergym). They meet
@@ -71,13 +72,14 @@ class Points:
 
     Attributes:
         system: for each sensor, whether it is updated each system timestep.
+        meter_parts: for each meter, EnergyPlus's meters that add up to it.
     """
 
     sensors: tuple[Sensor, ...]
     meters: tuple[Meter, ...]
     actuators: tuple[Actuator, ...]
     system: tuple[bool, ...]
-    meter_handles: tuple[int, ...]
+    meter_parts: tuple[tuple[MeterPoint, ...], ...]
 
     @property
     def requested(self) -> tuple[tuple[str, str], ...]:
@@ -123,7 +125,7 @@ def select_points(
         meters=tuple(m for m, _ in selected_meters),
         actuators=tuple(selected_actuators),
         system=tuple(variable.system for _, variable in selected_sensors),
-        meter_handles=tuple(meter.index for _, meter in selected_meters),
+        meter_parts=tuple(meter.parts or (meter,) for _, meter in selected_meters),
     )
 
 
@@ -211,8 +213,8 @@ def _meter(available: PointCatalog, name: str, spec: object) -> tuple[Meter, Met
 
 
 def meter_low(meter: MeterPoint) -> float | None:
-    """Return 0 for a fuel's meter, since consumption is never negative."""
-    return 0.0 if meter.name.split(":")[0] in FUELS else None
+    """Return 0 for the consumption of a fuel, or of the HVAC, which is never negative."""
+    return 0.0 if meter.name.split(":")[0] in FUELS or meter.name in HVAC_METERS else None
 
 
 def _actuator(building: Building, available: PointCatalog, name: str, spec: Sequence[object]) -> Actuator:
@@ -306,7 +308,7 @@ def thermostat_zones(available: PointCatalog) -> dict[str, str]:
 
 
 def default_sensors(available: PointCatalog) -> dict[str, tuple[str, str]]:
-    """Return outdoor temperature and humidity, HVAC power, and each conditioned zone's air and occupants."""
+    """Return outdoor temperature and humidity, HVAC and plant power, and each conditioned zone's air and occupants."""
     candidates = {name: (variable, key) for name, (variable, key) in _SITE_SENSORS.items()}
     for zone, name in thermostat_zones(available).items():
         for suffix, variable in _ZONE_SENSORS.items():
@@ -321,7 +323,7 @@ def default_sensors(available: PointCatalog) -> dict[str, tuple[str, str]]:
 def default_meters(available: PointCatalog) -> dict[str, str]:
     """Return the facility's meters of the fuels that the model uses, and the HVAC's electricity."""
     names = {m.name for m in available.meters}
-    candidates = [f"{fuel}:Facility" for fuel in FUELS] + ["Electricity:HVAC"]
+    candidates = [f"{fuel}:Facility" for fuel in FUELS] + ["HVAC:Electricity"]
     return {safe_name(name.replace(":", "_")): name for name in candidates if name in names}
 
 

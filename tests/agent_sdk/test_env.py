@@ -120,8 +120,8 @@ def test_bounds_come_from_units_and_limits(env: gym.Env[Any, Any]) -> None:
     assert {bounds[name] for name in humidities} == {(0.0, 100.0)}
     assert units["core_zn_occupants"] == "1"
     assert bounds["core_zn_occupants"] == (0.0, np.inf)
-    assert units["hvac_electricity_power"] == "W"
-    assert bounds["hvac_electricity_power"] == (0.0, np.inf)
+    assert units["hvac_and_plant_power"] == "W"
+    assert bounds["hvac_and_plant_power"] == (0.0, np.inf)
     assert units["electricity_facility"] == "J"
     assert units["core_zn_air_temperature"] == "degC"
     action = env.action_space
@@ -201,8 +201,8 @@ def test_observation_dict_names_the_values(env: gym.Env[Any, Any]) -> None:
     observation, _ = env.reset(seed=1)
     named = env.unwrapped.observation_dict(observation)
     zones = [f"{zone}_{what}" for what in ("air_temperature", "relative_humidity", "occupants") for zone in ZONES]
-    expected = {"outdoor_temperature", "outdoor_humidity", "hvac_electricity_power", *zones}
-    assert expected | {"electricity_facility", "electricity_hvac", "naturalgas_facility"} == set(named)
+    expected = {"outdoor_temperature", "outdoor_humidity", "hvac_and_plant_power", *zones}
+    assert expected | {"electricity_facility", "hvac_electricity", "naturalgas_facility"} == set(named)
     assert np.array(list(named.values()), np.float32).tobytes() == observation.tobytes()
     assert 10 < named["outdoor_temperature"] < 40
     assert 15 < named["core_zn_air_temperature"] < 35
@@ -225,7 +225,7 @@ def test_the_default_reward_by_hand(begin: str) -> None:
             low, high = (23.0, 26.0) if 6 <= began.month <= 9 else (20.0, 23.5)
             zones = [values[f"{zone}_air_temperature"] for zone in ZONES]
             outside = sum(max(low - zone, zone - high, 0.0) for zone in zones)
-            energy, comfort = -0.5 * 1e-4 * values["hvac_electricity_power"], -0.5 * 1.0 * outside
+            energy, comfort = -0.5 * 1e-4 * values["hvac_and_plant_power"], -0.5 * 1.0 * outside
             assert reward == pytest.approx(energy + comfort, rel=1e-5, abs=1e-5)  # observations are float32
             terms = info["reward_terms"]
             assert reward == terms["energy"] + terms["comfort"]
@@ -240,7 +240,7 @@ def test_a_reward_of_the_users_and_none(shared_bus: agent_sdk.Bus) -> None:
     with connected(shared_bus, reward=LinearReward(weight=1.0, lambda_energy=1.0)) as energetic:
         energetic.reset(seed=1)
         observation, reward, *_ = energetic.step(energetic.action_space.low)
-        assert reward == pytest.approx(-energetic.unwrapped.observation_dict(observation)["hvac_electricity_power"])
+        assert reward == pytest.approx(-energetic.unwrapped.observation_dict(observation)["hvac_and_plant_power"])
     with connected(shared_bus, reward=None) as plain:
         plain.reset(seed=1)
         _, reward, _, _, info = plain.step(plain.action_space.low)

@@ -66,7 +66,7 @@ OFFICE = manifest(
     ],
     meters=[
         meter("electricity"),
-        meter("hvac", "Electricity:HVAC"),
+        meter("hvac", "HVAC:Electricity"),
         meter("gas", "NaturalGas:Facility"),
         meter("heat", "DistrictHeatingWater:Facility"),
         meter("produced", "ElectricityProduced:Facility"),
@@ -106,7 +106,7 @@ def test_an_episode_by_hand() -> None:
         "electricity_kwh": "meter Electricity:Facility",
         "natural_gas_kwh": "meter NaturalGas:Facility",
         "district_heating_water_kwh": "meter DistrictHeatingWater:Facility",
-        "hvac_electricity_kwh": "meter Electricity:HVAC",
+        "hvac_electricity_kwh": "meter HVAC:Electricity",
         "mean_power_w": "meter Electricity:Facility",
         "peak_kw": "meter Electricity:Facility",
         "mean_deviation_k": "2 zones, the band of the linear reward",
@@ -192,7 +192,7 @@ def test_messages_that_were_refused_in_this_episode_and_a_second_one() -> None:
 
 
 def result(reward: float | None) -> EpisodeMetrics:
-    return EpisodeMetrics(1, reward, {}, {}, None, None, None, None, None, None, None, 0, 0, terminated=False)
+    return EpisodeMetrics(1, reward, {}, {}, {}, None, None, None, None, None, None, 0, 0, terminated=False)
 
 
 def test_mean_standard_deviation_and_interval(monkeypatch: pytest.MonkeyPatch) -> None:

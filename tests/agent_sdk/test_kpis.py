@@ -17,7 +17,7 @@ from support.examples import examples
 from support.nodes import SMALL
 
 from agent_sdk.evaluation import evaluate
-from agent_sdk.evaluation.energy_sources import hvac_sources
+from agent_sdk.evaluation.energy_sources import WITH_PLANT, WITHOUT_PLANT, hvac_sources
 from agent_sdk.evaluation.kpis import CO2_LIMIT_PPM, KPIS, PeakPower
 from agent_sdk.evaluation.metrics import EpisodeMetrics, MetricsAccumulator
 from agent_sdk.evaluation.tariffs import read_emissions, read_prices
@@ -34,14 +34,14 @@ SENSORS = (
     sensor("power", "Facility Total HVAC Electricity Demand Rate", "Whole Building", "W"),
 )
 METERS = (
-    meter("heating_gas", "Heating:NaturalGas"),
-    meter("cooling", "Cooling:Electricity"),
-    meter("fans", "Fans:Electricity"),
+    meter("heating_gas", "HVAC:NaturalGas"),
+    meter("cooling", "HVAC:Electricity"),
     meter("lights", "InteriorLights:Electricity"),
-    meter("water_gas", "WaterSystems:NaturalGas"),
-    meter("district", "Heating:DistrictHeatingWater"),
+    meter("all_gas", "NaturalGas:Facility"),
+    meter("district", "HVAC:DistrictHeatingWater"),
 )
 FACILITY = (meter("e"), meter("g", "NaturalGas:Facility"))
+GROUPS = (meter("group", "Electricity:HVAC"), meter("gas_group", "NaturalGas:HVAC"))
 
 
 def office(*, step_s: float = 900.0, area_m2: float | None = 100.0, **update: Any) -> Manifest:
@@ -72,8 +72,8 @@ def test_three_timesteps_by_hand() -> None:
         office(),
         [
             {"core": 27.0, "south": 24.0},  # 1 K at the beginning
-            {"core": 29, "south": 22, "heating_gas": 2 * KWH, "cooling": KWH, "fans": 0.5 * KWH, "lights": 9 * KWH},
-            {"core": 25, "south": 21, "heating_gas": 0, "cooling": 3 * KWH, "fans": KWH, "water_gas": 9 * KWH},
+            {"core": 29, "south": 22, "heating_gas": 2 * KWH, "cooling": 1.5 * KWH, "lights": 9 * KWH},
+            {"core": 25, "south": 21, "heating_gas": 0, "cooling": 4 * KWH, "all_gas": 9 * KWH},
             {"core": 26.0, "south": 23.0, "cooling": 0.5 * KWH, "district": 2 * KWH},
         ],
         prices={"electricity": 0.3, "gas": 0.1, "district_heating": 0.2},
@@ -82,7 +82,7 @@ def test_three_timesteps_by_hand() -> None:
     # Trapezoids of the deviations, core 1, 3, 0, 0 K and south 0, 1, 2, 0 K, in K times a quarter of an hour.
     core, south = (1 + 3) / 2 + (3 + 0) / 2 + 0, (0 + 1) / 2 + (1 + 2) / 2 + (2 + 0) / 2
     assert kpi(found, "tdis_tot") == pytest.approx((core + south) * 0.25 / 2)
-    electricity, gas, heat = 1 + 0.5 + 3 + 1 + 0.5, 2.0, 2.0  # neither lights nor hot water
+    electricity, gas, heat = 1.5 + 4 + 0.5, 2.0, 2.0  # neither lights nor the kitchen's gas
     assert kpi(found, "ener_tot") == pytest.approx((electricity + gas + heat) / 100)
     assert kpi(found, "cost_tot") == pytest.approx((0.3 * electricity + 0.1 * gas + 0.2 * heat) / 100)
     assert kpi(found, "emis_tot") == pytest.approx((0.4 * electricity + 0.2 * gas + 0.1 * heat) / 100)
@@ -156,24 +156,46 @@ def test_the_season_of_an_interval_holds_at_both_of_its_ends() -> None:
 @pytest.mark.parametrize(
     ("meters", "sensors", "electricity", "gas"),
     [
-        (METERS, SENSORS, "meters Cooling:Electricity, Fans:Electricity", "meters Heating:NaturalGas"),
-        (METERS[3:5], SENSORS, "", ""),
-        (FACILITY, SENSORS[:2], "meter Electricity:Facility", "meter NaturalGas:Facility"),
-        ((meter("h", "Electricity:HVAC"),), SENSORS[:2], "meter Electricity:HVAC", None),
-        ((), SENSORS, "sensor power, W times the timestep, read at its end (an approximation)", None),
+        (METERS, SENSORS, "meter HVAC:Electricity", "meter HVAC:NaturalGas"),
+        ((*GROUPS, *METERS), SENSORS, "meter HVAC:Electricity", "meter HVAC:NaturalGas"),
+        (GROUPS, SENSORS, f"meter Electricity:HVAC, {WITHOUT_PLANT}", f"meter NaturalGas:HVAC, {WITHOUT_PLANT}"),
+        ((), SENSORS, f"sensor power, W times the timestep, read at its end (an approximation), {WITH_PLANT}", None),
+        (FACILITY, SENSORS[:2], None, None),
+        ((meter("cooling", "Cooling:Electricity"),), SENSORS[:2], None, None),
     ],
 )  # fmt: skip
-def test_the_best_points_are_used_and_named(meters: Any, sensors: Any, electricity: str, gas: str | None) -> None:
-    sources = hvac_sources(office(meters=meters, sensors=sensors))
-    assert sources["electricity"].source == electricity
-    assert (sources["natural_gas"].source if "natural_gas" in sources else None) == gas
+def test_the_best_points_are_used_and_named(
+    meters: Any, sensors: Any, electricity: str | None, gas: str | None
+) -> None:
+    sources = {fuel: source.source for fuel, source in hvac_sources(office(meters=meters, sensors=sensors)).items()}
+    assert (sources.get("electricity"), sources.get("natural_gas")) == (electricity, gas)
 
 
-def test_a_mean_demand_rate_of_the_hvac_is_preferred_to_the_meter_of_the_building() -> None:
-    power = SENSORS[2].model_copy(update={"aggregation": Aggregation.MEAN})
-    of = office(meters=(meter("e"),), sensors=(power,))
-    assert hvac_sources(of)["electricity"].source == "sensor power, W times the timestep"
-    assert hvac_sources(of)["electricity"].to_kwh * 4000.0 == pytest.approx(1.0)  # a quarter of an hour
+def test_hvac_sources__a_mean_demand_rate_is_preferred_to_a_state() -> None:
+    power = SENSORS[2].model_copy(update={"name": "mean", "aggregation": Aggregation.MEAN})
+    source = hvac_sources(office(meters=(meter("e"),), sensors=(SENSORS[2], power)))["electricity"]
+    assert (source.index, source.source) == (1, f"sensor mean, W times the timestep, {WITH_PLANT}")
+    assert source.to_kwh * 4000.0 == pytest.approx(1.0)  # a quarter of an hour
+
+
+def test_kpis__gas_of_the_whole_building_is_not_hvac_gas() -> None:
+    """A kitchen burns gas too: where only the building's gas is measured, what the HVAC used of it is unknown."""
+    of = office(meters=(METERS[1], FACILITY[1]))
+    rows = [{}, {"cooling": KWH, "g": 5 * KWH}]
+    rates = {"prices": {"electricity": 0.3, "gas": 0.1}, "emissions": {"electricity": 0.4, "gas": 0.2}}
+    kpis = accumulated(of, rows, **rates).kpis
+    assert [kpis[name] for name in ("ener_tot", "cost_tot", "emis_tot", "pgas_tot")] == [None] * 4
+    assert kpis["pele_tot"] == pytest.approx(4 / 100)
+    assert "natural_gas" in MetricsAccumulator(of).sources["kpi.ener_tot"]
+    without_gas = accumulated(of, [{}, {"cooling": KWH}], **rates).kpis  # the building burned none
+    assert (without_gas["ener_tot"], without_gas["pgas_tot"]) == (pytest.approx(1 / 100), 0.0)
+
+
+def test_kpis__a_plant_that_is_no_building_counts_whole() -> None:
+    own = tuple(meter(name).model_copy(update={"meter": ""}) for name in ("electricity", "natural_gas"))
+    found = accumulated(office(meters=own, sensors=SENSORS[:2]), [{}, {"electricity": KWH, "natural_gas": 5 * KWH}])
+    assert kpi(found, "ener_tot") == pytest.approx(6 / 100)
+    assert found.hvac_kwh == {}
 
 
 # Peaks
@@ -318,4 +340,4 @@ def test_energy_is_that_of_energyplus_own_meters_and_of_its_demand_rate() -> Non
     assert gas.sum() > 0.0
     assert gas.sum() < joules["NaturalGas:Facility"].sum()  # without hot water
     # EnergyPlus's own sum of the HVAC's electricity, by another way than meters.
-    np.testing.assert_allclose(electricity, values["hvac_electricity_power"] * 900.0, rtol=1e-6)
+    np.testing.assert_allclose(electricity, values["hvac_and_plant_power"] * 900.0, rtol=1e-6)

@@ -182,7 +182,7 @@ def test_the_lines_are_the_samples() -> None:
     outdoor = shown["Outdoor temperature (°C)"]._lines[0].get_ydata()
     assert list(outdoor)[1:] == [row[0][index["outdoor_temperature"]] for row in rows]
     hvac_kw = steps_of(shown["Electric power (kW)"]._lines[1])
-    assert hvac_kw == pytest.approx([row[0][index["electricity_hvac"]] / 900.0 / 1e3 for row in rows])
+    assert hvac_kw == pytest.approx([row[0][index["hvac_electricity"]] / 900.0 / 1e3 for row in rows])
     people = steps_of(shown["Occupancy (people)"]._lines[0])
     assert people == [row[0][[index["zone_1_occupants"], index["zone_2_occupants"]]].sum() for row in rows]
     assert sum(people) == 0.0  # before 8 o'clock

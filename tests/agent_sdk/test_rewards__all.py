@@ -594,6 +594,9 @@ def test_the_energy_that_is_taken_where_none_is_named() -> None:
     both = node_of(SENSORS[1], SENSORS[3], meters=[hvac, facility])
     sample = np.array([22.0, 4000.0, 2 * KWH, 3 * KWH])
     assert PeakReward().bind(both)(sample, WINTER).metrics["energy_kwh"] == pytest.approx(3.0)
+    uses = meter("uses", "HVAC:Electricity")
+    exact = node_of(SENSORS[1], SENSORS[3], meters=[hvac, uses])
+    assert PeakReward().bind(exact)(sample, WINTER).metrics["energy_kwh"] == pytest.approx(3.0)
     one = node_of(SENSORS[1], SENSORS[3], meters=[hvac])
     assert PeakReward().bind(one)(sample[:3], WINTER).metrics["energy_kwh"] == pytest.approx(2.0)
     none = node_of(SENSORS[1], SENSORS[3], meters=[meter("gas", "NaturalGas:Facility")])
@@ -696,7 +699,7 @@ def test_the_state_of_another_reward_and_other_slots_are_refused() -> None:
 BARE = node_of(sensor("outdoor", "Site Outdoor Air Drybulb Temperature"))
 WARM = node_of(SENSORS[1], SENSORS[3], meters=[meter("water", "Water:Facility").model_copy(update={"unit": "m3"})])
 THERE: dict[str, tuple[RewardConfig, Manifest, str]] = {
-    "no power": (ExponentialReward(), BARE, "the exponential reward needs a sensor of 'Facility Total HVAC"),
+    "no power": (ExponentialReward(), BARE, "the exponential reward needs the HVAC's power: .* 'HVAC:Elec"),
     "no zone": (PeakReward(energy="fans"), node_of(SENSORS[4]), "the peak reward needs .* 'Zone Air Temperature'"),
     "no energy": (PeakReward(), node_of(SENSORS[1]), "the peak reward needs the energy .*'Electricity:Facility' in m"),
     "unknown energy": (PeakReward(energy="elec"), NODE, "'elec', .* not have; did you mean 'electricity'"),

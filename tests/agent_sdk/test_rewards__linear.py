@@ -191,6 +191,17 @@ def test_the_variables_are_found_in_any_case_and_mean_temperatures_serve_where_t
     assert LinearReward().bind(both)(np.array([0.0, 19.0, 21.0]), WINTER)[0] == 0.0
 
 
+def test_linear_reward__power_is_that_of_the_hvac_end_uses_where_they_are_measured() -> None:
+    """EnergyPlus's demand rate has electric water heaters and other plant equipment too."""
+    sensors = [sensor("power", POWER, "Whole Building", "W"), sensor("north")]
+    node = manifest(sensors=sensors, meters=[meter("group", "Electricity:HVAC"), meter("hvac", "HVAC:Electricity")])
+    values = np.array([9000.0, 24.0, 5 * 3.6e6, 3.6e6])
+    assert LinearReward().bind(node)(values, SUMMER).metrics["power_w"] == pytest.approx(4000.0)  # 1 kWh in 900 s
+    assert LinearReward(power="power").bind(node)(values, SUMMER).metrics["power_w"] == 9000.0
+    hidden = node.model_copy(update={"meters": tuple(m.model_copy(update={"observed": False}) for m in node.meters)})
+    assert LinearReward().bind(hidden)(values, SUMMER).metrics["power_w"] == 9000.0
+
+
 MISSING: dict[str, tuple[LinearReward, Manifest, str]] = {
     "no power": (LinearReward(), manifest(sensors=[sensor("t")]), "'Facility Total HVAC Electricity Demand Rate'"),
     "no zone": (LinearReward(), manifest(sensors=[sensor("p", POWER)]), "'Zone Air Temperature'"),

@@ -145,8 +145,8 @@ def test_each_timestep_of_a_building_keeps_its_energy() -> None:
         assert gained == pytest.approx(5e6 * (flow.end_degc - before), abs=1e-3)
         assert [values["zone_1_air_temperature"], values["zone_2_air_temperature"]] == flow.end_degc.tolist()
         power_w = np.abs(flow.heat_w).sum() / 2.5
-        assert values["hvac_electricity_power"] == pytest.approx(power_w)
-        assert values["electricity_hvac"] == pytest.approx(900.0 * power_w)
+        assert values["hvac_and_plant_power"] == pytest.approx(power_w)
+        assert values["hvac_electricity"] == pytest.approx(900.0 * power_w)
         before = flow.end_degc
         heats.append(flow.heat_w.sum())
     assert min(heats) < 0.0, "a July day wants cooling"
@@ -158,7 +158,7 @@ def test_electricity_of_the_equipment_and_people_by_the_clock() -> None:
     begins = [datetime(2017, 7, 3) + timedelta(minutes=15 * k) for k in range(96)]
     for begin, row in zip(begins, rows[1:], strict=True):
         opened = 8 <= begin.hour < 18
-        equipment_j = row["electricity_facility"] - row["electricity_hvac"]
+        equipment_j = row["electricity_facility"] - row["hvac_electricity"]
         assert equipment_j == pytest.approx(1200.0 * 900.0 * (1.0 if opened else 0.1))
         assert row["zone_1_occupants"] == (4.0 if opened else 0.0)
     assert rows[0]["electricity_facility"] == 0.0
@@ -316,8 +316,8 @@ def test_a_controllers_loop_runs_on_it() -> None:
 def test_it_has_the_spaces_of_its_manifest() -> None:
     env = FakeEnv(2, time=["month", "hour"])
     assert env.observation_names == (
-        "month", "hour", "outdoor_temperature", "hvac_electricity_power", "zone_1_air_temperature", "zone_1_occupants",
-        "zone_2_air_temperature", "zone_2_occupants", "electricity_facility", "electricity_hvac",
+        "month", "hour", "outdoor_temperature", "hvac_and_plant_power", "zone_1_air_temperature", "zone_1_occupants",
+        "zone_2_air_temperature", "zone_2_occupants", "electricity_facility", "hvac_electricity",
     )  # fmt: skip
     assert env.action_space == gym.spaces.Box(np.float32([15, 22.5] * 2), np.float32([22.5, 30] * 2))
     both = FakeEnv(2, control="building")
@@ -358,8 +358,8 @@ def test_context_weather_reward_and_limits_are_those_of_a_real_environment() -> 
     observation, reward, *_, info = env.step(np.float32([24]))
     assert info["value_source"] == ("", "agent", "agent")
     values = env.observation_dict(observation)
-    assert values["electricity_facility"] == values["electricity_hvac"], "the equipment is off"
-    assert reward == pytest.approx(-values["hvac_electricity_power"])
+    assert values["electricity_facility"] == values["hvac_electricity"], "the equipment is off"
+    assert reward == pytest.approx(-values["hvac_and_plant_power"])
     assert env.weather(["dry_bulb_temperature"]).columns == ["dry_bulb_temperature"]
     steps = 1
     terminated = False
@@ -639,9 +639,9 @@ class OfMine:
 
     def bind(self, manifest: Any) -> Any:
         names = manifest.names
-        if not {"hvac_electricity_power", "zone_1_air_temperature"} <= set(names):
+        if not {"hvac_and_plant_power", "zone_1_air_temperature"} <= set(names):
             raise InvalidConfig("the power or the first zone is missing")
-        return self.kind(names.index("hvac_electricity_power"), names.index("zone_1_air_temperature"))
+        return self.kind(names.index("hvac_and_plant_power"), names.index("zone_1_air_temperature"))
 
 
 class LooksAway(OfMine):
@@ -651,7 +651,7 @@ class LooksAway(OfMine):
 
 class Trips(OfMine):
     def bind(self, manifest: Any) -> Any:
-        return self.kind(manifest.names.index("hvac_electricity_power"), 2)
+        return self.kind(manifest.names.index("hvac_and_plant_power"), 2)
 
 
 def mutant(**methods: Any) -> OfMine:

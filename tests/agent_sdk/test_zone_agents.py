@@ -52,11 +52,11 @@ def office() -> Iterator[ZonesEnv]:
 
 
 def test_an_agent_for_each_zone_with_its_own_thermostat_and_sensors() -> None:
-    env = fake(2, time=["hour"], shared=["electricity_hvac"])
+    env = fake(2, time=["hour"], shared=["hvac_electricity"])
     assert env.possible_agents == ["zone_1", "zone_2"]
     assert env.action_names("zone_2") == ("zone_2_heating_setpoint", "zone_2_cooling_setpoint")
     assert env.observation_names("zone_2") == (
-        "hour", "outdoor_temperature", "zone_2_air_temperature", "zone_2_occupants", "electricity_hvac"
+        "hour", "outdoor_temperature", "zone_2_air_temperature", "zone_2_occupants", "hvac_electricity"
     )  # fmt: skip
     assert env.observation_space("zone_2") == gym.spaces.Box(
         np.float32([0, -100, -100, 0, 0]), np.float32([23, 200, 200, np.inf, np.inf])
@@ -228,7 +228,7 @@ def test_an_own_reward_by_hand() -> None:
     env = fake(2, reward="own", equipment_control=True)
     env.reset(seed=0)
     observations, rewards, *_ = env.step({"zone_1": [15, 22.5], "zone_2": [22.5, 30], "building": [1]})
-    power_w = env.observation_dict("building", observations["building"])["hvac_electricity_power"]
+    power_w = env.observation_dict("building", observations["building"])["hvac_and_plant_power"]
     for zone in ("zone_1", "zone_2"):
         degc = env.observation_dict(zone, observations[zone])[f"{zone}_air_temperature"]
         assert degc < 23.0
@@ -264,7 +264,7 @@ def test_a_function_of_ones_own() -> None:
         ({"reward": "mine"}, "reward = 'mine'; 'shared', 'own' or a function"),
         ({"reward": "own", "building_reward": None}, "there is no reward; use building_reward='linear'"),
         ({"reward": "own", "building_reward": "peak"}, "PeakReward is not one; use"),
-        ({"shared": ["power"]}, "no observation is named 'power'; did you mean 'hvac_electricity_power'"),
+        ({"shared": ["power"]}, "no observation is named 'power'; did you mean 'hvac_and_plant_power'"),
     ],
 )
 def test_what_cannot_be(given: dict[str, Any], says: str) -> None:
@@ -317,7 +317,7 @@ def test_the_zones_of_a_real_building(office: ZonesEnv) -> None:
             assert info["effective"] == pytest.approx(actions[agent], abs=1e-6)
         values = office.env.observation_dict(office.state())
         outside = [max(23.0 - t, t - 26.0, 0.0) for t in (values[f"{zone}_air_temperature"] for zone in ZONES)]
-        by_hand = -0.5e-4 * values["hvac_electricity_power"] - 0.5 * sum(outside)
+        by_hand = -0.5e-4 * values["hvac_and_plant_power"] - 0.5 * sum(outside)
         assert sum(rewards.values()) == pytest.approx(by_hand, rel=1e-5, abs=1e-5)
         for (one, first), (other, second) in pairwise(zip(ZONES, outside, strict=True)):
             assert rewards[one] - rewards[other] == pytest.approx(-0.5 * (first - second), abs=1e-5)

@@ -71,8 +71,8 @@ def test_roles_by_hand() -> None:
     assert (second.heating_actuator, second.cooling_actuator) == (1, 0)
     assert found.outdoor_temperature == 0
     to_kw = 1.0 / 900.0 / 1000.0  # J in a quarter of an hour
-    assert found.facility_power == PowerSource(10, pytest.approx(to_kw))  # type: ignore[arg-type]
-    assert found.hvac_power == PowerSource(9, 1e-3)
+    assert found.facility_power == PowerSource(10, pytest.approx(to_kw), "Whole building")  # type: ignore[arg-type]
+    assert found.hvac_power == PowerSource(9, 1e-3, "HVAC and plant")
     assert [(use.label, use.fuel, use.index, use.is_hvac) for use in found.end_uses] == [
         ("heating", "natural gas", 13, True), ("cooling", "electricity", 15, True),
         ("interior lights", "electricity", 11, False),
@@ -82,6 +82,19 @@ def test_roles_by_hand() -> None:
     assert found.labels[6] == "B heat"
     assert found.actuator_labels == ("Core bottom cooling setpoint", "Core bottom heating setpoint")
     assert all(use.to_kw == pytest.approx(to_kw) for use in (*found.end_uses, *found.fuels))
+
+
+def test_hvac_power__is_that_of_the_end_uses_where_they_are_measured() -> None:
+    groups, uses, gas = (
+        meter(name.replace(":", "_"), name) for name in ("Electricity:HVAC", "HVAC:Electricity", "HVAC:NaturalGas")
+    )
+    to_kw = pytest.approx(1.0 / 900.0 / 1000.0)
+    found = roles(manifest(meters=[groups, uses, gas]))
+    assert found.hvac_power == PowerSource(1, to_kw, "HVAC")  # type: ignore[arg-type]
+    assert [(fuel.fuel, fuel.index) for fuel in found.hvac_fuels] == [("natural gas", 2)]
+    assert found.others == {"J": (0,)}
+    without = roles(manifest(sensors=OFFICE.sensors, meters=[groups]))
+    assert without.hvac_power == PowerSource(10, to_kw, "HVAC without plant")  # type: ignore[arg-type]
 
 
 def test_a_zone_has_its_place_and_color_in_the_building_whatever_is_measured() -> None:
@@ -133,7 +146,9 @@ def test_a_fake_building_has_zones_and_powers_under_energyplus_names_and_as_a_pl
         (2, 3, 0, 1), (4, 5, 2, 3),
     ]  # fmt: skip
     assert found.outdoor_temperature == 0
-    assert (found.facility_power, found.hvac_power) == (PowerSource(6, 1 / 9e5), PowerSource(7, 1 / 9e5))
+    assert (found.facility_power, found.hvac_power) == (
+        PowerSource(6, 1 / 9e5, "Whole building"), PowerSource(7, 1 / 9e5, "HVAC"),
+    )  # fmt: skip
 
 
 def test_a_plant_of_ones_own_has_a_room_and_its_tank_is_none() -> None:
@@ -155,7 +170,7 @@ def test_a_plant_of_ones_own_has_a_room_and_its_tank_is_none() -> None:
 
 def test_the_only_power_sensor_of_a_plant_is_its_power() -> None:
     found = roles(manifest(sensors=[Sensor(name="temperature", unit="degC"), Sensor(name="heat_pump", unit="kW")]))
-    assert found.facility_power == PowerSource(1, 1.0)
+    assert found.facility_power == PowerSource(1, 1.0, "Whole building")
     assert [zone.label for zone in found.zones] == ["Zone"]
 
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import pytest
 
 from models.building.model import Building
-from models.points.discovery import ActuatorPoint, MeterPoint, PointCatalog, Variable
+from models.points.discovery import ActuatorPoint, MeterPoint, PointCatalog, Variable, hvac_meters
 from models.points.monitoring import with_monitoring, with_unobserved
 from models.points.selection import Points, select_points
 from topics.errors import UnknownName
@@ -20,6 +20,14 @@ def state(name: str, key: str, unit: str = "degC") -> Variable:
     return Variable(name, key, unit, system=name.startswith("Zone Air"), summed=False)
 
 
+METERS = tuple(
+    MeterPoint(name, "J", index)
+    for index, name in enumerate(
+        ("Electricity:Facility", "Electricity:HVAC", "NaturalGas:Facility", "Fans:Electricity", "Cooling:Electricity",
+         "Cooling:EnergyTransfer", "Heating:NaturalGas", "InteriorLights:Electricity",
+         "InteriorLights:Electricity:Zone:CORE ZN", "WaterSystems:NaturalGas", "WaterSystems:MainsWater")
+    )
+)  # fmt: skip
 CATALOG = PointCatalog(
     variables=(
         state("Site Outdoor Air Drybulb Temperature", "Environment"),
@@ -31,14 +39,7 @@ CATALOG = PointCatalog(
         state("Zone Thermostat Heating Setpoint Temperature", "CORE ZN"),
         state("Zone Thermostat Cooling Setpoint Temperature", "CORE ZN"),
     ),
-    meters=tuple(
-        MeterPoint(name, "J", index)
-        for index, name in enumerate(
-            ("Electricity:Facility", "Electricity:HVAC", "NaturalGas:Facility", "Cooling:Electricity",
-             "Cooling:EnergyTransfer", "InteriorLights:Electricity", "InteriorLights:Electricity:Zone:CORE ZN",
-             "WaterSystems:NaturalGas", "WaterSystems:MainsWater")
-        )
-    ),
+    meters=(*METERS, *hvac_meters(METERS)),
     actuators=(ActuatorPoint(THERMOSTAT, "Heating Setpoint", "CORE ZN", "degC"),),
 )  # fmt: skip
 ADDED_SENSORS = {
@@ -51,8 +52,11 @@ ADDED_SENSORS = {
 ADDED_METERS = {
     "electricity_facility": "Electricity:Facility",
     "naturalgas_facility": "NaturalGas:Facility",
-    "electricity_hvac": "Electricity:HVAC",
+    "hvac_electricity": "HVAC:Electricity",
+    "hvac_natural_gas": "HVAC:NaturalGas",
+    "heating_natural_gas": "Heating:NaturalGas",
     "cooling_electricity": "Cooling:Electricity",
+    "fans_electricity": "Fans:Electricity",
     "interior_lights_electricity": "InteriorLights:Electricity",
     "water_systems_natural_gas": "WaterSystems:NaturalGas",
 }
@@ -72,8 +76,12 @@ def test_zones_with_a_thermostat_the_weather_and_all_end_uses_are_added_unobserv
     assert {m.name: m.meter for m in points.meters} == ADDED_METERS  # no energy transfer, no water, no zone's meter
     assert not any(point.observed for point in (*points.sensors, *points.meters))
     assert points.system == (False, True, False, False, False)
-    handles = {meter.name: meter.index for meter in CATALOG.meters}
-    assert points.meter_handles == tuple(handles[meter.meter] for meter in points.meters)
+    parts = {
+        "HVAC:Electricity": ("Cooling:Electricity", "Fans:Electricity"), "HVAC:NaturalGas": ("Heating:NaturalGas",)
+    }  # fmt: skip
+    added_up = [tuple(part.name for part in parts) for parts in points.meter_parts]
+    assert added_up == [parts.get(meter.meter, (meter.meter,)) for meter in points.meters]
+    assert all(METERS[part.index] is part for parts in points.meter_parts for part in parts)
 
 
 def test_own_points_stay_first_and_are_measured_once() -> None:
@@ -113,14 +121,14 @@ def test_a_name_that_is_taken_gets_a_number() -> None:
         own(
             {
                 "core_zn_occupants": ("Zone Air Temperature", "ATTIC"),
-                "electricity_hvac": ("Zone Air Temperature", "ATTIC"),
+                "hvac_electricity": ("Zone Air Temperature", "ATTIC"),
             },
             {"outdoor_temperature": "Cooling:EnergyTransfer"},
         )
     )
     names = [*(s.name for s in points.sensors), *(m.name for m in points.meters)]
     assert len(set(names)) == len(names)
-    assert {"outdoor_temperature_2", "core_zn_occupants_2", "electricity_hvac_2"} <= set(names)
+    assert {"outdoor_temperature_2", "core_zn_occupants_2", "hvac_electricity_2"} <= set(names)
 
 
 def test_a_scenario_names_its_own_unobserved_points() -> None:

@@ -14,7 +14,15 @@ import pytest
 from models import catalog
 from models.building.model import Building, for_episode, read_building, write
 from models.building.summary import zone_areas
-from models.points.discovery import ActuatorPoint, InternalVariable, MeterPoint, PointCatalog, Variable, discover
+from models.points.discovery import (
+    ActuatorPoint,
+    InternalVariable,
+    MeterPoint,
+    PointCatalog,
+    Variable,
+    discover,
+    hvac_meters,
+)
 from models.points.listing import PointListing, listing
 from models.points.selection import (
     MeterSpec,
@@ -25,6 +33,7 @@ from models.points.selection import (
     sensor_bounds,
 )
 from models.scenario.run_period import Period
+from topics.energyplus_names import HVAC_METERS
 from topics.errors import InvalidConfig, UnknownName
 from topics.messages import Aggregation
 from topics.units import limits, unit_name
@@ -36,6 +45,12 @@ def state(name: str, key: str, unit: str, *, system: bool = False) -> Variable:
     return Variable(name, key, unit, system=system, summed=False)
 
 
+METERS = tuple(
+    MeterPoint(name, "J", index)
+    for index, name in enumerate(
+        ("Electricity:Facility", "Electricity:HVAC", "ElectricityNet:Facility", "Fans:Electricity")
+    )
+)
 SURVEY = PointCatalog(
     variables=(
         state("Site Outdoor Air Drybulb Temperature", "Environment", "degC"),
@@ -48,8 +63,7 @@ SURVEY = PointCatalog(
         Variable("Fan Electricity Energy", "FAN 1", "J", system=True, summed=True),
         state("Schedule Value", "LIGHTS", "1"),
     ),
-    meters=(MeterPoint("Electricity:Facility", "J", 0), MeterPoint("Electricity:HVAC", "J", 1),
-            MeterPoint("ElectricityNet:Facility", "J", 2)),
+    meters=(*METERS, *hvac_meters(METERS)),
     actuators=(
         ActuatorPoint(THERMOSTAT, "Heating Setpoint", "CORE ZN", "degC"),
         ActuatorPoint(THERMOSTAT, "Cooling Setpoint", "CORE ZN", "degC"),
@@ -107,7 +121,7 @@ def test_points_stand_in_the_order_asked_with_energyplus_own_names() -> None:
         ("hvac", "Electricity:HVAC", "J"),
         ("all", "Electricity:Facility", "J"),
     ]
-    assert points.meter_handles == (1, 0)
+    assert points.meter_parts == ((METERS[1],), (METERS[0],))
     (lights,) = points.actuators
     assert (lights.component_type, lights.control_type, lights.key) == ("Schedule:Compact", "Schedule Value", "LIGHTS")
 
@@ -337,14 +351,14 @@ def test_the_default_is_the_weather_the_power_the_conditioned_zones_and_the_fuel
     points = select_points(BUILDING, SURVEY, None, None, None)
     assert [(s.name, s.key) for s in points.sensors] == [
         ("outdoor_temperature", "Environment"),
-        ("hvac_electricity_power", "Whole Building"),
+        ("hvac_and_plant_power", "Whole Building"),
         ("core_zn_air_temperature", "CORE ZN"),
         ("core_zn_relative_humidity", "CORE ZN"),
         ("core_zn_occupants", "CORE ZN"),
     ]
     assert [(m.name, m.meter) for m in points.meters] == [
         ("electricity_facility", "Electricity:Facility"),
-        ("electricity_hvac", "Electricity:HVAC"),
+        ("hvac_electricity", "HVAC:Electricity"),
     ]
     assert [a.name for a in points.actuators] == ["core_zn_heating_setpoint", "core_zn_cooling_setpoint"]
 
@@ -369,7 +383,7 @@ def test_a_model_without_anything_has_no_points() -> None:
 def test_the_listing_has_every_point_with_unit_bounds_and_place() -> None:
     zone = Building("b", BUILDING.objects | {"Zone": {"Core Zn": {}}, "Meter:Custom": {"electricity:hvac": {}}}, "0")
     rows = list(listing(SURVEY, zone))
-    assert Counter(row.kind for row in rows) == {"sensor": 9, "meter": 3, "actuator": 5, "internal": 1}
+    assert Counter(row.kind for row in rows) == {"sensor": 9, "meter": 5, "actuator": 5, "internal": 1}
     for row in (
         PointListing("sensor", "Zone Air Temperature", "CORE ZN", "degC", -100.0, 200.0, "Core Zn"),
         PointListing("sensor", "Zone Air Temperature", "ATTIC", "degC", -100.0, 200.0, ""),
@@ -381,6 +395,7 @@ def test_the_listing_has_every_point_with_unit_bounds_and_place() -> None:
         ),
         PointListing("meter", "Electricity:Facility", "", "J", 0.0, None, "facility"),
         PointListing("meter", "Electricity:HVAC", "", "J", 0.0, None, ""),  # the model's own: it may be of anything
+        PointListing("meter", "HVAC:Electricity", "", "J", 0.0, None, "facility"),
         PointListing("meter", "ElectricityNet:Facility", "", "J", None, None, "facility"),
         PointListing("actuator", f"{THERMOSTAT} / Heating Setpoint", "CORE ZN", "degC", 15.0, 22.5, "Core Zn"),
         PointListing("actuator", "Schedule:Compact / Schedule Value", "LIGHTS", "1", 0.0, 1.0, ""),
@@ -462,7 +477,7 @@ Whole = tuple[Building, list[PointListing], dict[str, Any], dict[str, Any]]
 
 def test_meters_actuators_and_internal_variables_are_energyplus_own_list(whole: Whole) -> None:
     _, rows, _, said = whole
-    listed = Counter((r.kind, r.name, r.key) for r in rows if r.kind != "sensor")
+    listed = Counter((r.kind, r.name, r.key) for r in rows if r.kind != "sensor" and r.name not in HVAC_METERS)
     own: Counter[tuple[str, str, str]] = Counter()
     for what, name, key, control in said["list"]:
         if what == "Actuator":

@@ -46,7 +46,7 @@ ALL = (*NORTH, *SOUTH, FAN)
 
 
 def points(*actuators: Actuator) -> Points:
-    return Points(sensors=(), meters=(), actuators=actuators, system=(), meter_handles=())
+    return Points(sensors=(), meters=(), actuators=actuators, system=(), meter_parts=())
 
 
 def scenario(**fields: Any) -> Scenario:

@@ -13,6 +13,7 @@ import subprocess
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import reduce
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,7 @@ from models.catalog import find_building, find_weather
 from models.weather import design_days
 from models.weather.header import read_header
 from support.nodes import NodeProgram
+from topics.energyplus_names import HVAC_METERS
 from topics.messages import Aggregation, Manifest, Meter, Sensor
 
 _RUN = """
@@ -113,7 +115,8 @@ class Alone:
     """A run of EnergyPlus alone that reports `sensors` and `meters`; started at once, read with `values`."""
 
     def __init__(self, case: Case, sensors: Sequence[Sensor], meters: Sequence[Meter], folder: Path) -> None:
-        self.sensors, self.meters, self.folder = sensors, meters, folder
+        self.sensors, self.folder = sensors, folder
+        self.meters = [HVAC_METERS.get(meter.meter, (meter.meter,)) for meter in meters]
         model = with_edits(read_building(find_building(case.building)), case.edits)
         period = model.period(case.begin, case.end, case.steps_per_hour)
         self.steps, self.steps_per_hour = period.steps, period.steps_per_hour
@@ -129,7 +132,8 @@ class Alone:
             for frequency in ("Timestep", "Detailed")
             if frequency == ("Detailed" if s.aggregation is Aggregation.INSTANT else "Timestep")
         }
-        objects["Output:Meter"] = {m.name: {"key_name": m.meter, "reporting_frequency": "Timestep"} for m in meters}
+        names = dict.fromkeys(name for parts in self.meters for name in parts)
+        objects["Output:Meter"] = {name: {"key_name": name, "reporting_frequency": "Timestep"} for name in names}
         (silent,) = objects["OutputControl:Files"].values()
         objects["OutputControl:Files"] = {"eso": silent | {"output_eso": "Yes"}}
         folder.mkdir(parents=True, exist_ok=True)
@@ -150,24 +154,26 @@ class Alone:
         if code:
             raise AssertionError(f"EnergyPlus ended with {code}: {(self.folder / 'eplusout.err').read_text()[-2000:]}")
         with (self.folder / "eplusout.eso").open() as file:
-            table = _table(file, self._columns(_dictionary(file)), (self.steps, self.steps_per_hour), self._width)
-        assert not np.isnan(table).any(), "the ESO file has no value for some point at some timestep"
-        return table
+            ids = _dictionary(file)
+            columns = {identity: column for column, identity in enumerate(dict.fromkeys(ids.values()))}
+            table = _table(file, columns, (self.steps, self.steps_per_hour), len(columns))
+        points = np.stack([_sum([table[:, columns[i]] for i in wanted]) for wanted in self._wanted(ids)], axis=1)
+        assert not np.isnan(points).any(), "the ESO file has no value for some point at some timestep"
+        return points
 
-    @property
-    def _width(self) -> int:
-        return len(self.sensors) + len(self.meters)
+    def _wanted(self, ids: dict[tuple[str, str, str], str]) -> Iterator[list[str]]:
+        """For each point, the ESO ids of what adds up to it; a sum leaves out meters that the model does not have."""
+        for sensor in self.sensors:
+            frequency = _EACH if sensor.aggregation is Aggregation.INSTANT else _STEP
+            yield [ids[sensor.key.casefold(), sensor.variable.casefold(), frequency]]
+        for parts in self.meters:
+            keys = [("", name.casefold(), _STEP) for name in parts]
+            yield [ids[key] for key in keys if key in ids]
 
-    def _columns(self, found: dict[tuple[str, str, str], str]) -> dict[str, int]:
-        """ESO id to column; each point has an id of its own."""
-        wanted = [
-            (s.key.casefold(), s.variable.casefold(), _EACH if s.aggregation is Aggregation.INSTANT else _STEP)
-            for s in self.sensors
-        ]
-        wanted += [("", m.meter.casefold(), _STEP) for m in self.meters]
-        columns = {found[name]: column for column, name in enumerate(wanted)}
-        assert len(columns) == self._width, "two points are the same report"
-        return columns
+
+def _sum(columns: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """Add from left to right."""
+    return reduce(np.add, columns)
 
 
 def _dictionary(file: Iterator[str]) -> dict[tuple[str, str, str], str]:

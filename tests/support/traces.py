@@ -33,7 +33,7 @@ def office(
             *(sensor(f"{zone}_occupants", "Zone People Occupant Count", zone, "1") for zone in zones),
         ],
         meters=[
-            meter("electricity"), meter("hvac", "Electricity:HVAC"), *(meter(use, f"{use}:Electricity") for use in USES)
+            meter("electricity"), meter("hvac", "HVAC:Electricity"), *(meter(use, f"{use}:Electricity") for use in USES)
         ],
         actuators=cool,
         task=Task(actions=tuple(own_action(one) for one in cool), reward={"kind": "linear"}),

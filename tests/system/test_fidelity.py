@@ -61,7 +61,7 @@ def _both(case: Case, folder: Path) -> Runs:
 def _check_kinds(manifest: Manifest) -> None:
     """The comparison covers each reading, and the meters."""
     assert {sensor.aggregation for sensor in manifest.sensors} == set(Aggregation)
-    assert {"Electricity:Facility", "Electricity:HVAC"} <= {meter.meter for meter in manifest.meters}
+    assert {"Electricity:Facility", "HVAC:Electricity"} <= {meter.meter for meter in manifest.meters}
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +86,7 @@ def test_each_point_lives(week) -> None:
     manifest, got, _ = week
     changing = {name for column, name in enumerate(manifest.names) if len(np.unique(got[:, column])) > 1}
     idle = {name for name in manifest.names if name not in changing}
-    assert not idle & {"outdoor_temperature", "hvac_electricity_power", "zone_mean", "electricity_facility"}
+    assert not idle & {"outdoor_temperature", "hvac_and_plant_power", "zone_mean", "electricity_facility"}
     assert len(changing) > len(manifest.names) / 2
 
 
@@ -110,7 +110,7 @@ def test_state_and_mean_are_distinguished(divided) -> None:
     )
     pairs = [
         (state, "zone_mean"),
-        ("hvac_power_instant", "hvac_electricity_power"),
+        ("hvac_power_instant", "hvac_and_plant_power"),
         ("zone_cooling_rate_instant", "zone_cooling_rate"),
     ]
     for name, mean in pairs:
@@ -123,9 +123,9 @@ def test_energy_follows_from_means(divided) -> None:
     """The HVAC's meter is the mean power times the length of the timestep; with the state it would not be."""
     manifest, got, _ = divided
     column = {name: i for i, name in enumerate(manifest.names)}
-    energy_j = got[:, column["electricity_hvac"]]
+    energy_j = got[:, column["hvac_electricity"]]
     seconds = manifest.step_s
-    np.testing.assert_allclose(got[:, column["hvac_electricity_power"]] * seconds, energy_j, rtol=1e-9, atol=1e-3)
+    np.testing.assert_allclose(got[:, column["hvac_and_plant_power"]] * seconds, energy_j, rtol=1e-9, atol=1e-3)
     wrong_j = got[:, column["hvac_power_instant"]] * seconds
     assert (~np.isclose(wrong_j, energy_j, rtol=1e-6, atol=1e-3)).sum() > 50
 

@@ -136,7 +136,7 @@ def periods(curves: Sequence[Curve]) -> Figure | None:
     fuels = [
         fuel
         for fuel in dict.fromkeys(fuel for curve in curves for fuel in curve.quantities.energy_kwh)
-        if fuel != "hvac_electricity" and any(np.nansum(_energy(curve, fuel)) > 0 for curve in curves)
+        if not fuel.startswith("hvac_") and any(np.nansum(_energy(curve, fuel)) > 0 for curve in curves)
     ] or [name for name in ("hvac_electricity",) if any(name in curve.quantities.energy_kwh for curve in curves)]
     if not fuels:
         return None
