@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 _UNITS = {"kwh": "kWh", "w": "W", "kw": "kW", "k": "K", "kh": "K h", "percent": "%"}
 _TEXT_COLUMNS = ("controller", "weather")
 _COUNT_COLUMNS = ("episode", "seed", "steps", "late", "rejected")
+INTERVAL_NOTE = "± half the 95 % confidence interval of the mean over the episodes (Student's t)"
 _PROGRESS_INTERVAL = 24
 """Timesteps between two updates of a progress bar."""
 
@@ -118,7 +119,7 @@ def _show(evaluation: Evaluation, title: str) -> None:
     summary = evaluation.summary()
     names = dict.fromkeys(name for metrics in summary.values() for name in metrics)
     shown = [name for name in names if _is_shown(name, summary)]
-    rows = [(_label(name), *(_cell(metrics.get(name)) for metrics in summary.values())) for name in shown]
+    rows = [(_label(name), *(metric_text(metrics.get(name)) for metrics in summary.values())) for name in shown]
     show(title, ("", *summary), rows, right=tuple(summary), wrap=("",))
     notes: dict[str, list[str]] = {}
     for name in shown:
@@ -127,6 +128,9 @@ def _show(evaluation: Evaluation, title: str) -> None:
     for name in ("kpi.cost_tot", "kpi.emis_tot"):
         if name in evaluation.sources and name not in shown:
             notes.setdefault(evaluation.sources[name], []).append(_label(name))
+    if any(metric.count > 1 for metrics in summary.values() for metric in metrics.values()):
+        has_interval = any(metric.interval for metrics in summary.values() for metric in metrics.values())
+        out.print(INTERVAL_NOTE if has_interval else "Means over the episodes; intervals need SciPy.", soft_wrap=True)
     for source, labels in notes.items():
         out.print(f"{', '.join(labels)}: {source}", soft_wrap=True, markup=False)
 
@@ -152,13 +156,14 @@ def _label(name: str) -> str:
     return name.replace(".", ": ").replace("_", " ")
 
 
-def _cell(metric: MetricSummary | None) -> str:
+def metric_text(metric: MetricSummary | None) -> str:
+    """Return a metric as a table shows it: mean ± half of the 95 % confidence interval; "" if it is unknown."""
     if metric is None:
         return ""
     size = abs(metric.mean)
     digits = 0 if size >= 1000 or metric.mean == int(metric.mean) else 1 if size >= 100 else 2 if size >= 1 else 4
-    if metric.deviation:
-        return f"{metric.mean:,.{digits}f} ± {metric.deviation:,.{digits}f}"
+    if metric.interval is not None and metric.half_width:
+        return f"{metric.mean:,.{digits}f} ± {metric.half_width:,.{digits}f}"
     return f"{metric.mean:,.{digits}f}"
 
 

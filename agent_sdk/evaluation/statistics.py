@@ -25,6 +25,11 @@ class MetricSummary:
     deviation: float | None
     interval: tuple[float, float] | None
 
+    @property
+    def half_width(self) -> float | None:
+        """Half of the interval: what tables and reports show after ±."""
+        return None if self.interval is None else (self.interval[1] - self.interval[0]) / 2
+
 
 def summarize(values: Sequence[Any]) -> MetricSummary:
     """Return the statistics of at least one value."""

@@ -60,8 +60,10 @@ def _weathers(comparison: Comparison) -> list[tuple[str, WeatherTrace]]:
     first = reference.quantities.weather
     known = [first, *series[1:]]
     names = reference.weather_names
+    several = len(set(names)) > 1
     labels = [
-        f"episode {place + 1}" + (f", {names[place]}" if place < len(names) else "") for place in range(len(known))
+        f"episode {place + 1}" + (f", {names[place]}" if several and place < len(names) else "")
+        for place in range(len(known))
     ]
     return [(label, trace) for label, trace in zip(labels, known, strict=True) if trace is not None]
 

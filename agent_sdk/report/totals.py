@@ -132,9 +132,8 @@ def difference(run: Run, reference: Run, metric: Metric) -> Difference | None:
     percent = 100.0 * summary.mean / abs(base) if base else None
     if percent is not None and abs(percent) > _MAX_PERCENT:
         percent = None
-    half_width = None if summary.interval is None else (summary.interval[1] - summary.interval[0]) / 2
     sign = metric.sign if has_equal_lengths(run, reference) else 0
-    return Difference(summary.mean, percent, half_width, _verdict(summary, percent, sign))
+    return Difference(summary.mean, percent, summary.half_width, _verdict(summary, percent, sign))
 
 
 def has_equal_lengths(run: Run, reference: Run) -> bool:

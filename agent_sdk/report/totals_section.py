@@ -17,6 +17,8 @@ def totals_section(comparison: Comparison) -> str:
     """Return the totals, the KPIs, and what they are derived from, as HTML."""
     rows, indicators = metrics(comparison), kpis(comparison)
     notes = [*_notes_on_episodes(comparison, rows)]
+    if not _has_difference_columns(comparison):
+        notes.insert(0, f"Below each number: its difference to {comparison.reference.label}.")
     missing = not_measured(comparison)
     if missing:
         notes.append(f"Not measured: {names(missing)}.")
@@ -63,10 +65,11 @@ def _sources(comparison: Comparison, rows: Sequence[Metric]) -> list[str]:
 def _table(comparison: Comparison, rows: Sequence[Metric], title: str) -> str:
     reference, others = comparison.reference, comparison.runs[1:]
     head = "".join(f'<th scope="col" class="n">{escape(run.label)}</th>' for run in comparison.runs)
-    head += "".join(
-        f'<th scope="colgroup" colspan="2" class="n">{escape(run.label)} {MINUS} {escape(reference.label)}</th>'
-        for run in others
-    )
+    if _has_difference_columns(comparison):
+        head += "".join(
+            f'<th scope="colgroup" colspan="2" class="n">{escape(run.label)} {MINUS} {escape(reference.label)}</th>'
+            for run in others
+        )
     body = "".join(_row(comparison, metric) for metric in rows)
     return (
         f'<div class="scroll" role="group" aria-label="{escape(title)}" tabindex="0"><table class="totals">'
@@ -76,26 +79,48 @@ def _table(comparison: Comparison, rows: Sequence[Metric], title: str) -> str:
 
 def _row(comparison: Comparison, metric: Metric) -> str:
     cells = []
-    for run in comparison.runs:
+    is_wide = _has_difference_columns(comparison)
+    for place, run in enumerate(comparison.runs):
         amount = total(run, metric.key)
         text = NONE if amount is None else number(amount.mean)
-        if amount is not None and amount.interval is not None:
-            text += f" ± {number((amount.interval[1] - amount.interval[0]) / 2)}"
+        if amount is not None and amount.half_width is not None:
+            text += f" ± {number(amount.half_width)}"
+        if place and not is_wide:
+            text += _difference_line(difference(run, comparison.reference, metric))
         cells.append(f'<td class="n">{text}</td>')
-    cells += [_difference_cells(difference(run, comparison.reference, metric)) for run in comparison.runs[1:]]
+    if is_wide:
+        cells += [_difference_cells(difference(run, comparison.reference, metric)) for run in comparison.runs[1:]]
     unit = f' <span class="unit">{escape(metric.unit)}</span>' if metric.unit else ""
     label_class = ' class="part"' if metric.is_part else ""
     head = f'<th scope="row"{label_class}>{escape(metric.label)}{unit}</th>'
     return f'<tr data-metric="{escape(metric.key)}">{head}{"".join(cells)}</tr>'
 
 
+def _has_difference_columns(comparison: Comparison) -> bool:
+    """Whether differences have columns of their own; of several controllers they stand below the numbers, to fit."""
+    return len(comparison.runs) <= 2
+
+
 def _difference_cells(change: Difference | None) -> str:
     if change is None:
         return f'<td class="n">{NONE}</td><td></td>'
-    text = signed(change.mean)
+    amount, percent, verdict = _difference_texts(change)
+    return f'<td class="n d">{amount}</td><td class="n p">{percent} {verdict}</td>'
+
+
+def _difference_line(change: Difference | None) -> str:
+    if change is None:
+        return ""
+    amount, percent, verdict = _difference_texts(change)
+    return f'<span class="d">{amount}</span><span class="d">{percent} {verdict}</span>'
+
+
+def _difference_texts(change: Difference) -> tuple[str, str, str]:
+    """Return the difference, the same in percent, and its verdict, as HTML."""
+    amount = signed(change.mean)
     if change.half_width is not None:
-        text += f" ± {number(change.half_width)}"
+        amount += f" ± {number(change.half_width)}"
     percent = "" if change.percent is None else f"{signed(change.percent, 1)} %"
     mark = _MARKS.get(change.verdict, "")
     verdict = f'<span class="v {change.verdict}">{mark} {change.verdict}</span>' if change.verdict else ""
-    return f'<td class="n d">{text}</td><td class="n p">{percent} {verdict}</td>'
+    return amount, percent, verdict

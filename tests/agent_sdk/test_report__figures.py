@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from support.traces import J_PER_KWH, SHARES, office, office_comparison, run
 
+from agent_sdk.evaluation.trace import WeatherTrace
 from agent_sdk.report.figures import actuators, carpets, comfort, energy, reward, weather
 from agent_sdk.report.figures.base import Curve
 from agent_sdk.report.quantities import by_hour, by_period, load_duration
@@ -162,6 +163,25 @@ def test_episodes_with_the_same_weather_are_drawn_once() -> None:
     assert [name for name in figure.data if "temperature" in name] == [
         "episode 1, episode 2: outdoor temperature (degC)"
     ]
+
+
+@pytest.mark.parametrize("names", [("USA_NY_New.York-J.F.Kennedy.Intl.AP",), tuple("ab"), ("x" * 90,)])
+def test_weather__axes_keep_their_width_with_many_stochastic_episodes(names: tuple[str, ...]) -> None:
+    traces = [WeatherTrace(3600.0, np.linspace(k, 20.0 + k, 48), np.linspace(0.0, 900.0, 48)) for k in range(6)]
+    labels = [f"episode {place + 1}, {names[place % len(names)]}" for place in range(6)]
+    figure = weather.weather(list(zip(labels, traces, strict=True)), MIDNIGHT)
+    assert figure is not None
+    figure.drawing.draw_without_rendering()
+    width, height = figure.drawing.get_size_inches() * figure.drawing.dpi
+    above, below = (axis.get_window_extent() for axis in figure.drawing.axes)
+    assert min(above.width, below.width) > 0.85 * width
+    assert min(above.height, below.height) > 0.2 * height
+    legend = figure.drawing.axes[0].get_legend().get_window_extent()
+    title = figure.drawing.axes[0].title
+    assert legend.x1 <= width
+    assert not legend.overlaps(
+        next(text for text in (title, figure.drawing.axes[0]._left_title) if text.get_text()).get_window_extent()
+    )
 
 
 def test_without_points_there_are_no_figures() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import pytest
@@ -12,6 +13,7 @@ from agent_sdk.report import Comparison, Run
 from agent_sdk.report.runs import short_names
 from agent_sdk.report.summary import summary
 from agent_sdk.report.totals import Metric, difference, metrics, number, signed
+from agent_sdk.report.totals_section import totals_section
 
 ELECTRICITY = Metric("electricity_kwh", "Electricity", "kWh")
 REWARD = Metric("reward", "Reward", "", 1)
@@ -172,3 +174,19 @@ def test_percents_of_nearly_nothing_are_left_out(comparison: Comparison) -> None
     assert (change.percent, change.verdict) == (None, "worse")
     (text,) = texts_of(Comparison((with_electricity(reference, 1e-9), with_electricity(other, 5.0))))
     assert text.startswith("rbc used more electricity than baseline (5 instead of")
+
+
+def test_totals_section__several_controllers_have_a_column_each() -> None:
+    """Their differences stand below the numbers, so that the table of four fits a page."""
+    first, second = office_comparison().runs
+    runs = (first, *(replace(second, name=name, short_name="") for name in ("rbc", "ppo", "sac")))
+    html = totals_section(Comparison(runs))
+    head = html[html.index("<thead>") : html.index("</thead>")]
+    assert head.count("<th ") == 5
+    (row,) = re.findall(r'<tr data-metric="electricity_kwh">.*?</tr>', html)
+    assert row.count("<td") == 4
+    assert row.count("\N{MINUS SIGN}10.0 %") == 3
+    assert "Below each number: its difference to baseline." in html
+    pair = totals_section(office_comparison())
+    assert "Below each number" not in pair
+    assert "rbc \N{MINUS SIGN} baseline" in pair

@@ -13,7 +13,8 @@ import pytest
 from support.nodes import SMALL, interrupted
 from support.run_cli import ZENOSTAT, plain, run_in_process, run_program
 
-from cli.evaluate import check_file, write
+from agent_sdk.evaluation.statistics import summarize
+from cli.evaluate import INTERVAL_NOTE, check_file, metric_text, write
 from topics.errors import InvalidConfig
 
 SCENARIO = f"""
@@ -28,6 +29,13 @@ reward: {{kind: linear}}
 DAY = ["--begin", "07-03", "--end", "07-03"]
 
 
+def test_metric_text__after_the_sign_stands_half_the_interval_as_in_reports() -> None:
+    pytest.importorskip("scipy")
+    # 1, 2 and 6.5: standard deviation 2.92973; Student's t for two degrees of freedom 4.302653 (any table of it).
+    assert metric_text(summarize([1.0, 2.0, 6.5])) == f"3.17 ± {4.302653 * 2.92973 / 3**0.5:.2f}"
+    assert metric_text(summarize([1.25])) == "1.25"
+
+
 @pytest.mark.slow
 def test_two_runs_give_the_same_table_and_the_same_parquet(scratch: Path) -> None:
     parquet = pytest.importorskip("pyarrow.parquet")
@@ -40,6 +48,7 @@ def test_two_runs_give_the_same_table_and_the_same_parquet(scratch: Path) -> Non
     shown = [line for line in one if not line.startswith("episodes:") and "steps/s" not in line]
     assert shown == [line for line in other if not line.startswith("episodes:") and "steps/s" not in line]
     assert re.search(r"electricity \(kWh\)\s+[\d,.]+ ± [\d.]+\s+[\d,.]+ ± [\d.]+", "\n".join(shown))
+    assert INTERVAL_NOTE in shown
     assert "electricity (kWh), mean power (W), peak (kW): meter Electricity:Facility" in shown
     assert (scratch / "a.parquet").read_bytes() == (scratch / "b.parquet").read_bytes()
     rows = parquet.read_table(scratch / "a.parquet").to_pylist()

@@ -125,14 +125,39 @@ def period_label(day: np.datetime64) -> str:
     return _MONTHS[date.month - 1] if day.dtype == "datetime64[M]" else _day(day)
 
 
-def legend_above(axis: Any, columns: int = 4, **settings: Any) -> None:
-    """Put the legend above the axes, left, in one or more rows."""
-    handles, _ = axis.get_legend_handles_labels()
-    if handles:
-        axis.legend(
-            loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, borderaxespad=0.2, handlelength=1.8,
-            columnspacing=1.6, borderpad=0.2, **settings,
-        )  # fmt: skip
+LEGEND_ROW_PT = 13.0
+"""Height of a row of a legend, points."""
+
+
+def legend_above(axis: Any, columns: int = 4, **settings: Any) -> int:
+    """Put the legend above the axes, left, in as many rows as its texts need, and return their number.
+
+    A legend that is wider than its figure would leave no room for the axes: long texts are cut, and there are fewer
+    columns.
+    """
+    handles, labels = axis.get_legend_handles_labels()
+    if not handles:
+        return 0
+    available_in = axis.figure.get_figwidth() - _LEGEND_MARGIN_IN
+    shown = [_cut(label, available_in - _HANDLE_IN) for label in labels]
+    widest_in = max(text_width(text) for text in shown) + _HANDLE_IN
+    columns = max(min(columns, int(available_in / widest_in)), 1)
+    axis.legend(
+        handles, shown, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, borderaxespad=0.2,
+        handlelength=1.8, columnspacing=1.6, borderpad=0.2, **settings,
+    )  # fmt: skip
+    return -(-len(shown) // columns)
+
+
+def _cut(text: str, width_in: float) -> str:
+    """Return the text, or its beginning if it is wider."""
+    most = int(width_in / text_width("0"))
+    return text if len(text) <= most else f"{text[: most - 1]}\N{HORIZONTAL ELLIPSIS}"
+
+
+_HANDLE_IN = 0.45
+_LEGEND_MARGIN_IN = 0.8
+"""Width of a legend's line with its spaces, and of what stands beside the axes."""
 
 
 def quiet(axis: Any) -> None:

@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 
 from agent_sdk.evaluation.trace import WeatherTrace
-from agent_sdk.report.figures.base import LONG_DAYS, Days, Figure, daily, draw, legend_above, mark_days
+from agent_sdk.report.figures.base import LEGEND_ROW_PT, LONG_DAYS, Days, Figure, daily, draw, legend_above, mark_days
 from agent_sdk.report.quantities import Floats
 from agent_sdk.report.theme import LIGHT, series_color, series_dashes
 
 _MAX_EPISODES = 6
+_MAX_LABELS = 3
 
 
 def weather(episodes: Sequence[tuple[str, WeatherTrace]], begin: np.datetime64) -> Figure | None:
@@ -40,13 +41,12 @@ def weather(episodes: Sequence[tuple[str, WeatherTrace]], begin: np.datetime64) 
             if has_solar:
                 _solar(axes[1, 0], trace, where, place, len(shown), is_long=is_long)
         axes[0, 0].set_ylabel("°C")
-        axes[0, 0].set_title("Outdoor temperature", pad=18 if len(shown) > 1 else None)
         if has_solar:
             axes[1, 0].set_ylabel("kWh/m² a day" if is_long else "W/m²")
             axes[1, 0].set_title("Global horizontal radiation")
             axes[1, 0].set_ylim(bottom=0.0)
-        if len(shown) > 1:
-            legend_above(axes[0, 0])
+        rows = legend_above(axes[0, 0]) if len(shown) > 1 else 0
+        axes[0, 0].set_title("Outdoor temperature", pad=5.0 + LEGEND_ROW_PT * rows)
         mark_days(axes[-1, 0], begin, offset + days)
 
     data: dict[str, Sequence[Any]] = {}
@@ -61,8 +61,10 @@ def weather(episodes: Sequence[tuple[str, WeatherTrace]], begin: np.datetime64) 
     solar = " and solar radiation" if has_solar else ""
     if not has_solar:
         caption += " Not measured: solar radiation."
+    legend_in = LEGEND_ROW_PT / 72.0 * len(shown) if len(shown) > 1 else 0.0  # at most a row for each
     return Figure(
-        "weather", "Weather", caption, f"{alt}{solar} over time.", draw("weather", 1.8 + 1.2 * has_solar, fill),
+        "weather", "Weather", caption, f"{alt}{solar} over time.",
+        draw("weather", 1.8 + 1.2 * has_solar + legend_in, fill),
         _same_length(data),
     )  # fmt: skip
 
@@ -72,7 +74,13 @@ def _distinct(episodes: Sequence[tuple[str, WeatherTrace]]) -> list[tuple[str, W
     for label, trace in episodes:
         key = trace.temperature.tobytes() + trace.solar.tobytes()
         groups.setdefault(key, ([], trace))[0].append(label)
-    return [(", ".join(dict.fromkeys(labels)), trace) for labels, trace in groups.values()]
+    return [(_label(labels), trace) for labels, trace in groups.values()]
+
+
+def _label(labels: Sequence[str]) -> str:
+    """Return the label of episodes with the same weather: all of them, or the first and their number."""
+    distinct = list(dict.fromkeys(labels))
+    return ", ".join(distinct) if len(distinct) <= _MAX_LABELS else f"{distinct[0]} and {len(distinct) - 1} more"
 
 
 def _temperature(
