@@ -53,6 +53,10 @@ FUELS = (
 FACILITY_POWER = "Facility Total Electricity Demand Rate"
 """Output variable of the whole building's electric power in W, with the key `Whole Building`."""
 
+UNMET_HEATING = "Facility Heating Setpoint Not Met While Occupied Time"
+UNMET_COOLING = "Facility Cooling Setpoint Not Met While Occupied Time"
+"""Output variables of the hours in which any occupied zone misses its setpoint, with the key `Facility`."""
+
 OUTDOOR_TEMPERATURE = "Site Outdoor Air Drybulb Temperature"
 """Output variable of the outdoor air, with the key `Environment`."""
 

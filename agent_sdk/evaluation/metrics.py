@@ -13,6 +13,7 @@ from agent_sdk.evaluation.comfort import comfort
 from agent_sdk.evaluation.energy_sources import facility_sources, hvac_sources
 from agent_sdk.evaluation.kpis import KPIS, KpiAccumulator
 from agent_sdk.evaluation.tariffs import Rate, read_emissions, read_prices
+from agent_sdk.evaluation.unmet_hours import UnmetHours
 from agent_sdk.rewards import Reward
 from topics.messages import Manifest
 
@@ -36,6 +37,8 @@ class EpisodeMetrics:
         late, rejected: commands that the node did not accept during the episode.
         terminated: whether a termination limit ended the episode.
         kpis: key performance indicators by BOPTEST's names; see `agent_sdk.evaluation.kpis`.
+        site_kwh_m2: energy of all fuels of the building per m² of floor area.
+        unmet_heating_h, unmet_cooling_h: hours in which an occupied zone misses its setpoint; see `unmet_hours`.
     """
 
     steps: int
@@ -53,6 +56,9 @@ class EpisodeMetrics:
     rejected: int
     terminated: bool
     kpis: dict[str, float | None] = field(default_factory=dict)
+    site_kwh_m2: float | None = None
+    unmet_heating_h: float | None = None
+    unmet_cooling_h: float | None = None
 
     @property
     def hvac_electricity_kwh(self) -> float | None:
@@ -71,12 +77,15 @@ class EpisodeMetrics:
             **energy,
             "hvac_electricity_kwh": None,
             **{f"hvac_{fuel}_kwh": value for fuel, value in self.hvac_kwh.items()},
+            "site_kwh_m2": self.site_kwh_m2,
             "mean_power_w": self.mean_power_w,
             "peak_kw": self.peak_kw,
             "mean_deviation_k": self.mean_deviation_k,
             "outside_percent": self.outside_percent,
             "outside_kh": self.outside_kh,
             "occupied_outside_kh": self.occupied_outside_kh,
+            "unmet_heating_h": self.unmet_heating_h,
+            "unmet_cooling_h": self.unmet_cooling_h,
             "steps": self.steps,
             "late": self.late,
             "rejected": self.rejected,
@@ -127,6 +136,7 @@ class MetricsAccumulator:
             self.sources |= dict.fromkeys(("mean_power_w", "peak_kw"), meters[electric[0]].source)
         if self._comfort is not None:
             self.sources["mean_deviation_k"] = self._comfort.source
+        self._unmet, self._area_m2 = UnmetHours(manifest), manifest.floor_area_m2
         rates = read_prices(prices), read_emissions(emissions)
         self._kpis = KpiAccumulator(manifest, self._comfort, *rates)
         self.sources |= {f"kpi.{name}": source for name, source in self._kpis.sources.items()}
@@ -137,6 +147,7 @@ class MetricsAccumulator:
         self._terms: dict[str, float] | None = None
         self._peak_kwh = self._outside_k = self._occupied_k = 0.0
         self._steps = self._steps_outside = 0
+        self._unmet.reset()
         self._not_accepted = self._initially_not_accepted = (0, 0)
 
     def begin(self, sample: SampleView) -> None:
@@ -162,6 +173,7 @@ class MetricsAccumulator:
             self._occupied_k += float(outside[self._comfort.is_occupied(values)].sum())
             self._steps_outside += bool((outside > 0.0).any())
         self._kpis.add(values, begin)
+        self._unmet.add(values)
         for name, term in (terms or {}).items():
             self._terms = self._terms or {}
             self._terms[name] = self._terms.get(name, 0.0) + float(term)
@@ -171,6 +183,7 @@ class MetricsAccumulator:
     def result(self, *, terminated: bool = False) -> EpisodeMetrics:
         """Return the totals so far; without any timestep, energy, power and comfort are None."""
         kwh = dict(zip(self._names, self._kwh.tolist(), strict=True)) if self._steps else {}
+        building = {name: value for name, value in kwh.items() if not name.startswith(_HVAC)}
         electric = self._electric if self._steps else None
         comfort = self._comfort if self._steps else None
         mean_kwh = None if electric is None else float(self._kwh[electric]) / self._steps
@@ -178,7 +191,7 @@ class MetricsAccumulator:
             steps=self._steps,
             reward=None if self._terms is None else sum(self._terms.values()),
             terms=dict(self._terms or {}),
-            energy_kwh={name: value for name, value in kwh.items() if not name.startswith(_HVAC)},
+            energy_kwh=building,
             hvac_kwh={name.removeprefix(_HVAC): value for name, value in kwh.items() if name.startswith(_HVAC)},
             mean_power_w=None if mean_kwh is None else mean_kwh / self._step_h * 1e3,
             peak_kw=None if electric is None else self._peak_kwh / self._step_h,
@@ -190,4 +203,7 @@ class MetricsAccumulator:
             rejected=self._not_accepted[1] - self._initially_not_accepted[1],
             terminated=terminated,
             kpis=self._kpis.result() if self._steps else {},
+            site_kwh_m2=sum(building.values()) / self._area_m2 if building and self._area_m2 else None,
+            unmet_heating_h=self._unmet.heating_h if self._steps else None,
+            unmet_cooling_h=self._unmet.cooling_h if self._steps else None,
         )

@@ -7,6 +7,7 @@ report add up to its totals.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from datetime import datetime
 from functools import cached_property
 from typing import Any
 
@@ -112,6 +113,14 @@ class Quantities:
             if name in self.energy_kwh:
                 return self.energy_kwh[name] / self.step_h
         return None
+
+    @property
+    def peak_time(self) -> datetime | None:
+        """Time at which the timestep with the highest `power_kw` ends, the first one of several; None without power."""
+        power = self.power_kw
+        if power is None or not np.isfinite(power).any():
+            return None
+        return self.trace.begin + (int(np.nanargmax(power)) + 1) * self.trace.manifest.timestep
 
     @property
     def power_label(self) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from agent_sdk.evaluation.trace import WeatherTrace
-from agent_sdk.report.figures import actuators, carpets, comfort, energy, reward, weather
+from agent_sdk.report.figures import actuators, carpets, comfort, energy, months, reward, weather
 from agent_sdk.report.figures.base import Figure
 from agent_sdk.report.runs import Comparison
 from agent_sdk.report.summary import worst_zones
@@ -41,6 +41,7 @@ def sections(comparison: Comparison) -> list[Section]:
         ("hours", "Hour by hour", hours),
         ("control", "", [actuators.timeline(curves)]),
         ("periods", "", [energy.periods(curves)]),
+        ("period-uses", "", [months.end_uses_by_period(curves)]),
         ("comfort", "", [comfort.degree_hours(curves)]),
         ("climate", "", [weather.weather(_weathers(comparison), curves[0].quantities.begins[0])]),
         ("rewards", "", [reward.reward(curves)]),

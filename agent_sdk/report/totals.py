@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isfinite
 
 from agent_sdk.evaluation.kpis import KPIS
@@ -49,7 +49,10 @@ class Difference:
 
 
 _COMMON = (
+    Metric("site_kwh_m2", "Site energy per floor area", "kWh/m²"),
     Metric("peak_kw", "Peak power", "kW"),
+    Metric("unmet_heating_h", "Heating setpoint unmet, occupied", "h"),
+    Metric("unmet_cooling_h", "Cooling setpoint unmet, occupied", "h"),
     Metric("occupied_outside_kh", "Outside comfort, occupied", KELVIN_HOURS),
     Metric("outside_kh", "Outside comfort, always", KELVIN_HOURS),
     Metric("outside_percent", "Time with any zone outside", "%"),
@@ -66,6 +69,8 @@ def metrics(comparison: Comparison) -> list[Metric]:
     )  # fmt: skip
     rows = _energies(comparison)
     rows += [metric for metric in _COMMON if metric.key in known]
+    if _is_year(comparison):
+        rows = [replace(row, unit="kWh/m² a year") if row.key == "site_kwh_m2" else row for row in rows]
     if "reward" in known:
         rows.append(Metric("reward", "Reward", "", 1))
         terms = [name for name in known if name.startswith("reward.")]
@@ -79,6 +84,11 @@ def metrics(comparison: Comparison) -> list[Metric]:
     return rows + [
         metric for metric in _COUNTS if any(_values(run, metric.key, any_zero=False) for run in comparison.runs)
     ]
+
+
+def _is_year(comparison: Comparison) -> bool:
+    """Whether all episodes are a year long, so that energy per floor area is an energy use intensity."""
+    return all(364.0 <= run.trace.steps * run.trace.step_h / 24.0 <= 366.0 for run in comparison.runs)
 
 
 def _energies(comparison: Comparison) -> list[Metric]:

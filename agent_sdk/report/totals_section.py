@@ -70,7 +70,9 @@ def _table(comparison: Comparison, rows: Sequence[Metric], title: str) -> str:
             f'<th scope="colgroup" colspan="2" class="n">{escape(run.label)} {MINUS} {escape(reference.label)}</th>'
             for run in others
         )
-    body = "".join(_row(comparison, metric) for metric in rows)
+    body = "".join(
+        _row(comparison, metric) + (_peak_times(comparison) if metric.key == "peak_kw" else "") for metric in rows
+    )
     return (
         f'<div class="scroll" role="group" aria-label="{escape(title)}" tabindex="0"><table class="totals">'
         f'<thead><tr><th scope="col">Quantity</th>{head}</tr></thead><tbody>{body}</tbody></table></div>'
@@ -94,6 +96,18 @@ def _row(comparison: Comparison, metric: Metric) -> str:
     label_class = ' class="part"' if metric.is_part else ""
     head = f'<th scope="row"{label_class}>{escape(metric.label)}{unit}</th>'
     return f'<tr data-metric="{escape(metric.key)}">{head}{"".join(cells)}</tr>'
+
+
+def _peak_times(comparison: Comparison) -> str:
+    """Return a row with the time of the peak of each controller's first episode."""
+    times = [run.quantities.peak_time for run in comparison.runs]
+    if not any(times):
+        return ""
+    cells = "".join(f'<td class="n">{NONE if time is None else f"{time:%d %b %H:%M}"}</td>' for time in times)
+    empty = "<td></td>" * (2 * (len(comparison.runs) - 1) * _has_difference_columns(comparison))
+    where = ", first episode" if comparison.episodes > 1 else ""
+    head = f'<th scope="row" class="part">at (end of the timestep{where})</th>'
+    return f'<tr data-metric="peak_time">{head}{cells}{empty}</tr>'
 
 
 def _has_difference_columns(comparison: Comparison) -> bool:

@@ -24,13 +24,16 @@ from topics.energyplus_names import (
     OCCUPANTS,
     OUTDOOR_TEMPERATURE,
     THERMOSTAT,
+    UNMET_COOLING,
+    UNMET_HEATING,
     ZONE_HUMIDITY,
     ZONE_TEMPERATURES,
 )
 from topics.messages import Actuator, Manifest, Meter
 
 _KWH = {"J": 1 / 3.6e6, "kJ": 1 / 3.6e3, "MJ": 1 / 3.6, "GJ": 1e3 / 3.6, "Wh": 1e-3, "kWh": 1.0, "MWh": 1e3}
-_POWERS = {HVAC_POWER.casefold(), FACILITY_POWER.casefold()}
+_IN_TOTALS = {name.casefold() for name in (HVAC_POWER, FACILITY_POWER, UNMET_HEATING, UNMET_COOLING)}
+"""Output variables that pictures show in no plot of their own."""
 _KW = {"W": 1e-3, "kW": 1.0, "MW": 1e3}
 
 _ROOM_WORDS = {
@@ -152,7 +155,7 @@ def roles(manifest: Manifest) -> PointRoles:
     assigned |= {source.index for source in (facility, hvac) if source is not None}
     assigned |= set() if outdoor is None else {outdoor}
     assigned |= {meter.index for meter in (*end_uses, *fuels, *hvac_fuels)}
-    assigned |= {i for i, sensor in enumerate(manifest.sensors) if sensor.variable.casefold() in _POWERS}
+    assigned |= {i for i, sensor in enumerate(manifest.sensors) if sensor.variable.casefold() in _IN_TOTALS}
     others: dict[str, list[int]] = {}
     for index, point in enumerate(manifest.points):
         if index not in assigned:

@@ -19,6 +19,8 @@ from topics.energyplus_names import (
     HEATING_SETPOINT_VARIABLE,
     HVAC_METERS,
     OCCUPANTS,
+    UNMET_COOLING,
+    UNMET_HEATING,
     ZONE_TEMPERATURE,
     ZONE_TEMPERATURES,
 )
@@ -26,6 +28,7 @@ from topics.points import PointIndex
 
 _UNOBSERVED = {"observed": False}
 _OUTDOORS = "outdoor_temperature"
+_UNMET = {"unmet_heating_time": UNMET_HEATING, "unmet_cooling_time": UNMET_COOLING}
 _ZONE_SENSORS = {
     "air_temperature": ZONE_TEMPERATURE,
     "occupants": OCCUPANTS,
@@ -85,13 +88,18 @@ def with_monitoring(building: Building, available: PointCatalog, points: Points)
 
 
 def monitoring_sensors(building: Building, available: PointCatalog) -> dict[str, tuple[str, str]]:
-    """Return by name the outdoor temperature, and each conditioned zone's temperature, occupants and setpoints.
+    """Return by name the outdoor temperature, unmet hours, and each conditioned zone's air, occupants and setpoints.
 
     A setpoint that a zone's thermostat never has is left out: EnergyPlus reports 0 degC for it.
     """
     used = {(zone, control) for zone, control, _ in thermostat_setpoints(building.objects)}
     controlled = {zone for zone, _ in used}
     sensors = {name: spec for name, spec in default_sensors(available).items() if name == _OUTDOORS}
+    sensors |= {
+        name: (variable, "Facility")
+        for name, variable in _UNMET.items()
+        if (variable.casefold(), "facility") in available.by_variable
+    }
     for zone, name in thermostat_zones(available).items():
         for suffix, variable in _ZONE_SENSORS.items():
             control = _SETPOINTS.get(suffix)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from datetime import datetime
+
 import numpy as np
 import pytest
 from support.traces import J_PER_KWH, SHARES, office, office_comparison, run
 
 from agent_sdk.evaluation.trace import WeatherTrace
-from agent_sdk.report.figures import actuators, carpets, comfort, energy, reward, weather
+from agent_sdk.report.figures import actuators, carpets, comfort, energy, months, reward, weather
 from agent_sdk.report.figures.base import Curve
 from agent_sdk.report.quantities import by_hour, by_period, load_duration
 
@@ -89,6 +91,25 @@ def test_energy_by_day_is_that_of_the_metrics() -> None:
     for each in comparison.runs:
         (sums,) = figure.data[f"{each.name}: electricity (kWh)"]
         assert sums == pytest.approx(each.results[0].energy_kwh["electricity"])
+
+
+def test_end_uses_by_period__add_up_to_those_of_the_run() -> None:
+    of = office(("core",), steps=96 * 50)  # 50 days: by month
+    kw = np.random.default_rng(0).uniform(1.0, 9.0, of.steps)
+    one = run("rbc", of, kw, [np.full(of.steps, 24.0)], [np.ones(of.steps)])
+    figure = months.end_uses_by_period([Curve("rbc", 0, one.quantities)])
+    assert figure is not None
+    assert figure.data["month"] == ["2017-07", "2017-08"]
+    july = begins(of.steps, 15) < np.datetime64("2017-08-01")
+    for use, share in zip(("cooling", "fans", "interior lights"), SHARES, strict=True):
+        expected = [share * kw[july].sum() / 4, share * kw[~july].sum() / 4]
+        assert figure.data[f"rbc: {use} (kWh)"] == pytest.approx(expected)
+
+
+def test_peak_time__is_the_end_of_the_timestep_with_the_highest_power() -> None:
+    of = office(("core",), steps=8)
+    one = run("rbc", of, [1.0, 5.0, 9.0, 2.0, 9.0, 1.0, 1.0, 1.0], [[24.0] * 8], [[0.0] * 8])
+    assert one.quantities.peak_time == datetime(2017, 7, 3, 0, 45)
 
 
 def test_degree_hours_by_zone_add_up_to_the_metric_and_the_worst_zone_comes_first() -> None:

@@ -83,7 +83,7 @@ def test_a_reference_of_zero_has_no_percent(comparison: Comparison) -> None:
 
 def test_quantities_that_nobody_measures_have_no_row(comparison: Comparison) -> None:
     keys = [metric.key for metric in metrics(comparison)]
-    assert keys[:3] == ["electricity_kwh", "hvac_electricity_kwh", "peak_kw"]
+    assert keys[:4] == ["electricity_kwh", "hvac_electricity_kwh", "site_kwh_m2", "peak_kw"]
     assert "natural_gas_kwh" not in keys
     assert "late" not in keys
     assert keys[-3:] == ["reward", "reward.energy", "reward.comfort"]

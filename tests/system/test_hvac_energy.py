@@ -20,7 +20,7 @@ from support.nodes import WEATHER, NodeProgram
 
 import agent_sdk
 from agent_sdk.evaluation.energy_sources import FUELS
-from agent_sdk.evaluation.metrics import MetricsAccumulator
+from agent_sdk.evaluation.metrics import EpisodeMetrics, MetricsAccumulator
 from agent_sdk.rewards import LinearReward
 from bridge.display.roles import roles
 from models import catalog
@@ -31,7 +31,7 @@ QUICK = ("ref-warehouse", "office-small")
 """A building whose pumps are of a plant loop, and one with electric water heaters."""
 
 BUILDINGS = [
-    pytest.param(entry.name, marks=() if entry.name in QUICK else pytest.mark.slow)
+    pytest.param(entry.name, marks=() if entry.name in QUICK else (pytest.mark.slow, pytest.mark.timeout(1200)))
     for entry in catalog.bundled_buildings()
 ]
 USES = {"Heating", "Cooling", "Fans", "Pumps", "Heat Rejection", "Humidification", "Heat Recovery"}
@@ -87,6 +87,26 @@ def _table_of_end_uses(folder: Path) -> dict[str, float]:
     return {fuel: total for fuel, total in totals.items() if total > 0.0}
 
 
+def _summary(folder: Path) -> dict[tuple[str, str], float]:
+    """Other numbers of EnergyPlus's summary by row and column, in kWh, m² and hours."""
+    query = (
+        "SELECT RowName, ColumnName, Value FROM TabularDataWithStrings "
+        "WHERE ReportName = 'AnnualBuildingUtilityPerformanceSummary' AND TableName IN "
+        "('Site and Source Energy', 'Comfort and Setpoint Not Met Summary')"
+    )
+    (report,) = folder.rglob("eplusout.sql")
+    with closing(sqlite3.connect(report)) as file:
+        return {(row, column): float(value) for row, column, value in file.execute(query) if value.strip()}
+
+
+def _check_summary(result: EpisodeMetrics, summary: dict[tuple[str, str], float]) -> None:
+    intensity = summary["Total Site Energy", "Energy Per Total Building Area"]
+    assert result.site_kwh_m2 == pytest.approx(intensity, abs=0.006)
+    for kind, hours in (("Heating", result.unmet_heating_h), ("Cooling", result.unmet_cooling_h)):
+        own = summary[f"Time Setpoint Not Met During Occupied {kind}", "Facility"]
+        assert hours == pytest.approx(own, abs=0.006), kind
+
+
 def _metered(manifest: Manifest, samples: NDArray[np.float64]) -> dict[str, float]:
     """Energy of the meters `HVAC:…` in kWh by fuel, where there is any."""
     columns = {
@@ -98,7 +118,9 @@ def _metered(manifest: Manifest, samples: NDArray[np.float64]) -> dict[str, floa
     return {fuel: total for fuel, total in totals.items() if total > 0.0}
 
 
-def _check_all_that_show_it(manifest: Manifest, samples: NDArray[np.float64], metered: dict[str, float]) -> None:
+def _check_all_that_show_it(
+    manifest: Manifest, samples: NDArray[np.float64], metered: dict[str, float]
+) -> EpisodeMetrics:
     """Metrics, KPIs, the live view, reports and the linear reward have the same energy."""
     by_fuel = {fuel: metered.get(name, 0.0) for fuel, name in FUELS.items()}
     accumulator, block = MetricsAccumulator(manifest), samples[1:]
@@ -116,6 +138,7 @@ def _check_all_that_show_it(manifest: Manifest, samples: NDArray[np.float64], me
     reward = LinearReward().bind(manifest)
     watts = [reward(values, begin).metrics["power_w"] for values in block]
     assert sum(watts) * manifest.step_s / KWH == pytest.approx(by_fuel["electricity"])
+    return result
 
 
 @pytest.mark.parametrize("building", BUILDINGS)
@@ -129,4 +152,5 @@ def test_hvac_energy__equals_energyplus_end_use_table(building: str, folder: Pat
     table, metered = _table_of_end_uses(output), _metered(manifest, samples)
     assert metered.keys() == table.keys()
     assert metered == pytest.approx(table, abs=ROUNDING_KWH, rel=1e-5)
-    _check_all_that_show_it(manifest, samples, metered)
+    result = _check_all_that_show_it(manifest, samples, metered)
+    _check_summary(result, _summary(output))
