@@ -14,7 +14,7 @@ from pydantic.json_schema import models_json_schema
 
 from topics import codec, errors
 from topics.errors import ZenostatError
-from topics.keys import PREFIX, TOPICS, Delivery, Role, Topic
+from topics.keys import DEFAULT_HOST, DEFAULT_PORT, PREFIX, TOPICS, Delivery, Role, Topic
 from topics.messages import SCHEMA_VERSION, ErrorReply, Message
 
 ASYNCAPI = "3.0.0"
@@ -24,9 +24,13 @@ PRESENCE = "Presence"
 """A liveliness token."""
 
 _NO_PAYLOAD = {
-    QUESTION: "A Zenoh query (`get`) without a payload.",
+    QUESTION: (
+        "A Zenoh query (`get`) without a payload, on the key of a message that is also published. The reply is the "
+        "latest such message; a query with a payload is rejected with an `ErrorReply`."
+    ),
     PRESENCE: "A Zenoh liveliness token: it exists as long as its owner is connected and has no payload.",
 }
+_CERTIFICATE = "certificate"
 _ITEMS = {
     "corner_counts": "uint16",
     "corners": "float32",
@@ -47,8 +51,17 @@ _DELIVERIES = {
 _DESCRIPTION = (
     "The topics of a Zenostat node on a Zenoh bus. A payload is one msgpack map of its message's fields; its Zenoh "
     "encoding is the message's content type. Fields of the format `binary` are msgpack `bin`: raw arrays in C order, "
-    "little-endian, of the type given by `x-items`."
+    "little-endian, of the type given by `x-items`. Messages without a payload are Zenoh queries and liveliness tokens."
 )
+_SERVERS = {
+    "node": ("tcp", "A node without keys: every program on the machine can connect.", ()),
+    "secured": (
+        "tls",
+        "A node with keys: connections are encrypted, and both sides have a certificate.",
+        (_CERTIFICATE,),
+    ),
+}
+"""For each server its Zenoh transport, what it is, and what secures it."""
 
 
 def document() -> dict[str, Any]:
@@ -57,10 +70,33 @@ def document() -> dict[str, Any]:
         "asyncapi": ASYNCAPI,
         "info": {"title": "Zenostat node", "version": str(SCHEMA_VERSION), "description": _DESCRIPTION},
         "defaultContentType": "application/msgpack",
+        "servers": {name: _server(*row) for name, row in _SERVERS.items()},
         "channels": {channel_name(topic): _channel(topic) for topic in TOPICS},
         "operations": {name: operation for topic in TOPICS for name, operation in _operations(topic)},
-        "components": {"messages": _messages(), "schemas": _schemas()},
+        "components": {"messages": _messages(), "schemas": _schemas(), "securitySchemes": _security()},
     }
+
+
+def _server(transport: str, description: str, security: tuple[str, ...]) -> dict[str, Any]:
+    server: dict[str, Any] = {
+        "host": "{host}:{port}",
+        "protocol": "zenoh",
+        "description": f"{description} It routes messages between all its clients; connect in Zenoh's mode `client`.",
+        "variables": {
+            "host": {"default": DEFAULT_HOST, "description": "Address on which the node listens."},
+            "port": {"default": str(DEFAULT_PORT), "description": "Port on which the node listens."},
+        },
+        "x-zenoh": {"locator": f"{transport}/{{host}}:{{port}}", "mode": "client", "multicast_scouting": False},
+    }
+    if security:
+        server["security"] = [{"$ref": f"#/components/securitySchemes/{name}"} for name in security]
+    return server
+
+
+def _security() -> dict[str, Any]:
+    roles = ", ".join(f"`{role}`" for role in Role if role is not Role.ANYONE)
+    text = f"A certificate of the node's own authority. Its common name is a role, which limits the topics: {roles}."
+    return {_CERTIFICATE: {"type": "X509", "description": text}}
 
 
 def channel_name(topic: Topic) -> str:
@@ -98,9 +134,7 @@ def _queries(topic: Topic) -> list[str]:
 
 
 def _replies(topic: Topic) -> list[str]:
-    if topic.reply is None:
-        return []
-    return [topic.reply.__name__] + ([ErrorReply.__name__] if topic.delivery is Delivery.QUERY else [])
+    return [] if topic.reply is None else [topic.reply.__name__, ErrorReply.__name__]
 
 
 def _operations(topic: Topic) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -165,9 +199,19 @@ def _schemas() -> dict[str, Any]:
 
 
 def _of_draft_7(schema: Any) -> Any:
-    """Convert a schema to AsyncAPI's dialect (draft 7), in which a tuple's schemas are in `items`."""
+    """Convert a schema to AsyncAPI's dialect, draft 7 with a discriminator of its own.
+
+    A tuple's schemas are in `items`. A discriminator is the name of a property, which its schema has and requires;
+    each alternative determines its value by `const`. (OpenAPI's is a map, which pydantic generates.)
+    """
     if isinstance(schema, list):
         return [_of_draft_7(part) for part in schema]
     if not isinstance(schema, dict):
         return schema
-    return {"items" if key == "prefixItems" else key: _of_draft_7(part) for key, part in schema.items()}
+    converted = {"items" if key == "prefixItems" else key: _of_draft_7(part) for key, part in schema.items()}
+    discriminator = converted.get("discriminator")
+    if isinstance(discriminator, dict) and "oneOf" in converted:
+        name = discriminator["propertyName"]
+        values = {"type": "string", "enum": list(discriminator["mapping"])}
+        converted |= {"discriminator": name, "type": "object", "properties": {name: values}, "required": [name]}
+    return converted

@@ -58,6 +58,10 @@ PREFIX = f"zenostat/v{SCHEMA_VERSION}"
 NODE_CHUNK = 2
 """Index of the node's name among a key's chunks."""
 
+DEFAULT_HOST = "127.0.0.1"
+DEFAULT_PORT = 7447
+"""Where a node listens by default, over TCP or TLS."""
+
 
 class Role(StrEnum):
     """Role of a program on the bus: sender of a topic, and common name of its certificate."""

@@ -22,13 +22,13 @@ from bridge.runtime.exhaustion import describe_exhaustion
 from bridge.transport.access_control import ROLES, acl_config
 from topics import codec
 from topics.errors import AddressInUse, BusError, ErrorCollector, InvalidConfig, NodeNotFound
-from topics.keys import Role
+from topics.keys import DEFAULT_HOST, DEFAULT_PORT, Role
 
 if TYPE_CHECKING:
     from bridge.transport.certificates import Identity
 
-DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
-DEFAULT_TLS_ENDPOINT = "tls/127.0.0.1:7447"
+DEFAULT_ENDPOINT = f"tcp/{DEFAULT_HOST}:{DEFAULT_PORT}"
+DEFAULT_TLS_ENDPOINT = f"tls/{DEFAULT_HOST}:{DEFAULT_PORT}"
 MAX_MESSAGE_BYTES = 4 * codec.MAX_BYTES
 """Largest message that Zenoh receives; it drops larger ones, which would fill the memory before they are checked."""
 

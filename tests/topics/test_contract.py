@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import enum
 import re
 import struct
@@ -17,10 +18,11 @@ import msgpack
 import pytest
 import yaml
 from pydantic_core import PydanticUndefined
-from support import contract_page
+from support import asyncapi_validators, contract_page
 from support.contract_page import COMMAND, DOCUMENT, MASKED, PAGE, SAMPLE
 
 from bridge.faults import read_plan
+from bridge.transport import session
 from topics import codec, keys, messages, yaml12
 from topics.asyncapi import channel_name, document, payload_classes
 from topics.errors import ZenostatError
@@ -37,63 +39,6 @@ EVERY = sorted(
 
 rows = pytest.mark.parametrize("topic", TOPICS, ids=lambda t: t.key)
 every_class = pytest.mark.parametrize("kind", CLASSES, ids=lambda c: c.__name__)
-
-_NAME = "^[A-Za-z0-9._-]+$"
-_REF = {
-    "type": "object",
-    "required": ["$ref"],
-    "additionalProperties": False,
-    "properties": {"$ref": {"type": "string"}},
-}
-_REFS = {"type": "array", "items": _REF, "minItems": 1}
-
-
-def _object(required: list[str] | None = None, **properties: Any) -> dict[str, Any]:
-    """An object of the specification: these fields, and extensions."""
-    return {
-        "type": "object",
-        "required": required or [],
-        "properties": properties,
-        "patternProperties": {"^x-": {}},
-        "additionalProperties": False,
-    }
-
-
-def _map(of: dict[str, Any]) -> dict[str, Any]:
-    return {"type": "object", "patternProperties": {_NAME: of}, "additionalProperties": False}
-
-
-_TEXT = {"type": "string", "minLength": 1}
-ASYNCAPI = _object(
-    ["asyncapi", "info"],
-    asyncapi={"const": "3.0.0"},
-    info=_object(["title", "version"], title=_TEXT, version=_TEXT, description=_TEXT),
-    defaultContentType=_TEXT,
-    channels=_map(
-        _object(
-            address=_TEXT,
-            title=_TEXT,
-            summary=_TEXT,
-            messages=_map(_REF),
-            parameters=_map(_object(description=_TEXT, enum={}, default={}, examples={}, location={})),
-        )
-    ),
-    operations=_map(
-        _object(
-            ["action", "channel"],
-            action={"enum": ["send", "receive"]},
-            summary=_TEXT,
-            channel=_REF,
-            messages=_REFS,
-            reply=_object(channel=_REF, messages=_REFS),
-        )
-    ),
-    components=_object(
-        messages=_map(_object(name=_TEXT, title=_TEXT, summary=_TEXT, contentType=_TEXT, payload=_REF)),
-        schemas=_map({"type": "object"}),
-    ),
-)
-"""What the specification says of the objects that we use; a schema of its own is not to be had offline."""
 
 
 def walk(value: Any) -> Iterator[dict[str, Any]]:
@@ -120,7 +65,44 @@ def resolved(reference: str) -> Any:
 
 
 def test_it_has_the_form_of_asyncapi_3() -> None:
-    jsonschema.Draft7Validator(ASYNCAPI).validate(MADE)
+    asyncapi_validators.schema_validator().validate(MADE)
+
+
+@pytest.mark.process
+def test_the_parser_of_the_standard_has_nothing_against_it() -> None:
+    problems = asyncapi_validators.parser_problems(DOCUMENT)
+    assert problems == []
+
+
+def test_the_schema_of_the_specification_refuses_a_discriminator_of_openapi() -> None:
+    wrong = copy.deepcopy(MADE)
+    plan = wrong["components"]["schemas"]["FaultPlan"]["properties"]["faults"]["items"]
+    plan["discriminator"] = {"propertyName": "kind"}
+    worst = jsonschema.exceptions.best_match(asyncapi_validators.schema_validator().iter_errors(wrong))
+    assert worst.absolute_path[-1] == "discriminator"
+
+
+def test_a_discriminator__is_a_required_property_and_each_alternative_has_its_value() -> None:
+    # AsyncAPI 3.0, Schema Object: the property must be defined at this schema and be required.
+    schemas = [schema for schema in walk(MADE["components"]["schemas"]) if "discriminator" in schema]
+    assert schemas
+    for schema in schemas:
+        name = schema["discriminator"]
+        assert name in schema["required"]
+        values = [resolved(part["$ref"])["properties"][name]["const"] for part in schema["oneOf"]]
+        assert sorted(schema["properties"][name]["enum"]) == sorted(values)
+
+
+def test_the_servers_are_the_endpoints_where_nodes_listen() -> None:
+    locators = {}
+    for name, server in MADE["servers"].items():
+        defaults = {variable: row["default"] for variable, row in server["variables"].items()}
+        locators[name] = server["x-zenoh"]["locator"].format(**defaults)
+        assert set(re.findall(r"\{(\w+)\}", server["host"])) == defaults.keys()
+    assert locators == {"node": session.DEFAULT_ENDPOINT, "secured": session.DEFAULT_TLS_ENDPOINT}
+    assert "security" not in MADE["servers"]["node"]
+    (needed,) = MADE["servers"]["secured"]["security"]
+    assert resolved(needed["$ref"])["type"] == "X509"
 
 
 def test_all_references_lead_somewhere() -> None:
@@ -159,8 +141,7 @@ def test_a_row_has_an_operation_with_its_messages_and_replies(topic: Topic) -> N
     assert (asked is not None) == (topic.reply is not None)
     if asked is not None and topic.reply is not None:
         assert asked["action"] == "receive"
-        denied = [ErrorReply.__name__] if topic.delivery is Delivery.QUERY else []
-        assert _named(asked["reply"]["messages"]) == [topic.reply.__name__, *denied]
+        assert _named(asked["reply"]["messages"]) == [topic.reply.__name__, ErrorReply.__name__]
 
 
 def test_operations_speak_of_messages_of_their_own_channel() -> None:
