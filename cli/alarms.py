@@ -1,4 +1,4 @@
-"""`zenostat alarms` and `zenostat acknowledge`: the alarms of a running node."""
+"""`zenostat alarms`: the alarms of a running node."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from bridge.transport.session import default_endpoint
 from cli.console import err, out
 from cli.options import CertificateName, Connect, Keys
 from cli.tables import fitted, show, show_json
-from cli.write import Node, Source, person
 from topics.errors import NodeNotFound
 from topics.keys import Role
 from topics.messages import AlarmList, AlarmPriority, AlarmState, AlarmStatus, EventState
@@ -24,7 +23,8 @@ from topics.printable import replace_controls
 from topics.units import with_unit
 
 _POLL_S = 1.0
-_ORDER = (AlarmState.ACTIVE, AlarmState.RETURNED, AlarmState.ACKNOWLEDGED, AlarmState.NORMAL)
+_SET_ASIDE = (AlarmState.SHELVED, AlarmState.OUT_OF_SERVICE, AlarmState.SUPPRESSED)
+_ORDER = (AlarmState.ACTIVE, AlarmState.RETURNED, AlarmState.ACKNOWLEDGED, *_SET_ASIDE, AlarmState.NORMAL)
 _WRAPPED = ("alarm", "state")
 _COLUMNS = ("state", "priority", "alarm", "value", "limit", "since")
 
@@ -39,7 +39,7 @@ def alarms(
     certificate: CertificateName = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON; with --follow, a line per change.")] = False,
 ) -> None:
-    """List the alarms of a node that are active or wait for an acknowledgment, the most urgent first.
+    """List the alarms of a node that are not normal, the most urgent first, and those that are set aside.
 
     With keys, it uses the monitor role.
 
@@ -60,30 +60,6 @@ def alarms(
         out.print(_title(node, listed), markup=False, soft_wrap=True)
         return
     show(_title(node, listed), _COLUMNS, _rows(listed, show_all=show_all), right=("value",), wrap=_WRAPPED)
-
-
-def acknowledge(
-    node: Node,
-    alarm: Annotated[
-        str, typer.Argument(help="Name of an alarm, or of a rule for all its points; `*` stands for any characters.")
-    ],
-    comment: Annotated[str, typer.Option(help="For the record.")] = "",
-    slot: Annotated[int | None, typer.Option(min=0, help="Slot of a node with several engines. Default: all.")] = None,
-    connect: Connect = None,
-    keys: Keys = None,
-    certificate: CertificateName = None,
-    source: Source = None,
-) -> None:
-    """Acknowledge alarms that are active, or that returned to normal before anybody acknowledged them.
-
-    Example: `zenostat acknowledge office zone_too_warm --comment "fan is being repaired" --source ann`
-    """
-    from agent_sdk import connect as connect_bus
-
-    with connect_bus(connect or default_endpoint(keys), keys=keys, certificate=certificate) as bus:
-        ack = bus.acknowledge(node, alarm, slot=slot, source=source or person(), comment=comment)
-    for text in ack.text.splitlines():
-        out.print(f"{node}: {text}", markup=False, soft_wrap=True)
 
 
 def _follow(read: Callable[[], AlarmList], node: str, *, show_all: bool, as_json: bool) -> None:
@@ -129,7 +105,7 @@ def _print_changes(
 
 
 def _change_of(alarm: AlarmStatus) -> tuple[Any, ...]:
-    return alarm.state, alarm.event_state, alarm.changed, alarm.times_raised, alarm.acknowledged
+    return alarm.state, alarm.event_state, alarm.changed, alarm.times_raised, alarm.acknowledged, alarm.set_aside_until
 
 
 def _selected(listed: AlarmList, *, show_all: bool) -> Sequence[AlarmStatus]:
@@ -144,7 +120,7 @@ def _title(node: str, listed: AlarmList) -> str:
     if not listed.alarms:
         return f"{where} has no alarms; `zenostat node --alarms FILE` gives a node some"
     count = [sum(alarm.state is state for alarm in listed.alarms) for state in _ORDER]
-    parts = [f"{number} {state}" for number, state in zip(count, _ORDER, strict=True) if number]
+    parts = [f"{number} {_words(state)}" for number, state in zip(count, _ORDER, strict=True) if number]
     return f"{where} at {listed.time}: {', '.join(parts)}"
 
 
@@ -160,21 +136,32 @@ def _cells(alarm: AlarmStatus) -> tuple[str, ...]:
         f"{name}\n{alarm.text}" if alarm.text and out.is_terminal else name,
         "missing" if alarm.value is None else with_unit(f"{alarm.value:.5g}", alarm.unit),
         _limits(alarm),
-        _moment(alarm.changed if alarm.state is AlarmState.NORMAL else alarm.raised),
+        _moment(alarm.set_aside or (alarm.changed if alarm.state is AlarmState.NORMAL else alarm.raised)),
     )
 
 
 def _state(alarm: AlarmStatus) -> str:
-    """Describe a state: `active, high limit`, `acknowledged, low limit, by ann at 07-03 10:00: being repaired`."""
-    parts: list[str] = [alarm.state]
+    """Describe a state: `active, high limit`, `shelved until 07-03 10:00 by ann: being repaired, high limit`."""
+    parts = [_words(alarm.state)]
+    if alarm.set_aside:
+        until = f"until {_moment(alarm.set_aside_until)}" if alarm.set_aside_until else ""
+        by = f"by {alarm.set_aside_by}" if alarm.set_aside_by else ""
+        decision = " ".join(filter(None, (until, by)))
+        parts[0] += (f" {decision}" if decision else "") + (
+            f": {alarm.set_aside_comment}" if alarm.set_aside_comment else ""
+        )
     if alarm.event_state is not EventState.NORMAL:
-        parts.append(alarm.event_state.replace("_", " "))
+        parts.append(_words(alarm.event_state))
     if alarm.inhibited:
         parts.append("inhibited")
     if alarm.acknowledged and alarm.state is AlarmState.ACKNOWLEDGED:
         by = f"by {alarm.acknowledged_by} " if alarm.acknowledged_by else ""
         parts.append(f"{by}at {_moment(alarm.acknowledged)}" + (f": {alarm.comment}" if alarm.comment else ""))
     return ", ".join(parts)
+
+
+def _words(state: AlarmState | EventState) -> str:
+    return state.replace("_", " ")
 
 
 def _moment(time: str) -> str:

@@ -9,6 +9,7 @@ import typer
 import typer.core
 
 from cli import (
+    alarm_requests,
     alarms,
     asyncapi,
     benchmark,
@@ -62,7 +63,8 @@ _GROUPS: dict[str, tuple[Callable[..., None] | typer.Typer, ...]] = {
     ),
     "Operate a running node": (
         write.write, write.relinquish, lifecycle.reset, pace.pause, pace.resume, pace.step, pace.pace, pace.faults,
-        alarms.acknowledge, lifecycle.stop,
+        alarm_requests.acknowledge, alarm_requests.shelve, alarm_requests.unshelve,
+        alarm_requests.remove_from_service, alarm_requests.return_to_service, lifecycle.stop,
     ),
     "Record and verify": (record.record, verify.verify, replay.replay, report.report, export.export, log.log),
     "Choose what to simulate": (scenarios, buildings.buildings, weathers.weathers, points.points, data_packs.app),
@@ -86,7 +88,7 @@ class _Ordered(typer.core.TyperGroup):
 
 
 def _name(command: Callable[..., None] | typer.Typer) -> str:
-    return _SUBCOMMANDS[id(command)] if isinstance(command, typer.Typer) else command.__name__
+    return _SUBCOMMANDS[id(command)] if isinstance(command, typer.Typer) else command.__name__.replace("_", "-")
 
 
 app = typer.Typer(

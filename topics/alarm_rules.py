@@ -13,6 +13,7 @@ from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, field_v
 from topics.calendar import Weekday, check_hours
 from topics.errors import did_you_mean
 from topics.messages import AlarmPriority, Finite, Lines, Message, NotifyType, SafeName
+from topics.messages.alarms import MAX_DURATION_S
 from topics.points import check_order
 
 Hours = Annotated[tuple[Finite, Finite], AfterValidator(check_hours)]
@@ -40,7 +41,48 @@ class _Part(Message):
     model_config = ConfigDict(defer_build=True)
 
 
-class AlarmRule(_Part):
+class _Fields(_Part):
+    """A map of fields whose unknown names are errors with similar names."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _check_fields(cls, value: Any) -> Any:
+        if not isinstance(value, dict):
+            return value
+        unknown = [name for name in value if name not in cls.model_fields]
+        if unknown:
+            raise ValueError(
+                "; ".join(
+                    f"there is no field {name!r}; {did_you_mean(str(name), cls.model_fields)}" for name in unknown
+                )
+            )
+        return value
+
+
+class SuppressionCondition(_Fields):
+    """A condition that suppresses alarms while it holds: a value above or below a limit, or between two.
+
+    Attributes:
+        point: name of a sensor or meter.
+        above, below: limits, in its unit; a value that is missing, or is a limit itself, does not suppress.
+        unit: unit of the limits; it must be that of the point. None: not checked.
+    """
+
+    point: SafeName
+    above: Finite | None = None
+    below: Finite | None = None
+    unit: Annotated[str, Field(max_length=64)] | None = None
+
+    @model_validator(mode="after")
+    def _check_limits(self) -> SuppressionCondition:
+        if self.above is None and self.below is None:
+            raise ValueError("a condition needs a limit: above, below or both")
+        if self.above is not None and self.below is not None and self.above >= self.below:
+            raise ValueError(f"above {self.above:g} and below {self.below:g} at once: no value is both")
+        return self
+
+
+class AlarmRule(_Fields):
     """Limits of one or several points; each point has an alarm of its own.
 
     Attributes:
@@ -55,6 +97,8 @@ class AlarmRule(_Part):
             counts occupants.
         hours: start and end as hours of the day in which it applies; (22, 6) spans midnight.
         weekdays: days of the week on which it applies.
+        suppress_when: a condition under which the alarms of the rule are suppressed.
+        max_shelve_s: longest simulated time for which they can be shelved; 0: not at all.
         priority: for operators.
         notify: whether its alarms have to be acknowledged.
         text: for operators.
@@ -71,23 +115,11 @@ class AlarmRule(_Part):
     occupied: Annotated[bool, Field(strict=True)] | SafeName = False
     hours: Hours | None = None
     weekdays: Annotated[tuple[Weekday, ...], Field(min_length=1)] | None = None
+    suppress_when: SuppressionCondition | None = None
+    max_shelve_s: Annotated[float, Field(ge=0, le=MAX_DURATION_S, strict=True)] = 86400.0
     priority: AlarmPriority = AlarmPriority.MEDIUM
     notify: NotifyType = NotifyType.ALARM
     text: Annotated[Lines, Field(max_length=500)] = ""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _check_fields(cls, value: Any) -> Any:
-        if not isinstance(value, dict):
-            return value
-        unknown = [name for name in value if name not in cls.model_fields]
-        if unknown:
-            raise ValueError(
-                "; ".join(
-                    f"there is no field {name!r}; {did_you_mean(str(name), cls.model_fields)}" for name in unknown
-                )
-            )
-        return value
 
     @field_validator("name", mode="before")
     @classmethod

@@ -35,11 +35,14 @@ from topics.messages import (
     PriorityArrays,
     Query,
     RecordingStatus,
+    RemoveFromService,
     Reset,
     Resume,
+    ReturnToService,
     Sample,
     ScenarioText,
     SetPace,
+    Shelve,
     SimulatePlan,
     SnapshotTaken,
     StartRecording,
@@ -48,6 +51,7 @@ from topics.messages import (
     Stop,
     StopRecording,
     TakeSnapshot,
+    Unshelve,
     WeatherQuery,
     WeatherSeries,
     Write,
@@ -125,6 +129,10 @@ SCENARIO = Topic("rpc/scenario", Role.ANYONE, Query, Delivery.QUERY, reply=Scena
 WEATHER = Topic("rpc/weather", Role.ANYONE, WeatherQuery, Delivery.QUERY, reply=WeatherSeries)
 ALARMS = Topic("rpc/alarms", Role.ANYONE, AlarmQuery, Delivery.QUERY, reply=AlarmList)
 ACKNOWLEDGE = Topic("rpc/acknowledge", Role.CONTROLLER, Acknowledge, Delivery.QUERY, reply=Ack)
+SHELVE = Topic("rpc/shelve", Role.CONTROLLER, Shelve, Delivery.QUERY, reply=Ack)
+UNSHELVE = Topic("rpc/unshelve", Role.CONTROLLER, Unshelve, Delivery.QUERY, reply=Ack)
+REMOVE_FROM_SERVICE = Topic("rpc/remove_from_service", Role.CONTROLLER, RemoveFromService, Delivery.QUERY, reply=Ack)
+RETURN_TO_SERVICE = Topic("rpc/return_to_service", Role.CONTROLLER, ReturnToService, Delivery.QUERY, reply=Ack)
 HISTORY = Topic("rpc/history", Role.ANYONE, HistoryQuery, Delivery.QUERY, reply=HistorySeries)
 GEOMETRY = Topic("rpc/geometry", Role.ANYONE, Query, Delivery.QUERY, reply=Geometry)
 PRIORITIES = Topic("rpc/priorities", Role.ANYONE, Query, Delivery.QUERY, reply=PriorityArrays)
@@ -163,6 +171,10 @@ TOPICS = (
     HISTORY,
     ALARMS,
     ACKNOWLEDGE,
+    SHELVE,
+    UNSHELVE,
+    REMOVE_FROM_SERVICE,
+    RETURN_TO_SERVICE,
     GEOMETRY,
     PRIORITIES,
     NODE_TOKEN,

@@ -21,6 +21,13 @@ if TYPE_CHECKING:
 _COMMAND, _ACTUATOR = (topic.key.removesuffix("{name}") for topic in (keys.COMMAND, keys.ACTUATOR))
 _ACCEPTED, _ALARM = "accepted", "alarm"
 _OUTCOMES = (*REJECTIONS, EventKind.WRITTEN, EventKind.ACCEPTED_LATE)
+_REQUESTED = (
+    AlarmTransition.ACKNOWLEDGE,
+    AlarmTransition.SHELVE,
+    AlarmTransition.UNSHELVE,
+    AlarmTransition.REMOVE_FROM_SERVICE,
+    AlarmTransition.RETURN_TO_SERVICE,
+)
 _HIDDEN = ("controller", "source", "values", "operations", "episode")
 _ERROR = codec.encoding(ErrorReply)
 
@@ -68,8 +75,10 @@ class LogBuilder:
 
     def add_event(self, event: Event, time_ns: int) -> None:
         """Take the result of the latest message from an event, or add the transition of an alarm."""
-        if event.alarm is not None and event.alarm.transition is not AlarmTransition.ACKNOWLEDGE:  # that is a request
+        if event.alarm is not None:
             alarm = event.alarm
+            if alarm.transition in _REQUESTED:  # the request has an entry of its own
+                return
             self._entries.append(LogEntry(_utc(time_ns), alarm.time, "", _ALARM, event.text, str(alarm.state)))
             return
         entry, self._awaiting = self._awaiting, None

@@ -10,47 +10,45 @@ from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
-from math import isfinite
+from math import ceil, inf
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.alarms.rules import PointAlarm, applies_at, point_alarms
-from bridge.alarms.state_machine import Alarm
+from bridge.alarms.reports import Moment, Record
+from bridge.alarms.rules import ROUNDING, PointAlarm, applies_at, point_alarms
+from bridge.alarms.state_machine import Alarm, Change
 from topics.alarm_rules import AlarmRule, AlarmRules
 from topics.errors import RequestRejected, UnknownName, did_you_mean
 from topics.messages import (
     Acknowledge,
-    AlarmChange,
     AlarmList,
-    AlarmState,
-    AlarmStatus,
     AlarmTransition,
     Event,
     EventKind,
-    EventState,
     NotifyType,
+    RemoveFromService,
+    ReturnToService,
+    Shelve,
+    Unshelve,
 )
-from topics.units import with_unit
+from topics.messages.alarms import AlarmRequest
 
 if TYPE_CHECKING:
     from bridge.node.plant import PlantDescription
 
+REQUESTS: dict[type[AlarmRequest], AlarmTransition] = {
+    Acknowledge: AlarmTransition.ACKNOWLEDGE,
+    Shelve: AlarmTransition.SHELVE,
+    Unshelve: AlarmTransition.UNSHELVE,
+    RemoveFromService: AlarmTransition.REMOVE_FROM_SERVICE,
+    ReturnToService: AlarmTransition.RETURN_TO_SERVICE,
+}
+"""The transition that each request of an operator asks for."""
+
 _MAX_TEXT = 1000
-
-
-@dataclass(slots=True)
-class _Record:
-    """What happened to an alarm in this episode; see `AlarmStatus`. Steps are -1 before the first time."""
-
-    raised: int = -1
-    changed: int = -1
-    times_raised: int = 0
-    limit: float | None = None
-    acknowledged: int = -1
-    acknowledged_by: str = ""
-    comment: str = ""
+_NEVER = np.iinfo(np.int64).max
 
 
 @dataclass(slots=True)
@@ -58,7 +56,7 @@ class AlarmSnapshot:
     """State of all alarms at a sample."""
 
     alarms: list[list[Alarm]]
-    records: list[list[_Record]]
+    records: list[list[Record]]
 
 
 class AlarmMonitor:
@@ -74,6 +72,7 @@ class AlarmMonitor:
     """
 
     def __init__(self, rules: AlarmRules, plant: PlantDescription, slots: int) -> None:
+        self._rules, self._plant = rules, plant
         self._points = point_alarms(rules, plant)
         self._period = plant.run_period
         self._slots, self._width = slots, len(plant.sensors) + len(plant.meters)
@@ -81,24 +80,26 @@ class AlarmMonitor:
         self._occupied = np.array([i for i, point in enumerate(self._points) if point.occupants is not None], np.intp)
         self._occupants = np.array([p.occupants for p in self._points if p.occupants is not None], np.intp)
         self._schedules = _schedules(self._points)
+        self._conditions = _Conditions(self._points)
         shape = (slots, len(self._points))
-        self._inhibited = np.zeros(shape, bool)
+        self._inhibited, self._suppressed = np.zeros(shape, bool), np.zeros(shape, bool)
+        self._until, self._has_time_limits = np.full(shape, _NEVER), False
         self._low, self._high = np.empty(shape), np.empty(shape)
         self._is_pending = np.zeros(shape, bool)
         self._latest: list[tuple[int, int]] = [(-1, -1)] * slots
         self._is_restored = False
         self._values = np.full(shape, np.nan)
         self._alarms: list[list[Alarm]] = [[] for _ in range(slots)]
-        self._records: list[list[_Record]] = [[] for _ in range(slots)]
+        self._records: list[list[Record]] = [[] for _ in range(slots)]
         self.reset(range(slots))
 
     def reset(self, slots: Sequence[int]) -> None:
         """Begin new episodes in some slots: all alarms are normal."""
         for slot in slots:
             self._alarms[slot] = [Alarm(p.limits, p.rule.notify is NotifyType.ALARM) for p in self._points]
-            self._records[slot] = [_Record() for _ in self._points]
+            self._records[slot] = [Record() for _ in self._points]
             self._latest[slot] = (-1, -1)
-            self._inhibited[slot] = False
+            self._inhibited[slot] = self._suppressed[slot] = False
             for index in range(len(self._points)):
                 self._screen(slot, index)
 
@@ -110,6 +111,8 @@ class AlarmMonitor:
             alarm.event_state, inhibited=inhibited
         )
         self._is_pending[slot, index] = alarm.pending is not None
+        self._until[slot, index] = _NEVER if alarm.until is None else alarm.until
+        self._has_time_limits |= alarm.until is not None
 
     # Samples
 
@@ -127,6 +130,12 @@ class AlarmMonitor:
             inhibited = self._inhibition(table, step)
             visit |= inhibited != self._inhibited
             self._inhibited = inhibited
+        if self._conditions:
+            suppressed = self._conditions.hold(table, len(self._points))
+            visit |= suppressed != self._suppressed
+            self._suppressed = suppressed
+        if self._has_time_limits:
+            visit |= np.array(step)[:, None] >= self._until
         if self._is_restored:
             self._is_restored = False
             self._screen_all()
@@ -155,58 +164,46 @@ class AlarmMonitor:
 
     def _visit(self, slot: int, index: int, episode: int, step: int) -> list[Event]:
         """Pass the present value to the state machine of an alarm; return its event, if there is one."""
-        alarm, record, point = self._alarms[slot][index], self._records[slot][index], self._points[index]
-        value, was_raised = float(self._values[slot, index]), alarm.event_state is not EventState.NORMAL
-        transition = alarm.update(value, step, inhibited=bool(self._inhibited[slot, index]))
-        self._screen(slot, index)
-        if transition is None:
-            return []
-        record.changed = step
-        if transition is not AlarmTransition.TO_NORMAL:
-            record.limit = {
-                EventState.HIGH_LIMIT: point.rule.high,
-                EventState.LOW_LIMIT: point.rule.low,
-            }.get(alarm.event_state)
-            record.raised, record.acknowledged, record.acknowledged_by, record.comment = step, -1, "", ""
-            record.times_raised += not was_raised
-        text = self._transition_text(point, alarm, value, inhibited=bool(self._inhibited[slot, index]))
-        return [self._event(slot, index, transition, text, episode, step)]
-
-    def _transition_text(self, point: PointAlarm, alarm: Alarm, value: float, *, inhibited: bool) -> str:
-        unit, state = point.point.unit, alarm.event_state
-        if state is EventState.FAULT:
-            what = "has no value"
-        elif state is EventState.NORMAL:
-            reason = " (the rule does not apply now)" if inhibited else ""
-            what = f"is normal again{reason}: {with_unit(f'{value:.6g}', unit)}"
-        else:
-            is_high = state is EventState.HIGH_LIMIT
-            limit = point.limits.high if is_high else point.limits.low
-            what = f"is {'above' if is_high else 'below'} {with_unit(f'{limit:g}', unit)}: {value:.6g}"
-        return f"{point.rule.name}: {point.point.name} {what}"
-
-    def _event(
-        self, slot: int, index: int, transition: AlarmTransition, text: str, episode: int, step: int, source: str = ""
-    ) -> Event:
-        point, alarm = self._points[index], self._alarms[slot][index]
         value = float(self._values[slot, index])
-        text = f"slot {slot}: {text}" if self._slots > 1 else text
-        change = AlarmChange(
-            alarm=point.name,
-            point=point.point.name,
-            slot=slot,
-            transition=transition,
-            event_state=alarm.event_state,
-            state=alarm.state,
-            priority=point.rule.priority,
-            notify=point.rule.notify,
-            value=value if isfinite(value) else None,
-            limit=self._records[slot][index].limit,
-            unit=point.point.unit,
-            time=self._time(step),
-        )
-        return Event(
-            kind=EventKind.ALARM, text=text[:_MAX_TEXT], source=source, episode=episode, step=step, alarm=change
+        inhibited, suppressed = bool(self._inhibited[slot, index]), bool(self._suppressed[slot, index])
+        changes = self._alarms[slot][index].update(value, step, inhibited=inhibited, suppressed=suppressed)
+        self._screen(slot, index)
+        return self._events(slot, index, changes, episode, step)
+
+    def _events(
+        self,
+        slot: int,
+        index: int,
+        changes: Sequence[Change],
+        episode: int,
+        step: int,
+        request: AlarmRequest | None = None,
+    ) -> list[Event]:
+        """Record the transitions of an alarm; return their events. The first is what a request asked for."""
+        events, moment = [], self._moment(slot, index)
+        for change in changes:
+            moment.record.add(change, moment.point, step, request)
+            text = moment.text(change, request)
+            event = Event(
+                kind=EventKind.ALARM,
+                text=(f"slot {slot}: {text}" if self._slots > 1 else text)[:_MAX_TEXT],
+                source=request.source if request is not None else "",
+                episode=episode,
+                step=step,
+                alarm=moment.change(change, slot, step),
+            )
+            events.append(event)
+            request = None
+        return events
+
+    def _moment(self, slot: int, index: int) -> Moment:
+        return Moment(
+            self._points[index],
+            self._alarms[slot][index],
+            self._records[slot][index],
+            float(self._values[slot, index]),
+            bool(self._inhibited[slot, index]),
+            self._time,
         )
 
     def _time(self, step: int) -> str:
@@ -222,69 +219,53 @@ class AlarmMonitor:
             episode=max(0, episode),
             step=max(0, step),
             time=self._time(step),
-            alarms=[self._status(slot, index) for index in range(len(self._points))],
+            alarms=[self._moment(slot, index).status() for index in range(len(self._points))],
         )
 
-    def _status(self, slot: int, index: int) -> AlarmStatus:
-        point, alarm, record = self._points[index], self._alarms[slot][index], self._records[slot][index]
-        rule, value = point.rule, float(self._values[slot, index])
-        return AlarmStatus(
-            alarm=point.name,
-            text=rule.text,
-            point=point.point.name,
-            unit=point.point.unit,
-            low=rule.low,
-            high=rule.high,
-            priority=rule.priority,
-            notify=rule.notify,
-            value=value if isfinite(value) else None,
-            event_state=alarm.event_state,
-            state=alarm.state,
-            inhibited=bool(self._inhibited[slot, index]),
-            raised=self._time(record.raised),
-            changed=self._time(record.changed),
-            times_raised=record.times_raised,
-            acknowledged=self._time(record.acknowledged),
-            acknowledged_by=record.acknowledged_by,
-            comment=record.comment,
-        )
-
-    def acknowledge(self, request: Acknowledge) -> list[Event]:
-        """Acknowledge alarms; return an event for each.
+    def request(self, request: AlarmRequest) -> list[Event]:
+        """Carry out what an operator requests; return the events.
 
         Raises:
             UnknownName: there is no such alarm or rule.
-            RequestRejected: none of these alarms waits for an acknowledgment.
+            RequestRejected: none of these alarms allows it, or one of them cannot be shelved for so long.
         """
         indices = [i for i, p in enumerate(self._points) if _is_named(p, request.alarm)]
         if not indices:
             names = dict.fromkeys([*(p.name for p in self._points), *(p.rule.name for p in self._points)])
             raise UnknownName(f"no alarm {request.alarm!r}; {did_you_mean(request.alarm, names)}")
+        self._check_duration(request, indices)
+        transition = REQUESTS[type(request)]
         slots = range(self._slots) if request.slot is None else (request.slot,)
-        pairs = [(slot, index) for slot in slots for index in indices]
-        waiting = [pair for pair in pairs if self._alarms[pair[0]][pair[1]].awaits_acknowledgment]
-        if not waiting:
-            raise RequestRejected("; ".join(self._why_not(slot, index) for slot, index in pairs[:3]))
-        return [self._acknowledge(slot, index, request) for slot, index in waiting]
+        pairs = [(slot, index) for slot in slots for index in indices if self._latest[slot][1] >= 0]
+        if not pairs:
+            raise RequestRejected("no episode has begun")
+        allowed = [pair for pair in pairs if self._alarms[pair[0]][pair[1]].allows(transition)]
+        if not allowed:
+            raise RequestRejected("; ".join(self._moment(*pair).refusal(transition) for pair in pairs[:3]))
+        return [event for slot, index in allowed for event in self._carry_out(slot, index, transition, request)]
 
-    def _why_not(self, slot: int, index: int) -> str:
-        alarm, record, name = self._alarms[slot][index], self._records[slot][index], self._points[index].name
-        if alarm.state is AlarmState.NORMAL:
-            return f"{name} is normal, so there is nothing to acknowledge"
-        if not alarm.needs_acknowledgment:
-            return f"{name} needs no acknowledgment (notify: event)"
-        by = f" by {record.acknowledged_by}" if record.acknowledged_by else ""
-        return f"{name} was acknowledged{by} at {self._time(record.acknowledged)}"
+    def _check_duration(self, request: AlarmRequest, indices: Sequence[int]) -> None:
+        if not isinstance(request, Shelve):
+            return
+        limits = {self._points[index].rule.name: self._points[index].rule.max_shelve_s for index in indices}
+        errors = [
+            f"{name} can be shelved for at most {limit:g} s, not for {request.duration_s:g} s (max_shelve_s)"
+            if limit
+            else f"{name} cannot be shelved (max_shelve_s: 0)"
+            for name, limit in limits.items()
+            if request.duration_s > limit
+        ]
+        if errors:
+            raise RequestRejected("; ".join(errors))
 
-    def _acknowledge(self, slot: int, index: int, request: Acknowledge) -> Event:
-        record, point = self._records[slot][index], self._points[index]
+    def _carry_out(self, slot: int, index: int, transition: AlarmTransition, request: AlarmRequest) -> list[Event]:
         episode, step = self._latest[slot]
-        self._alarms[slot][index].acknowledge()
-        record.acknowledged, record.acknowledged_by, record.comment = step, request.source, request.comment
-        by = f" by {request.source}" if request.source else ""
-        comment = f": {request.comment}" if request.comment else ""
-        text = f"{point.rule.name}: {point.point.name} is acknowledged{by}{comment}"
-        return self._event(slot, index, AlarmTransition.ACKNOWLEDGE, text, episode, step, request.source)
+        until = None
+        if isinstance(request, Shelve | RemoveFromService) and request.duration_s is not None:
+            until = step + ceil(request.duration_s / self._period.step_s - ROUNDING)
+        changes = self._alarms[slot][index].request(transition, until)
+        self._screen(slot, index)
+        return self._events(slot, index, changes, episode, step, request)
 
     # Snapshots
 
@@ -298,10 +279,44 @@ class AlarmMonitor:
         self._records = [_copies(row) for row in saved.records]
         self._is_restored = True
 
+    def of_branch(self, slot: int, slots: int, saved: AlarmSnapshot | None) -> AlarmMonitor:
+        """Return the alarms of a branch, each of whose slots continues from one slot of a snapshot, or of the present.
+
+        Args:
+            slot: the slot to continue.
+            slots: number of slots of the branch.
+            saved: the snapshot; None is the present state.
+        """
+        state = saved if saved is not None else AlarmSnapshot(self._alarms, self._records)
+        branch = AlarmMonitor(self._rules, self._plant, slots)
+        branch.restore(AlarmSnapshot([state.alarms[slot]] * slots, [state.records[slot]] * slots))
+        return branch
+
     def _screen_all(self) -> None:
         for slot in range(self._slots):
             for index in range(len(self._points)):
                 self._screen(slot, index)
+
+
+class _Conditions:
+    """The conditions of suppression of all alarms of a slot; false if there are none."""
+
+    def __init__(self, points: Sequence[PointAlarm]) -> None:
+        rows = [(i, p.suppressor, p.rule.suppress_when) for i, p in enumerate(points)]
+        held = [(i, column, condition) for i, column, condition in rows if column is not None and condition is not None]
+        self._indices = np.array([i for i, _, _ in held], np.intp)
+        self._columns = np.array([column for _, column, _ in held], np.intp)
+        self._above = np.array([-inf if c.above is None else c.above for _, _, c in held])
+        self._below = np.array([inf if c.below is None else c.below for _, _, c in held])
+
+    def __bool__(self) -> bool:
+        return len(self._indices) > 0
+
+    def hold(self, table: NDArray[np.float64], alarms: int) -> NDArray[np.bool_]:
+        """Return which alarms are suppressed by the values of a sample, shape (slots, alarms)."""
+        values, suppressed = table[:, self._columns], np.zeros((len(table), alarms), bool)
+        suppressed[:, self._indices] = (values > self._above) & (values < self._below)  # not where it is missing
+        return suppressed
 
 
 def _schedules(points: Sequence[PointAlarm]) -> list[tuple[AlarmRule, NDArray[np.intp]]]:
@@ -313,7 +328,7 @@ def _schedules(points: Sequence[PointAlarm]) -> list[tuple[AlarmRule, NDArray[np
     return [(points[indices[0]].rule, np.array(indices, np.intp)) for indices in by_rule.values()]
 
 
-def _copies(records: Sequence[_Record]) -> list[_Record]:
+def _copies(records: Sequence[Record]) -> list[Record]:
     return [replace(record) for record in records]
 
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 MAX_ALARMS = 2000
 """Largest number of alarms in a slot."""
 
-_ROUNDING = 1e-9
+ROUNDING = 1e-9
 """Part of a timestep by which a delay may exceed whole timesteps: decimal fractions of seconds are not exact."""
 
 
@@ -37,6 +37,7 @@ class PointAlarm:
         point: the point.
         column: of the point among the values of a sample.
         occupants: the column of the occupants on which it depends; None if it does not.
+        suppressor: the column of the point of its condition of suppression; None without one.
         limits: with delays in timesteps.
     """
 
@@ -45,6 +46,7 @@ class PointAlarm:
     point: Sensor | Meter
     column: int
     occupants: int | None
+    suppressor: int | None
     limits: Limits
 
 
@@ -90,12 +92,13 @@ def _alarms_of(
         return
     low, high = (-inf if rule.low is None else rule.low), (inf if rule.high is None else rule.high)
     return_delay_s = rule.delay_s if rule.return_delay_s is None else rule.return_delay_s
-    delay, return_delay = (ceil(seconds / step_s - _ROUNDING) for seconds in (rule.delay_s, return_delay_s))
+    delay, return_delay = (ceil(seconds / step_s - ROUNDING) for seconds in (rule.delay_s, return_delay_s))
     limits = Limits(low, high, rule.deadband, delay, return_delay)
+    suppressor = _suppressor(rule, points, errors)
     for column in columns:
         name = rule.name if len(columns) == 1 else f"{rule.name}/{points[column].name}"
         occupants = _occupants(rule, points[column], points, errors)
-        yield PointAlarm(name, rule, points[column], column, occupants, limits)
+        yield PointAlarm(name, rule, points[column], column, occupants, suppressor, limits)
 
 
 def _columns(rule: AlarmRule, points: Sequence[Sensor | Meter], errors: list[str]) -> list[int]:
@@ -127,6 +130,23 @@ def _check_units(rule: AlarmRule, points: Sequence[Sensor | Meter], errors: list
         units = ", ".join(f"{name} is in {unit}" for unit, name in by_unit.items())
         errors.append(f"{rule.name}: its points have different units, for which one limit is not right: {units}")
     return len(by_unit) <= 1
+
+
+def _suppressor(rule: AlarmRule, points: Sequence[Sensor | Meter], errors: list[str]) -> int | None:
+    """Return the column of the point of a rule's condition of suppression."""
+    condition, names = rule.suppress_when, [point.name for point in points]
+    if condition is None:
+        return None
+    if condition.point not in names:
+        similar = did_you_mean(condition.point, names)
+        errors.append(f"{rule.name}: suppress_when: no sensor or meter {condition.point!r}; {similar}")
+        return None
+    column = names.index(condition.point)
+    if condition.unit is not None and condition.unit != points[column].unit:
+        errors.append(
+            f"{rule.name}: suppress_when: {condition.point} is in {points[column].unit}, not in {condition.unit}"
+        )
+    return column
 
 
 def _occupants(

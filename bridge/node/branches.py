@@ -252,7 +252,10 @@ class BranchManager:
             commands = (snapshot.commands if snapshot else parent.exchange.capture()).of_slot(request.slot, slots)
         exchange.ready(monotonic(), dict.fromkeys(range(slots), origin.step[request.slot]), commands)
         manifest = self._branch_manifest(name, slots, plant)
-        server = NodeServer(parent.session, plant, manifest, exchange)
+        alarms = None
+        if parent.alarms is not None:
+            alarms = parent.alarms.of_branch(request.slot, slots, snapshot.alarms if snapshot is not None else None)
+        server = NodeServer(parent.session, plant, manifest, exchange, alarms=alarms)
         present = parent.injection.state() if parent.injection is not None else None
         faults = (snapshot.faults if snapshot is not None else present) or NO_FAULTS
         try:

@@ -34,10 +34,14 @@ from topics.messages import (
     Message,
     PriorityArrays,
     Query,
+    RemoveFromService,
+    ReturnToService,
     ScenarioText,
+    Shelve,
     SimulatePlan,
     Status,
     Stop,
+    Unshelve,
     WeatherQuery,
     WeatherSeries,
     Write,
@@ -45,6 +49,7 @@ from topics.messages import (
 
 if TYPE_CHECKING:
     from bridge.node.server import NodeServer
+    from topics.messages.alarms import AlarmRequest
 
 
 def _lost() -> Message:
@@ -75,7 +80,11 @@ class RequestHandlers:
         subscriptions.request(keys.PRIORITIES, Query, self._priorities)
         subscriptions.request(keys.HISTORY, HistoryQuery, self._history)
         subscriptions.request(keys.ALARMS, AlarmQuery, self._alarms)
-        subscriptions.request(keys.ACKNOWLEDGE, Acknowledge, self._acknowledge)
+        subscriptions.request(keys.ACKNOWLEDGE, Acknowledge, self._operate_alarms)
+        subscriptions.request(keys.SHELVE, Shelve, self._operate_alarms)
+        subscriptions.request(keys.UNSHELVE, Unshelve, self._operate_alarms)
+        subscriptions.request(keys.REMOVE_FROM_SERVICE, RemoveFromService, self._operate_alarms)
+        subscriptions.request(keys.RETURN_TO_SERVICE, ReturnToService, self._operate_alarms)
         subscriptions.request(keys.PLAN, SimulatePlan, PlanSimulation(server).simulate)
         subscriptions.request(keys.STOP, Stop, self._stop, on_receipt=server.on_stop)
         subscriptions.request(keys.FAULTS, FaultPlan, self._set_faults)
@@ -200,13 +209,13 @@ class RequestHandlers:
         time = server.plant.description.run_period.time(step).isoformat()
         return AlarmList(slot=query.slot, episode=episode, step=step, time=time, alarms=[])
 
-    def _acknowledge(self, request: Acknowledge) -> Message:
+    def _operate_alarms(self, request: AlarmRequest) -> Message:
         server = self._server
         if request.slot is not None:
             server.check_slot(request.slot)
         if server.alarms is None:
             raise UnknownName(f"no alarm {request.alarm!r}; node {server.manifest.node!r} has none")
-        events = server.alarms.acknowledge(request)
+        events = server.alarms.request(request)
         server.publish_events(events)
         return Ack(episode=server.exchange.episode, text="\n".join(event.text for event in events))
 

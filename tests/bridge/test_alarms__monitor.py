@@ -26,7 +26,11 @@ from topics.messages import (
     EventState,
     Meter,
     NotifyType,
+    RemoveFromService,
+    ReturnToService,
     Sensor,
+    Shelve,
+    Unshelve,
     Versions,
 )
 
@@ -137,21 +141,21 @@ def test_hours_and_weekdays() -> None:
 def test_an_acknowledgment__is_kept_with_its_source_and_comment() -> None:
     node = Node(WARM, WARM | {"name": "info", "high": 25.0, "notify": "event"})
     node.sample(27.0)
-    (event,) = node.monitor.acknowledge(Acknowledge(alarm="warm", source="ann", comment="a fan"))
+    (event,) = node.monitor.request(Acknowledge(alarm="warm", source="ann", comment="a fan"))
     assert (event.source, event.text) == ("ann", "warm: core_air is acknowledged by ann: a fan")
     assert event.alarm.transition is AlarmTransition.ACKNOWLEDGE
     assert node.state() == {"warm": "acknowledged", "info": "acknowledged"}
     row = node.monitor.status(0).alarms[0]
     assert (row.acknowledged_by, row.comment, row.times_raised) == ("ann", "a fan", 1)
     with pytest.raises(RequestRejected, match="warm was acknowledged by ann at 2017-07-03T00:00:00"):
-        node.monitor.acknowledge(Acknowledge(alarm="warm"))
+        node.monitor.request(Acknowledge(alarm="warm"))
     with pytest.raises(RequestRejected, match="info needs no acknowledgment"):
-        node.monitor.acknowledge(Acknowledge(alarm="info"))
+        node.monitor.request(Acknowledge(alarm="info"))
     node.sample(22.0)
     with pytest.raises(RequestRejected, match="warm is normal"):
-        node.monitor.acknowledge(Acknowledge(alarm="warm"))
+        node.monitor.request(Acknowledge(alarm="warm"))
     with pytest.raises(UnknownName, match="no alarm 'wram'; did you mean 'warm'"):
-        node.monitor.acknowledge(Acknowledge(alarm="wram"))
+        node.monitor.request(Acknowledge(alarm="wram"))
     node.sample(27.0)
     assert node.monitor.status(0).alarms[0].acknowledged_by == ""  # it is a new occurrence
 
@@ -160,7 +164,7 @@ def test_an_acknowledgment__is_kept_with_its_source_and_comment() -> None:
 def test_an_acknowledgment__is_of_an_alarm_a_rule_or_a_pattern(name: str, count: int) -> None:
     node = Node(WARM | {"points": ["core_air", "north_air"]})
     node.sample(27.0, 27.0)
-    assert len(node.monitor.acknowledge(Acknowledge(alarm=name))) == count
+    assert len(node.monitor.request(Acknowledge(alarm=name))) == count
 
 
 def test_slots__have_alarms_of_their_own() -> None:
@@ -174,16 +178,170 @@ def test_slots__have_alarms_of_their_own() -> None:
     # Only the first slot steps: the sample of the other one is published again, which is no passing of its time.
     assert update([27.0, 27.0], [1, 0]) == [(0, "slot 0: warm: core_air is above 26 degC: 27")]
     assert update([27.0, 27.0], [1, 1]) == [(1, "slot 1: warm: core_air is above 26 degC: 27")]
-    node.monitor.acknowledge(Acknowledge(alarm="warm", slot=1))
+    node.monitor.request(Acknowledge(alarm="warm", slot=1))
     assert (node.state(0), node.state(1)) == ({"warm": "active"}, {"warm": "acknowledged"})
     node.monitor.reset([1])
     assert (node.state(0), node.state(1)) == ({"warm": "active"}, {"warm": "normal"})
+
+
+# Set aside
+
+
+SHELVED, ACTIVE = AlarmState.SHELVED, AlarmState.ACTIVE
+
+
+def changes(events: list[Any]) -> list[tuple[str, str]]:
+    return [(str(event.alarm.transition), str(event.alarm.state)) for event in events]
+
+
+def test_a_shelved_alarm__alerts_nobody_until_its_time_is_over() -> None:
+    node = Node(WARM)  # a timestep has 900 s
+    node.sample(22.0)
+    (event,) = node.monitor.request(Shelve(alarm="warm", duration_s=1801.0, source="ann", comment="doors are open"))
+    assert event.text == "warm: core_air is shelved until 2017-07-03T00:45:00 by ann: doors are open"
+    assert (event.source, event.alarm.until, event.alarm.state) == ("ann", "2017-07-03T00:45:00", SHELVED)
+    (event,) = node.sample(27.0)  # it is in the log, and alerts nobody
+    assert event.text == "warm: core_air is above 26 degC (shelved): 27"
+    assert (event.alarm.state, event.alarm.event_state) == (SHELVED, EventState.HIGH_LIMIT)
+    row = node.monitor.status(0).alarms[0]
+    assert (row.set_aside, row.set_aside_by, row.set_aside_comment) == ("2017-07-03T00:00:00", "ann", "doors are open")
+    assert (row.set_aside_until, row.raised, row.times_raised) == ("2017-07-03T00:45:00", "", 0)
+    assert node.sample(27.0) == []
+    over, raised = node.sample(27.5)  # 00:45, the first timestep that is not before the end
+    assert over.text == "warm: core_air is no longer shelved, as its time is over"
+    assert raised.text == "warm: core_air is above 26 degC: 27.5"
+    assert changes([over, raised]) == [("expire", "normal"), ("to_offnormal", "active")]
+    row = node.monitor.status(0).alarms[0]
+    assert (row.set_aside, row.set_aside_by, row.set_aside_until) == ("", "", "")
+    assert (row.raised, row.times_raised) == ("2017-07-03T00:45:00", 1)
+
+
+def test_a_time_limit_of_whole_timesteps__ends_with_them() -> None:
+    node = Node(WARM)
+    node.sample(27.0)
+    node.monitor.request(Shelve(alarm="warm", duration_s=900.0))
+    assert changes(node.sample(27.0)) == [("expire", "normal"), ("to_offnormal", "active")]
+
+
+def test_unshelving__raises_what_is_off_normal() -> None:
+    node = Node(WARM, WARM | {"name": "hot", "high": 30.0})
+    node.sample(27.0)
+    node.monitor.request(Acknowledge(alarm="warm"))
+    node.monitor.request(Shelve(alarm="*", duration_s=3600.0, source="ann"))
+    assert node.state() == {"warm": "shelved", "hot": "shelved"}
+    events = node.monitor.request(Unshelve(alarm="*", source="ben"))
+    assert [(e.text, e.source) for e in events] == [
+        ("warm: core_air is no longer shelved by ben", "ben"),
+        ("warm: core_air is above 26 degC: 27", ""),
+        ("hot: core_air is no longer shelved by ben", "ben"),
+    ]
+    assert node.state() == {"warm": "active", "hot": "normal"}
+    assert [node.sample(27.0) for _ in range(5)] == [[]] * 5  # the time limit went with the shelving
+
+
+def test_out_of_service__has_no_limit_unless_one_is_requested() -> None:
+    node = Node(WARM)
+    node.sample(27.0)
+    (event,) = node.monitor.request(RemoveFromService(alarm="warm", source="ann"))
+    assert event.text == "warm: core_air is out of service by ann"
+    assert [node.sample(27.0) for _ in range(9)] == [[]] * 9
+    with pytest.raises(RequestRejected, match="warm is out of service since 2017-07-03T00:00:00, by ann"):
+        node.monitor.request(Shelve(alarm="warm", duration_s=60.0))
+    with pytest.raises(RequestRejected, match="warm is out of service since"):
+        node.monitor.request(Acknowledge(alarm="warm"))
+    assert node.monitor.request(RemoveFromService(alarm="warm", duration_s=900.0))[0].alarm.until
+    over, raised = node.sample(27.0)
+    assert over.text == "warm: core_air is back in service, as its time is over"
+    assert raised.alarm.state is ACTIVE
+    node.monitor.request(RemoveFromService(alarm="warm"))
+    returned, raised = node.monitor.request(ReturnToService(alarm="warm", source="ann", comment="replaced"))
+    assert returned.text == "warm: core_air is back in service by ann: replaced"
+    assert raised.alarm.state is ACTIVE
+
+
+def test_an_operators_decision_prevails_over_shelving_and_conditions() -> None:
+    condition = {"suppress_when": {"point": "core_people", "below": 0.5}}
+    node = Node(WARM | condition)
+    node.sample(22.0, people=0.0)
+    node.monitor.request(Shelve(alarm="warm", duration_s=9000.0))
+    node.monitor.request(RemoveFromService(alarm="warm"))
+    assert node.sample(27.0, people=1.0)[0].alarm.state is AlarmState.OUT_OF_SERVICE
+    node.sample(27.0, people=0.0)
+    events = node.monitor.request(ReturnToService(alarm="warm"))
+    assert changes(events) == [("return_to_service", "normal"), ("suppress", "suppressed")]
+
+
+def test_a_condition__suppresses_while_it_holds() -> None:
+    node = Node(WARM | {"suppress_when": {"point": "core_people", "above": 1.0, "below": 5.0}})
+    assert node.sample(27.0, people=1.0)[0].alarm.state is ACTIVE  # the limit itself does not suppress
+    (event,) = node.sample(27.0, people=2.0)
+    assert event.text == "warm: core_air is suppressed (core_people is above 1 and below 5)"
+    assert (event.alarm.state, event.alarm.event_state) == (AlarmState.SUPPRESSED, EventState.HIGH_LIMIT)
+    assert changes(node.sample(27.0, people=5.0)) == [("unsuppress", "normal"), ("to_offnormal", "active")]
+    node.sample(22.0, people=2.0)
+    assert changes(node.sample(22.0, people=float("nan"))) == [("unsuppress", "normal")]  # unknown does not suppress
+
+
+def test_a_value_that_changes_with_the_condition__raises_no_alarm() -> None:
+    node = Node(WARM | {"suppress_when": {"point": "core_people", "above": 1.0}})
+    node.sample(22.0, people=0.0)
+    assert changes(node.sample(27.0, people=2.0)) == [("suppress", "suppressed"), ("to_offnormal", "suppressed")]
+    assert changes(node.sample(22.0, people=0.0)) == [("to_normal", "suppressed"), ("unsuppress", "normal")]
+    assert node.monitor.status(0).alarms[0].times_raised == 0
+
+
+def test_requests_without_an_effect__say_why() -> None:
+    node = Node(WARM | {"max_shelve_s": 3600.0}, WARM | {"name": "vital", "max_shelve_s": 0.0})
+    with pytest.raises(RequestRejected, match="no episode has begun"):
+        node.monitor.request(Shelve(alarm="warm", duration_s=60.0))
+    node.sample(22.0)
+    for request, text in (
+        (Unshelve(alarm="warm"), "warm is not shelved"),
+        (ReturnToService(alarm="warm"), "warm is in service"),
+        (Shelve(alarm="warm", duration_s=3601.0), "warm can be shelved for at most 3600 s, not for 3601 s"),
+        (Shelve(alarm="*", duration_s=60.0), "vital cannot be shelved"),
+    ):
+        with pytest.raises(RequestRejected, match=text):
+            node.monitor.request(request)
+    with pytest.raises(UnknownName, match="no alarm 'wram'; did you mean 'warm'"):
+        node.monitor.request(Shelve(alarm="wram", duration_s=60.0))
+    assert set(node.state().values()) == {"normal"}
+
+
+def test_a_new_episode__has_nothing_set_aside() -> None:
+    node = Node(WARM)
+    node.sample(22.0)
+    node.monitor.request(Shelve(alarm="warm", duration_s=9000.0))
+    node.monitor.reset([0])
+    assert node.state() == {"warm": "normal"}
+    assert node.sample(27.0)[0].alarm.state is ACTIVE
+
+
+def test_a_snapshot_and_a_branch__keep_what_is_set_aside() -> None:
+    node = Node(WARM, WARM | {"name": "gone"}, slots=2)
+    node.sample(22.0)
+    node.monitor.request(Shelve(alarm="warm", slot=1, duration_s=1800.0, source="ann"))
+    node.monitor.request(RemoveFromService(alarm="gone", slot=1))
+    saved = node.monitor.capture()
+    for branch in (node.monitor.of_branch(1, 3, None), node.monitor.of_branch(1, 3, saved)):
+        values = np.array([[27.0, 22.0, 1.0, 0.0]] * 3)
+        assert branch.update(values.tobytes(), [0] * 3, [0] * 3) == []  # the branch's first sample is the parent's
+        assert [branch.status(slot).alarms[0].set_aside_by for slot in range(3)] == ["ann"] * 3
+        branch.update(values.tobytes(), [0] * 3, [1] * 3)
+        events = branch.update(values.tobytes(), [0] * 3, [2] * 3)
+        assert changes(events) == [("expire", "normal"), ("to_offnormal", "active")] * 3
+        assert {alarm.alarm: str(alarm.state) for alarm in branch.status(2).alarms}["gone"] == "out_of_service"
+    assert node.state(1) == {"warm": "shelved", "gone": "out_of_service"}  # the parent's own have not changed
+    node.monitor.request(Unshelve(alarm="warm"))
+    node.monitor.restore(saved)
+    assert node.monitor.status(1).alarms[0].set_aside_until == "2017-07-03T00:30:00"
 
 
 RULES = (
     {"name": "range", "points": "*_air", "low": 18.0, "high": 26.0, "deadband": 0.5, "delay_s": 1800.0},
     {"name": "occupied", "points": "core_air", "high": 25.0, "occupied": True, "return_delay_s": 900.0},
     {"name": "night", "points": "core_air", "low": 20.0, "hours": [22, 6], "notify": "event"},
+    {"name": "party", "points": "core_air", "high": 25.0, "suppress_when": {"point": "core_people", "above": 0.5}},
 )
 SAMPLES = st.lists(
     st.tuples(st.sampled_from([17.0, 18.2, 19.0, 22.0, 25.2, 25.7, 27.0, float("nan")]), st.sampled_from([0.0, 1.0])),
@@ -205,9 +363,11 @@ def test_the_screening__misses_nothing(samples: list[tuple[float, float]]) -> No
         for point, machine in zip(points, machines, strict=True):
             inhibited = not applies_at(point.rule, moment) or (point.occupants is not None and people <= 0)
             value = (core, 22.0)[point.column]
-            if machine.update(value, step, inhibited=inhibited) is not None:
-                transitions.append((point.name, machine.event_state, machine.state))
-        assert [(e.alarm.alarm, e.alarm.event_state, e.alarm.state) for e in events] == transitions
+            suppressed = point.suppressor is not None and people > 0.5
+            changes = machine.update(value, step, inhibited=inhibited, suppressed=suppressed)
+            transitions += [(point.name, change.transition, change.event_state, change.state) for change in changes]
+        alarms = [event.alarm for event in events]
+        assert [(a.alarm, a.transition, a.event_state, a.state) for a in alarms] == transitions
 
 
 @settings(max_examples=50)
@@ -237,6 +397,14 @@ def test_a_snapshot__continues_with_the_same_events(
         ({"points": "*", "unit": None}, "different units, for which one limit is not right: "),
         ({"points": "north_air", "occupied": True}, "the occupants of the zone of north_air are not measured"),
         ({"occupied": "people"}, "occupied: no sensor 'people'; did you mean 'core_people'"),
+        (
+            {"suppress_when": {"point": "poeple", "above": 1}},
+            "suppress_when: no sensor or meter 'poeple'; did you mean",
+        ),
+        (
+            {"suppress_when": {"point": "core_air", "above": 1, "unit": "K"}},
+            "suppress_when: core_air is in degC, not in K",
+        ),
     ],
 )
 def test_rules_that_do_not_fit_the_plant__are_named(rule: dict[str, Any], text: str) -> None:
@@ -256,6 +424,19 @@ def test_rules_that_do_not_fit_the_plant__are_named(rule: dict[str, Any], text: 
         ("alarms: [{name: a, points: x, low: 5}, {name: a, points: y, low: 5}]", ["used more than once: 'a'"]),
         ("alarms: [{name: a, points: x, low: 5, delay_s: -1}]", ["alarms.0.delay_s"]),
         ("alarms: [{name: a, points: x, low: 5, weekdays: [monday]}]", ["alarms.0.weekdays.0"]),
+        (
+            "alarms: [{name: a, points: x, low: 5, suppress_when: {pont: y, above: 1}}]",
+            ["alarms.0.suppress_when: there is no field 'pont'; did you mean 'point'"],
+        ),
+        (
+            "alarms: [{name: a, points: x, low: 5, suppress_when: {point: y}}]",
+            ["a condition needs a limit: above, below"],
+        ),
+        (
+            "alarms: [{name: a, points: x, low: 5, suppress_when: {point: y, above: 2, below: 1}}]",
+            ["above 2 and below 1 at once: no value is both"],
+        ),
+        ("alarms: [{name: a, points: x, low: 5, max_shelve_s: -1}]", ["alarms.0.max_shelve_s"]),
         ("alarms: []", ["expected 1 to 1000 rules, got 0"]),
         ("alarm: []", ["alarms: it is missing", "did you mean 'alarms'"]),
     ],

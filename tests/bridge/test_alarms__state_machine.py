@@ -2,29 +2,38 @@
 
 from __future__ import annotations
 
+import re
 from math import inf, nan
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bridge.alarms.state_machine import TRANSITIONS, Alarm, Limits
+from bridge.alarms import state_machine
+from bridge.alarms.state_machine import ALERTING, SET_ASIDE, TRANSITIONS, Alarm, Limits
 from topics.messages import AlarmState, AlarmTransition, EventState
 
-NORMAL, ACTIVE, ACKNOWLEDGED, RETURNED = AlarmState
+NORMAL, ACTIVE, ACKNOWLEDGED, RETURNED, SUPPRESSED, SHELVED, OUT_OF_SERVICE = AlarmState
 OK, HIGH, LOW, FAULT = EventState
 ACK = "ack"
+REQUESTS = {
+    "ack": AlarmTransition.ACKNOWLEDGE,
+    "shelve": AlarmTransition.SHELVE,
+    "unshelve": AlarmTransition.UNSHELVE,
+    "remove": AlarmTransition.REMOVE_FROM_SERVICE,
+    "return": AlarmTransition.RETURN_TO_SERVICE,
+}
 
 
 def run(limits: Limits, *steps: object, needs_acknowledgment: bool = True) -> list[tuple[EventState, AlarmState]]:
-    """The states after each step; a step is a value, (value, "inhibited"), or an acknowledgment."""
+    """The states after each step; a step is a value, (value, "inhibited" or "suppressed"), or a request."""
     alarm, states, number = Alarm(limits, needs_acknowledgment), [], 0
     for step in steps:
-        if step == ACK:
-            alarm.acknowledge()
+        if step in REQUESTS:
+            alarm.request(REQUESTS[step])  # type: ignore[index]
         else:
-            value, inhibited = step if isinstance(step, tuple) else (step, "")
-            alarm.update(float(value), number, inhibited=bool(inhibited))  # type: ignore[arg-type]
+            value, word = step if isinstance(step, tuple) else (step, "")
+            alarm.update(float(value), number, inhibited=word == "inhibited", suppressed=word == "suppressed")  # type: ignore[arg-type]
             number += 1
         states.append((alarm.event_state, alarm.state))
     return states
@@ -64,6 +73,25 @@ LIMITS = Limits(18.0, 26.0, deadband=1.0)
         ([27.0, (27.0, "inhibited")], (OK, RETURNED)),
         ([27.0, ACK, (27.0, "inhibited")], (OK, NORMAL)),
         ([(nan, "inhibited")], (FAULT, ACTIVE)),
+        # Set aside: the event state follows the value, the state does not.
+        (["shelve", 27.0], (HIGH, SHELVED)),
+        ([27.0, "shelve", 22.0], (OK, SHELVED)),
+        ([27.0, "shelve", "unshelve"], (HIGH, ACTIVE)),
+        ([27.0, ACK, "shelve", "unshelve"], (HIGH, ACTIVE)),  # whoever comes back must know of it
+        ([27.0, "shelve", 22.0, "unshelve"], (OK, NORMAL)),
+        ([27.0, 22.0, "shelve", "unshelve"], (OK, NORMAL)),
+        (["shelve", "shelve", "unshelve"], (OK, NORMAL)),
+        (["remove", nan], (FAULT, OUT_OF_SERVICE)),
+        (["remove", nan, "return"], (FAULT, ACTIVE)),
+        (["shelve", "remove", "return"], (OK, NORMAL)),
+        ([(27.0, "suppressed")], (HIGH, SUPPRESSED)),
+        ([27.0, (27.0, "suppressed")], (HIGH, SUPPRESSED)),
+        ([(27.0, "suppressed"), 27.0], (HIGH, ACTIVE)),
+        ([(27.0, "suppressed"), 22.0], (OK, NORMAL)),
+        ([(27.0, "suppressed"), "shelve", 27.0], (HIGH, SHELVED)),
+        ([(27.0, "suppressed"), "shelve", "unshelve"], (HIGH, SUPPRESSED)),
+        (["shelve", (27.0, "suppressed"), "unshelve"], (HIGH, SUPPRESSED)),
+        (["remove", (22.0, "suppressed"), "return", 22.0], (OK, NORMAL)),
     ],
 )
 def test_schedules(schedule: list[object], state: tuple[EventState, AlarmState]) -> None:
@@ -102,7 +130,7 @@ def test_the_table__keeps_the_meaning_of_each_state(triggers: list[AlarmTransiti
     """Two facts, kept beside the table, are what each state stands for."""
     state, is_off, is_acknowledged = NORMAL, False, True
     for trigger in triggers:
-        if (state, trigger) not in TRANSITIONS:
+        if (state, trigger) not in TRANSITIONS or TRANSITIONS[state, trigger] in SET_ASIDE:
             continue
         state = TRANSITIONS[state, trigger]
         if trigger is AlarmTransition.ACKNOWLEDGE:
@@ -112,6 +140,66 @@ def test_the_table__keeps_the_meaning_of_each_state(triggers: list[AlarmTransiti
             is_acknowledged = is_acknowledged and not is_off
         expected = {(False, True): NORMAL, (True, False): ACTIVE, (True, True): ACKNOWLEDGED, (False, False): RETURNED}
         assert state is expected[is_off, is_acknowledged]
+
+
+def documented_table() -> dict[tuple[str, str], str]:
+    """The two tables of the module's docstring."""
+    rows: dict[tuple[str, str], str] = {}
+    for block in re.findall(r"^    state .*\n(?:    \w.*\n)+", state_machine.__doc__ + "\n", re.M):
+        head, *lines = block.splitlines()
+        columns = [(match.start(), match[0].split(", ")) for match in re.finditer(r"\w+(?:, \w+)*", head)][1:]
+        for line in lines:
+            cells = {match.start(): match[0] for match in re.finditer(r"\w+", line)}
+            state = cells.pop(4)
+            for start, transitions in columns:
+                if start in cells:
+                    rows |= {(state, transition): cells[start] for transition in transitions}
+    return rows
+
+
+def test_the_docstring_has_the_table() -> None:
+    entering = {AlarmTransition.SUPPRESS, AlarmTransition.SHELVE, AlarmTransition.REMOVE_FROM_SERVICE}
+    to_value = {AlarmTransition.TO_OFFNORMAL, AlarmTransition.TO_FAULT, AlarmTransition.TO_NORMAL}
+    rest = {
+        (str(state), str(transition)): str(target)
+        for (state, transition), target in TRANSITIONS.items()
+        if not (state in ALERTING and transition in entering) and not (state in SET_ASIDE and transition in to_value)
+    }
+    assert documented_table() == rest
+    for state in ALERTING:
+        assert [TRANSITIONS[state, t] for t in sorted(entering)] == [OUT_OF_SERVICE, SHELVED, SUPPRESSED]
+    for state in SET_ASIDE:
+        assert {TRANSITIONS[state, t] for t in to_value} == {state}
+
+
+STEPS = st.lists(
+    st.tuples(st.floats(10, 35) | st.just(nan), st.booleans()) | st.sampled_from([*REQUESTS]) | st.integers(1, 5),
+    max_size=40,
+)
+
+
+@given(STEPS, st.integers(0, 3))
+def test_setting_aside__never_changes_what_the_value_is_and_never_hides_it_afterwards(
+    steps: list[object], delay: int
+) -> None:
+    """Event states are those of an alarm that nobody sets aside; where it alerts, no off-normal value is normal."""
+    limits = Limits(18.0, 26.0, 0.5, delay, delay)
+    alarm, plain, number = Alarm(limits), Alarm(limits), 0
+    for step in steps:
+        if isinstance(step, tuple):
+            alarm.update(step[0], number, suppressed=step[1])
+            plain.update(step[0], number)
+            number += 1
+        elif isinstance(step, int):
+            if alarm.allows(AlarmTransition.SHELVE):
+                alarm.request(AlarmTransition.SHELVE, number - 1 + step)
+        elif alarm.allows(REQUESTS[step]):
+            alarm.request(REQUESTS[step])
+        assert alarm.event_state is plain.event_state
+        assert (alarm.state in (ACTIVE, ACKNOWLEDGED)) == (alarm.state in ALERTING and alarm.event_state is not OK)
+        assert alarm.state is not SUPPRESSED or alarm.suppressed
+        assert not alarm.suppressed or alarm.state in SET_ASIDE
+        assert alarm.until is None or (alarm.state in (SHELVED, OUT_OF_SERVICE) and alarm.until > number - 1)
 
 
 VALUES = st.lists(st.floats(10, 35) | st.just(nan), min_size=1, max_size=60)

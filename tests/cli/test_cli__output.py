@@ -17,7 +17,7 @@ from support.run_cli import DAY, plain, run_in_process, run_program
 COMMANDS = (
     "node", "run", "evaluate", "monitor", "status", "read", "watch", "write", "relinquish", "points", "buildings",
     "weathers", "asyncapi", "demo", "pace", "pause", "resume", "step", "faults", "reset", "stop", "plot", "alarms",
-    "acknowledge",
+    "acknowledge", "shelve", "unshelve", "remove-from-service", "return-to-service",
 )  # fmt: skip
 
 

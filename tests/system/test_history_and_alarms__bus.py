@@ -168,12 +168,11 @@ def test_the_manifest__states_the_memory(bus: agent_sdk.Bus) -> None:
     assert manifest.history_bytes == manifest.history_samples * 8 * (3 + 1 + 2)
 
 
-def test_a_branch_has_neither(bus: agent_sdk.Bus) -> None:
+def test_a_branch_has_no_history(bus: agent_sdk.Bus) -> None:
     branch = bus.branch("oven", CreateBranch())
     assert bus.manifest(branch).history_samples == 0
     with pytest.raises(RequestRejected, match="branches keep no history; ask 'oven'"):
         bus.history(branch)
-    assert bus.alarms(branch).alarms == []
     bus.stop(branch)
 
 
@@ -195,8 +194,8 @@ def test_a_node_without_history_says_so(scratch: Path) -> None:
 # Alarms
 
 
-def states(bus: agent_sdk.Bus) -> dict[str, str]:
-    return {alarm.alarm: str(alarm.state) for alarm in bus.alarms("oven").alarms}
+def states(bus: agent_sdk.Bus, node: str = "oven") -> dict[str, str]:
+    return {alarm.alarm: str(alarm.state) for alarm in bus.alarms(node).alarms}
 
 
 def test_an_alarm__from_its_limit_to_its_return(bus: agent_sdk.Bus) -> None:
@@ -233,10 +232,38 @@ def test_a_snapshot__contains_the_alarms(bus: agent_sdk.Bus) -> None:
     bus.drop("oven", snapshot)
 
 
-def test_a_monitor__reads_alarms_and_history_and_acknowledges_nothing() -> None:
+def test_what_is_set_aside__is_kept_by_snapshots_and_branches_and_ends_with_its_time(bus: agent_sdk.Bus) -> None:
+    heat(bus, *[200.0] * 9)  # 29 degC at 00:09
+    ack = bus.shelve("oven", "hot", 120, source="ann", comment="bread")
+    assert ack.text == "hot: temperature is shelved until 2017-07-03T00:11:00 by ann: bread"
+    bus.remove_from_service("oven", "any_heat", source="ann")
+    snapshot = bus.snapshot("oven").snapshot
+    branch = bus.branch("oven", CreateBranch(slots=2))
+    bus.unshelve("oven", "hot")
+    assert states(bus) == {"hot": "active", "any_heat": "out_of_service"}
+    assert states(bus, branch) == {"hot": "shelved", "any_heat": "out_of_service"}
+    with pytest.raises(RequestRejected, match=r"hot is shelved since 2017-07-03T00:09:00 until .*00:11:00, by ann"):
+        bus.acknowledge(branch, "hot")
+    bus.stop(branch)
+    heat(bus, 0.0, 0.0)
+    bus.reset("oven", Reset(snapshot=snapshot))
+    (hot, _) = bus.alarms("oven").alarms
+    assert (hot.state, hot.set_aside_by, hot.set_aside_until) == (AlarmState.SHELVED, "ann", "2017-07-03T00:11:00")
+    heat(bus, 200.0)
+    assert states(bus)["hot"] == "shelved"
+    heat(bus, 200.0)
+    assert states(bus) == {"hot": "active", "any_heat": "out_of_service"}
+    bus.return_to_service("oven", "*")
+    assert states(bus) == {"hot": "active", "any_heat": "acknowledged"}
+    bus.drop("oven", snapshot)
+
+
+def test_a_monitor__reads_alarms_and_history_and_decides_nothing() -> None:
     assert may(Role.MONITOR, keys.ALARMS) == may(Role.MONITOR, keys.HISTORY) == (Permission.ASK,)
-    assert may(Role.MONITOR, keys.ACKNOWLEDGE) == ()
-    assert may(Role.CONTROLLER, keys.ACKNOWLEDGE) == (Permission.ASK,)
+    decisions = (keys.ACKNOWLEDGE, keys.SHELVE, keys.UNSHELVE, keys.REMOVE_FROM_SERVICE, keys.RETURN_TO_SERVICE)
+    for topic in decisions:
+        assert may(Role.MONITOR, topic) == ()
+        assert may(Role.CONTROLLER, topic) == (Permission.ASK,)
 
 
 def test_a_recording__has_the_alarms_and_is_verified(bus: agent_sdk.Bus, module_scratch: Path) -> None:
@@ -248,6 +275,8 @@ def test_a_recording__has_the_alarms_and_is_verified(bus: agent_sdk.Bus, module_
     bus.alarms("oven")
     bus.history("oven")
     heat(bus, *[0.0] * 9)
+    bus.shelve("oven", "hot", 60, source="ann")
+    heat(bus, *[0.0] * 2)
     bus.stop_recording("oven")
     loaded = recording.load(path)
     changes = [(e.step, e.alarm.alarm, e.alarm.state, e.source) for _, e in loaded.events if e.kind is EventKind.ALARM]
@@ -257,20 +286,48 @@ def test_a_recording__has_the_alarms_and_is_verified(bus: agent_sdk.Bus, module_
         (9, "hot", AlarmState.ACKNOWLEDGED, "ann"),
         (10, "any_heat", AlarmState.NORMAL, ""),
         (17, "hot", AlarmState.NORMAL, ""),
+        (18, "hot", AlarmState.SHELVED, "ann"),
+        (19, "hot", AlarmState.NORMAL, ""),
     ]
-    log = [(e.kind, e.source, e.subject, e.result) for e in loaded.log if e.kind in ("alarm", "acknowledge", "alarms")]
+    kinds = ("alarm", "acknowledge", "alarms", "shelve")
+    log = [(e.kind, e.source, e.subject, e.result) for e in loaded.log if e.kind in kinds]
     assert log == [
         ("alarm", "", "any_heat: energy is above 1000 J: 12000", "acknowledged"),
         ("alarm", "", "hot: temperature is above 25 degC: 28", "active"),
         ("acknowledge", "ann", "alarm hot, comment bread", "accepted"),
         ("alarm", "", "any_heat: energy is normal again: 0 J", "normal"),
         ("alarm", "", "hot: temperature is normal again: 21 degC", "normal"),
+        ("shelve", "ann", "alarm hot, duration_s 60.0", "accepted"),
+        ("alarm", "", "hot: temperature is no longer shelved, as its time is over", "normal"),
     ]
     assert all(entry.is_accepted for entry in loaded.log)
     assert verify(path, plant=f"{module_scratch}/oven.py:Oven").passed
 
 
 # On the command line
+
+
+def test_zenostat_shelve_and_remove_from_service(bus: agent_sdk.Bus, oven: NodeProgram) -> None:
+    at = ("--connect", oven.endpoint, "--source", "ann")
+    heat(bus, *[200.0] * 9)
+    done = run("shelve", "oven", "hot", "--duration", "5min", "--comment", "bread", *at)
+    assert done.stdout == "oven: hot: temperature is shelved until 2017-07-03T00:14:00 by ann: bread\n"
+    done = run("remove-from-service", "oven", "any_heat", *at)
+    assert done.stdout == "oven: any_heat: energy is out of service by ann\n"
+    listed = plain(run("alarms", "oven", *at[:2]).stdout)
+    assert "shelved until 07-03 00:14 by ann: bread, high limit" in listed
+    assert "out of service by ann, high limit" in listed
+    too_long = run("shelve", "oven", "hot", "--duration", "2d", *at)
+    assert (too_long.returncode, "at most 86400 s" in too_long.stderr) == (1, True)
+    no_time = run("shelve", "oven", "hot", "--duration", "soon", *at)
+    assert (no_time.returncode, "expected a number above 0 and s, min, h or d" in no_time.stderr) == (2, True)
+    assert run("return-to-service", "oven", "any_heat", *at).stdout.startswith(
+        "oven: any_heat: energy is back in service by ann\n"
+    )
+    assert run("unshelve", "oven", "hot", *at).stdout.splitlines() == [
+        "oven: hot: temperature is no longer shelved by ann",
+        "oven: hot: temperature is above 25 degC: 29",
+    ]
 
 
 def test_zenostat_alarms_and_acknowledge(bus: agent_sdk.Bus, oven: NodeProgram) -> None:
