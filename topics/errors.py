@@ -31,11 +31,16 @@ Between processes an error is sent as `{"error": class name, "message": text}`; 
 from __future__ import annotations
 
 import difflib
+import heapq
+import itertools
+import re
 from collections.abc import Callable, Iterable
 from typing import TypeVar
 
 T = TypeVar("T")
-_SMALL = 4096
+_SMALL, _COMPARED = 4096, 500
+_TYPO = 0.8
+"""Similarity of a name that differs by a letter or two."""
 
 
 class ZenostatError(Exception):
@@ -177,26 +182,47 @@ class ErrorCollector:
 
 
 def _candidates(folded: str, names: list[str]) -> list[str]:
-    """Return the case-folded names; of very many, only those that start alike, since comparing all is slow."""
-    all_folded = [name.casefold() for name in names]
+    """Return the names; of very many, only those that share most pairs of letters, since comparing all is slow."""
     if len(names) <= _SMALL:
-        return all_folded
-    return [name for name in all_folded if name[:2] == folded[:2] and abs(len(name) - len(folded)) <= 3]
+        return names
+    pairs = set(itertools.pairwise(folded))
+
+    def similarity(name: str) -> float:
+        own = set(itertools.pairwise(name))
+        return len(pairs & own) / (len(pairs) + len(own) or 1)
+
+    return heapq.nlargest(_COMPARED, names, similarity)
+
+
+def _is_word(text: str, name: str) -> bool:
+    """Return whether a name has a text as one or several whole words, of `snake_case`, `CamelCase` or others."""
+    for match in re.finditer(re.escape(text), name, re.IGNORECASE):
+        before, after = name[: match.start()][-1:], name[match.end() :][:1]
+        begins = not before.isalnum() or (before.islower() and match[0][:1].isupper())
+        if begins and (not after.isalnum() or after.isupper()):
+            return True
+    return False
 
 
 def did_you_mean(name: str, known: Iterable[str], *, limit: int = 5) -> str:
-    """Return the end of an error text that suggests the names in `known` nearest to `name`.
+    """Return the end of an error text that suggests the names in `known` nearest to `name`, whatever their case.
 
-    Names that contain the text come first, then those with a similar spelling.
+    The same name in another case comes first, then names that contain the text as a word, those that differ by a typo,
+    those that contain it anywhere, and those with a similar spelling.
     """
     names = list(dict.fromkeys(known))
     if not names:
         return "there are none"
     folded = name.casefold()
+    by_fold: dict[str, list[str]] = {}
+    for known_name in names:
+        by_fold.setdefault(known_name.casefold(), []).append(known_name)
     parts = [n for n in names if folded and folded in n.casefold()]
-    alike = difflib.get_close_matches(folded, _candidates(folded, names), n=limit, cutoff=0.5)
-    by_fold = {n.casefold(): n for n in names}
-    similar = list(dict.fromkeys(parts + [by_fold[a] for a in alike]))[:limit]
+    words = [n for n in parts if _is_word(name, n)]
+    alike = difflib.get_close_matches(folded, _candidates(folded, [*by_fold]), n=limit, cutoff=0.5)
+    typos = [a for a in alike if difflib.SequenceMatcher(None, a, folded).ratio() >= _TYPO]
+    spelled, typed = ([n for a in group for n in by_fold[a]] for group in (alike, typos))
+    similar = list(dict.fromkeys([*by_fold.get(folded, ()), *words, *typed, *parts, *spelled]))[:limit]
     if similar:
         *others, last = map(repr, similar)
         return "did you mean " + (f"{', '.join(others)} or {last}?" if others else f"{last}?")

@@ -95,6 +95,32 @@ def test_names_that_are_spelled_alike_are_near() -> None:
     assert did_you_mean("LIGHTS", SETPOINTS) == "did you mean 'lights'?"
 
 
+TYPES = ["Fan:ZoneExhaust", "ZoneEarthtube", "ZoneList", "Zone", "HVACTemplate:Thermostat", "Version"]
+
+
+@pytest.mark.parametrize(
+    ("name", "nearest"),
+    [
+        ("Zonee", "'Zone'"),
+        ("zone", "'Zone'"),
+        ("ZONE", "'Zone'"),
+        ("Zoen", "'Zone'"),
+        ("thermostat", "'HVACTemplate:Thermostat'"),
+        ("vresion", "'Version'"),
+    ],
+)
+def test_a_typo_and_another_case_are_nearer_than_a_part_of_a_word(name: str, nearest: str) -> None:
+    assert did_you_mean(name, TYPES).startswith(f"did you mean {nearest}")
+
+
+@pytest.mark.parametrize(
+    "name", ["Zone Air Temperature 4711x", "zone air temperature 4711", "oZne Air Temperature 4711"]
+)
+def test_of_very_many_names_a_typo_at_any_place_finds_the_right_one(name: str) -> None:
+    known = [f"{kind} {number}" for number in range(5000) for kind in ("Zone Air Temperature", "Node Mass Flow Rate")]
+    assert did_you_mean(name, known).startswith("did you mean 'Zone Air Temperature 4711'")
+
+
 def test_where_nothing_is_near_some_are_shown() -> None:
     assert did_you_mean("qqq", SETPOINTS, limit=2) == (
         "there are: 'core_zn_cooling_setpoint', 'core_zn_heating_setpoint' and 2 more"
