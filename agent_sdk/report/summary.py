@@ -86,7 +86,7 @@ def _peak(run: Run, reference: Run, change: Difference, *, is_first: bool) -> st
         return f"{subject} about the same peak power ({number(own.mean)} kW)"
     lower = "lower" if change.mean < 0 else "higher"
     return (
-        f"{subject} a {abs(change.percent):.1f} % {lower} peak ({number(own.mean)} instead of {number(base.mean)} kW)"
+        f"{subject} a peak {abs(change.percent):.1f} % {lower} ({number(own.mean)} instead of {number(base.mean)} kW)"
     )
 
 

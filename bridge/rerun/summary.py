@@ -106,6 +106,10 @@ def quantity(value: float | None, unit: str, digits: int = 1) -> str:
     return _NO_VALUE if value is None else f"{value:,.{digits}f} {unit}".rstrip()
 
 
+def _people(count: float) -> str:
+    return "person" if round(count) == 1 else "people"
+
+
 def clock(time: datetime | None) -> str:
     """Return a simulated time: `Sun 2 Jul 2017, 17:30`; a dash for None."""
     return _NO_VALUE if time is None else f"{time:%a} {time.day} {time:%b %Y, %H:%M}"
@@ -119,7 +123,7 @@ def markdown(numbers: NodeNumbers) -> str:
     if numbers.zones_outside is not None:
         cells.append(("Outside comfort", f"{numbers.zones_outside} of {numbers.zones} zones"))
     if numbers.people is not None:
-        cells.append(("Occupants", quantity(numbers.people, "people", 0)))
+        cells.append(("Occupants", quantity(numbers.people, _people(numbers.people), 0)))
     cells += [
         (numbers.hvac_label, _kw(numbers.hvac_kw)),
         (f"{numbers.hvac_label} so far", _kwh(numbers.hvac_kwh)),

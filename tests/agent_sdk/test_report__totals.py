@@ -93,7 +93,7 @@ def test_the_result_names_savings_and_the_zone_that_pays_for_them(comparison: Co
     (text,) = texts_of(comparison)
     # 10 kW by day, 30 kW for ten hours: 440 kWh; the second controller uses a tenth less.
     assert text.startswith(
-        "rbc used 10.0 % less electricity than baseline (396 instead of 440 kWh), with a 10.0 % lower"
+        "rbc used 10.0 % less electricity than baseline (396 instead of 440 kWh), with a peak 10.0 % lower"
     )
     assert "However, occupied zones were outside the comfort band by 20 K h" in text
     assert "the worst zone is South (20 K h too warm)" in text

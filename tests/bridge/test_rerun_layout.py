@@ -13,7 +13,7 @@ from support.monitor import office, rows, samples, two_storeys
 from bridge.display.comfort import default_comfort
 from bridge.rerun.layout import blueprint
 from bridge.rerun.node_stream import NodeStream
-from bridge.rerun.summary import NodeNumbers, NodeRow, overview, quantity
+from bridge.rerun.summary import NodeNumbers, NodeRow, markdown, overview, quantity
 
 
 def _node(recording: rr.RecordingStream, **changes: Any) -> NodeStream:
@@ -86,6 +86,13 @@ def test_overview_has_a_row_for_each_node_in_order() -> None:
     for text in ("20.0 to 27.0 °C", "12.3 kW", "12,346 kWh", "1.0 K h", "none"):
         assert text in north
     assert "**south** (gone)" in south
+
+
+@pytest.mark.parametrize(
+    ("count", "text"), [(0.0, "0 people"), (0.6, "1 person"), (1.0, "1 person"), (2.0, "2 people")]
+)
+def test_one_person_is_not_people(count: float, text: str) -> None:
+    assert f"**{text}**" in markdown(NodeNumbers(people=count))
 
 
 def test_a_number_that_is_not_there_is_a_dash() -> None:

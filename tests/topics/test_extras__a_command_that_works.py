@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 import shlex
 import sys
 import tomllib
+from importlib.metadata import requires
 from pathlib import Path
+
+from gymnasium.wrappers import RecordVideo
 
 from topics.extras import install_command
 
@@ -33,3 +37,12 @@ def test_no_page_or_error_has_the_index_install_it() -> None:
         named |= set(re.findall(r"'\.\[([a-z-]+)\]'|install_command\(['\"]([a-z-]+)", text))
     assert {one or other for one, other in named} <= EXTRAS.keys()
     assert len(named) > 5
+
+
+def test_the_extra_for_videos_has_what_gymnasium_needs_for_them() -> None:
+    """Gymnasium's error names an extra of its own, which installs much that a video does not need."""
+    needed = [re.match(r"[\w-]+", line)[0] for line in requires("gymnasium") if 'extra == "other"' in line]
+    (extra,) = EXTRAS["video"]
+    assert re.match(r"[\w-]+", extra)[0] in needed
+    assert "moviepy" in inspect.getsource(RecordVideo)
+    assert "pip install -e '.[video]'" in (ROOT / "docs/environments.md").read_text()
