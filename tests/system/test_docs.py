@@ -263,6 +263,19 @@ def test_the_site_is_built_without_a_warning(site: Path) -> None:
 
 
 @pytest.mark.slow
+def test_the_landing_page_leads_to_each_guide_under_the_heading_of_its_section() -> None:
+    sections = {
+        name: pages for part in yaml.safe_load((ROOT / "mkdocs.yml").read_text())["nav"] for name, pages in part.items()
+    }
+    guides = {name: pages for name, pages in sections.items() if name not in ("Start", "Concepts", "Reference")}
+    text = (DOCS / "index.md").read_text()
+    headings = re.findall(r"^### (.+)$", text, re.M)
+    assert [name for name in headings if name in guides] == [*guides]
+    for pages in guides.values():
+        assert len(pages) <= 10
+        assert all(f"]({page})" in text for part in pages for page in part.values())
+
+
 def test_the_site_fetches_nothing_from_elsewhere(site: Path) -> None:
     for page in site.rglob("*.html"):
         fetched = re.findall(r"<(?:script|img|iframe)\b[^>]*\bsrc=\"([^\"]+)\"", page.read_text(encoding="utf-8"))
