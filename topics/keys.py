@@ -186,7 +186,7 @@ OWN_STREAM = "*"
 """Key expression, below a node's root, of the topics with one chunk (manifest, sample, event), in the order sent."""
 
 WAKE = "wake"
-"""Key, below a node's root, with which a process wakes its own receiving thread; never sent to other processes."""
+"""Prefix of the keys, below a node's root, with which a process wakes its own receivers; never sent to others."""
 
 
 def is_streamed(topic: Topic) -> bool:
@@ -199,9 +199,9 @@ def stream(node: str) -> str:
     return f"{root(node)}/{OWN_STREAM}"
 
 
-def wake(node: str) -> str:
-    """Return the key with which a subscriber to a node's stream wakes itself."""
-    return f"{root(node)}/{WAKE}"
+def wake(node: str, receiver: int) -> str:
+    """Return the key with which a process wakes one of its receivers of a node's stream; each has a number."""
+    return f"{root(node)}/{WAKE}-{receiver}"
 
 
 def root(node: str) -> str:

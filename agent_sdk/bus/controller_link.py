@@ -20,7 +20,7 @@ from agent_sdk.bus.sample import SampleView, is_after
 from bridge.runtime import affinity
 from bridge.runtime.affinity import Affinity
 from bridge.runtime.polling import Polling
-from bridge.transport.wakeup import Wake
+from bridge.transport.wakeup import Wake, stream_wake
 from topics import codec, keys
 from topics.errors import (
     EpisodeChanged,
@@ -77,7 +77,7 @@ class ControllerLink:
         self.name = claim.controller
         self._claim, self._claimed = claim, False
         self._close = ExitStack()
-        self._wake = Wake(bus.session, keys.wake(node))
+        self._wake = stream_wake(bus.session, node)
         self._busy = False
         self._ended: ZenostatError | None = None
         self._closed: ZenostatError | None = None
@@ -99,7 +99,6 @@ class ControllerLink:
         self._names = value_index(manifest)
         self._encode = CommandEncoder(manifest).encode
         self._sample_key = keys.SAMPLE.at(manifest.node)
-        self._wake_key = keys.wake(manifest.node)
         declare = self._close.enter_context
         self._inbox = session.declare_subscriber(keys.stream(manifest.node), RingChannel(_INBOX))
         self._close.callback(undeclare, self._inbox)
@@ -319,7 +318,7 @@ class ControllerLink:
         node = self.manifest.node
         if self._closed is not None:
             raise self._closed
-        if key == self._wake_key and self._node.lost:
+        if key == self._wake.key and self._node.lost:
             self._ended = NodeLost(f"node {node!r} is gone{self._where()}")
             raise self._ended
         if key != keys.EVENT.at(node):

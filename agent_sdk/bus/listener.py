@@ -7,14 +7,15 @@ from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING
 
 import zenoh
-from zenoh.handlers import Callback, RingChannel
+from zenoh.handlers import RingChannel
 
 from agent_sdk.bus import fork_guard
+from agent_sdk.bus.presence import NodeWatch
 from agent_sdk.bus.sample import SampleView
 from bridge.transport.session import FORKED
-from bridge.transport.wakeup import Wake
+from bridge.transport.wakeup import stream_wake
 from topics import codec, keys
-from topics.errors import BusError, NodeLost
+from topics.errors import BusError, NodeLost, NodeNotFound
 from topics.messages import Sample
 from topics.points import value_index
 
@@ -29,19 +30,15 @@ def listen(bus: Bus, node: str) -> Iterator[Iterator[SampleView]]:
     """Yield an iterator over a node's samples from now on; see `Bus.listen`."""
     manifest = bus.manifest(node)
     names = value_index(manifest)
-    token, wake_key = keys.NODE_TOKEN.at(node, name=manifest.instance), keys.wake(node)
-    wake = Wake(bus.session, wake_key)
-
-    def on_token(sample: zenoh.Sample) -> None:
-        if sample.kind == zenoh.SampleKind.DELETE:
-            wake()
-
     with ExitStack() as stack, _unless_forked(bus, stack) as session:
         inbox = stack.enter_context(session.declare_subscriber(keys.stream(node), RingChannel(_INBOX)))
-        watch = session.liveliness().declare_subscriber(token, Callback(on_token, indirect=False))
-        stack.callback(watch.undeclare)
+        wake = stream_wake(session, node)
+        watch = NodeWatch(session, node, wake)
+        stack.callback(watch.close)
         stack.callback(wake.close)
-        bus.manifest(node)  # without this, the loss of a node that left meanwhile would not be reported
+        watch.watch(manifest.instance)
+        if not watch.wait():
+            raise NodeNotFound(f"node {node!r} is not on the bus")
 
         def samples() -> Iterator[SampleView]:
             while True:
@@ -49,7 +46,7 @@ def listen(bus: Bus, node: str) -> Iterator[Iterator[SampleView]]:
                     raise BusError(FORKED)
                 message = inbox.recv()
                 key = str(message.key_expr)
-                if key == wake_key:
+                if key == wake.key and watch.lost:
                     raise NodeLost(f"node {node!r} is gone")
                 if key == keys.SAMPLE.at(node):
                     sample = codec.decode(Sample, message.payload.to_bytes(), str(message.encoding))

@@ -87,7 +87,7 @@ def test_the_own_stream_is_the_manifest_the_samples_and_the_events() -> None:
     stream = KeyExpr(f"{keys.root('office')}/{keys.OWN_STREAM}")
     within = {t.key for t in TOPICS if stream.intersects(KeyExpr(t.at("office", name="one")))}
     assert within == {"manifest", "sample", "event"}
-    wake = KeyExpr(f"{keys.root('office')}/{keys.WAKE}")
+    wake = KeyExpr(keys.wake("office", 7))
     assert stream.includes(wake)
     assert not [t.key for t in TOPICS if wake.intersects(KeyExpr(t.at("office", name="*")))]
 
