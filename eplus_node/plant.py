@@ -186,7 +186,8 @@ class EnergyPlusPlant(EnergyPlusEngines):
         """Draw the weather of the next episode of some slots; see `Plant.next_episode`."""
         self._episode = [*episode]
         for slot, seed, is_untouched in zip(slots, seeds, untouched, strict=True):
-            self._starts[slot] = self._pools[slot].next_episode(seed, episode[slot], untouched=is_untouched)
+            waiting = self.members([slot], baseline=True) if is_untouched else []
+            self._starts[slot] = self._pools[slot].next_episode(seed, episode[slot], untouched=waiting)
         return self._episode_starts(slots)
 
     def episode_inputs(self, slot: int) -> dict[str, Any]:

@@ -75,6 +75,7 @@ class EngineClient:
         self._values_bytes = self._frame_bytes[16 : 16 + 8 * values]
         self._feedback_bytes = self._frame_bytes[16 + 8 * values :]
         self._finish = struct.pack("=dd", OrderKind.FINISH, 0.0) + bytes(8 * spec.actuators)
+        self._repeat = struct.pack("=dd", OrderKind.REPEAT, 0.0) + bytes(8 * spec.actuators)
         self._order_bytes = 8 * spec.actuators
         self._step = struct.pack("=dd", OrderKind.STEP, 0.0)
         self.last = False
@@ -171,6 +172,18 @@ class EngineClient:
             EngineDied: the process has ended.
         """
         self._send_text(OrderKind.RESET, seed=seed)
+
+    def confirm(self) -> None:
+        """Have the engine, which waits at a sample, send it again.
+
+        Raises:
+            EngineDied, EngineUnresponsive: as `receive` does.
+        """
+        try:
+            send_all(self._orders, self._repeat, self._watchdog())
+        except ConnectionError:
+            raise EngineDied(self._exit_report()) from None
+        self.receive()
 
     def save(self, path: Path) -> None:
         """Let the simulator write its state to a file.

@@ -21,6 +21,9 @@ A `SAVE` order likewise contains `{"path": text}`. The engine writes its state t
 64-bit integer), or writes the reason to it and replies with -1; it keeps waiting at its sample. EnergyPlus has neither
 order.
 
+A `REPEAT` order makes the engine send its present sample again. Its reply proves that it is alive: the frame of one
+that has died may still wait in the socket, and the system reports a killed process as running for some milliseconds.
+
 A `FAILED` frame contains the length of a UTF-8 text in place of the step, and the text follows.
 
 Sample 0 is the state after warm-up. EnergyPlus's last sample is sent once it has ended the run without an error.
@@ -51,3 +54,4 @@ class OrderKind(IntEnum):
     FORK = 3
     RESET = 4
     SAVE = 5
+    REPEAT = 6

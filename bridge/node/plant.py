@@ -257,7 +257,7 @@ class Plant(RunningPlant, Protocol):
     def next_episode(
         self, slots: Sequence[int], seeds: Sequence[int | None], episode: Sequence[int], untouched: Sequence[bool]
     ) -> list[EpisodeStart]:
-        """Choose the inputs of the next episode of some slots; `start` begins it. Does not wait for a simulator.
+        """Choose the inputs of the next episode of some slots; `start` begins it. Waits for no simulator to start.
 
         Args:
             slots: slots to reset.

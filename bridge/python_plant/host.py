@@ -154,7 +154,7 @@ class PlantHost:
         elif kind == OrderKind.SAVE:
             self._save(Path(json.loads(self._text())["path"]))
             return
-        else:
+        elif kind != OrderKind.REPEAT:
             leave(0)
         self._send()
 

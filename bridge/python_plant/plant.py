@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -251,6 +252,7 @@ class PythonPlant(PythonEngines):
         self._random = [np.random.default_rng() for _ in context.placement]
         self._seeds = [self._draw(slot, None) for slot in range(context.slots)]
         self._replaced: list[EngineClient] = []
+        self._warnings: list[str] = []
 
     def _draw(self, slot: int, seed: int | None) -> int:
         """Return the seed of an episode; None draws the next one after the last seed."""
@@ -309,14 +311,29 @@ class PythonPlant(PythonEngines):
 
     def _restart(self, clients: list[EngineClient], slots: Sequence[int]) -> None:
         slots = [slot for slot in slots if slot < len(clients)]
+        is_reset = {slot: self._send_reset(clients, slot) for slot in slots}
         for slot in slots:
+            try:
+                clients[slot].receive()
+            except EngineDied as error:
+                if not is_reset[slot] or self._context.registry.closing:
+                    raise
+                self._warnings.append(f"the process of slot {slot} is replaced: {error}")
+                self._replace(clients, slot)
+                clients[slot].receive()
+
+    def _send_reset(self, clients: list[EngineClient], slot: int) -> bool:
+        """Order an episode of a process that runs; return whether it does, or start another one."""
+        with suppress(EngineDied):
             if clients[slot].alive:
                 clients[slot].send_reset(self._seeds[slot])
-            else:
-                clients[slot].close()
-                clients[slot] = self._start(slot)
-        for slot in slots:
-            clients[slot].receive()
+                return True
+        self._replace(clients, slot)
+        return False
+
+    def _replace(self, clients: list[EngineClient], slot: int) -> None:
+        clients[slot].close()
+        clients[slot] = self._start(slot)
 
     def _start(self, slot: int) -> EngineClient:
         placement: SlotPlacement = self._context.placement[slot]
@@ -364,8 +381,9 @@ class PythonPlant(PythonEngines):
             client.close()
 
     def drain_warnings(self) -> list[str]:
-        """Return no warnings."""
-        return []
+        """Return warnings about processes that were replaced, since the last call."""
+        warnings, self._warnings = self._warnings, []
+        return warnings
 
     def interrupt(self) -> None:
         """Kill all processes, also those that are starting; thread-safe."""

@@ -123,13 +123,13 @@ class EnginePool:
         """The folder of EnergyPlus's output of the present episode; empty if it is not kept."""
         return str(self.files.model.parent) if self._output_kept else ""
 
-    def next_episode(self, seed: int | None, episode: int, *, untouched: bool) -> EngineStart:
+    def next_episode(self, seed: int | None, episode: int, *, untouched: Sequence[EngineClient] = ()) -> EngineStart:
         """Draw the weather of the next episode, and return where its engine will come from.
 
         Args:
             seed: restarts the sequence of draws; None continues it. The first episode is drawn on construction.
             episode: its number.
-            untouched: whether the present engine is still waiting at sample 0.
+            untouched: the engines of the present episode, if they still wait at its sample 0.
         """
         return self._begin(self._draw(seed), episode, untouched=untouched, is_seeded=seed is not None)
 
@@ -142,14 +142,16 @@ class EnginePool:
         if not (0 <= draw.source < len(self._plan.sources) and 0 <= draw.noise < 1 << 63):
             raise InvalidRecording(f"there is no weather {draw}; the scenario has {len(self._plan.sources)} files")
         self._has_begun, self._consecutive_seeds = True, _UNPREDICTABLE
-        return self._begin(draw, episode, untouched=False, is_seeded=True)
+        return self._begin(draw, episode, untouched=(), is_seeded=True)
 
-    def _begin(self, draw: WeatherDraw, episode: int, *, untouched: bool, is_seeded: bool) -> EngineStart:
+    def _begin(
+        self, draw: WeatherDraw, episode: int, *, untouched: Sequence[EngineClient], is_seeded: bool
+    ) -> EngineStart:
         self._drop_starting()
         self._episode = episode
         previous, self.draw = self.draw, draw
         output_kept, self._output_kept = self._output_kept, self._folders.keep
-        if untouched and self.draw == previous and output_kept == self._folders.keep:
+        if self.draw == previous and output_kept == self._folders.keep and self._are_alive(untouched):
             if is_seeded:
                 self._drop_prefetched()  # it was drawn after the previous seed
             return EngineStart.REUSED
@@ -167,6 +169,16 @@ class EnginePool:
         self._drop_prefetched()
         self._replace_files(self._prepare_files(episode))
         return EngineStart.STARTED
+
+    def _are_alive(self, engines: Sequence[EngineClient]) -> bool:
+        """Return whether there are engines, and all of them answer."""
+        try:
+            for engine in engines:
+                engine.confirm()
+        except EngineDied as error:
+            self.warnings.append(f"the engine waiting at sample 0 is replaced: {error}")
+            return False
+        return bool(engines)
 
     def _prepare_files(self, episode: int) -> EpisodeFiles:
         """Write the files of the present episode, and those of its template if there are none."""
@@ -224,6 +236,8 @@ class EnginePool:
         assert engine is not None
         try:
             _receive_first(engine)
+            if prefetched is not None:
+                engine.confirm()  # its frame may have arrived long before
         except EngineDied as error:
             if prefetched is None or self._registry.closing:
                 raise

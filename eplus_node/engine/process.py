@@ -38,7 +38,8 @@ _MINUTE_TOLERANCE = 0.01
 """In minutes: rounding errors are smaller, and a system timestep has at least one minute."""
 
 # Plain numbers on the hot path: in Python 3.11, looking up an enum's member raises and catches an error.
-_SAMPLE, _STEP, _FORK = float(FrameKind.SAMPLE), float(OrderKind.STEP), float(OrderKind.FORK)
+_SAMPLE, _STEP = float(FrameKind.SAMPLE), float(OrderKind.STEP)
+_FORK, _REPEAT = float(OrderKind.FORK), float(OrderKind.REPEAT)
 
 
 class Engine:
@@ -290,14 +291,16 @@ class Engine:
                 got = 0
             if not got:
                 leave(0)  # the node has ended, or has closed this run
-            if command[0] != _FORK:
-                break
-            self._fork()  # parent and child then both send the sample at which they wait
-        if command[0] != _STEP:
-            self.finishing = True
-            self.api.runtime.stop_simulation(state)
-            return
-        self._apply(state, command[2:])
+            kind = command[0]
+            if kind == _STEP:
+                self._apply(state, command[2:])
+                return
+            if kind == _FORK:
+                self._fork()  # parent and child then both send the sample at which they wait
+            elif kind != _REPEAT:
+                self.finishing = True
+                self.api.runtime.stop_simulation(state)
+                return
 
     def _apply(self, state: int, values: array[float]) -> None:
         set_actuator = self.set_actuator

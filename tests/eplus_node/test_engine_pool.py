@@ -182,7 +182,7 @@ def test_template__that_dies_within_a_reset_leaves_the_files_of_its_successor(fo
     pool = EnginePool(small_plan, folder, [template])
     first = pool.engine(0)
     assert template.engine is not None
-    assert pool.next_episode(None, 1, untouched=False) is EngineStart.FORKED
+    assert pool.next_episode(None, 1, untouched=()) is EngineStart.FORKED
     ended(template.engine)
     second = pool.engine(1)
     assert second.step == 0
@@ -198,7 +198,7 @@ def test_reused_engine__that_dies_within_a_reset_leaves_the_files_of_its_success
 ) -> None:
     pool = EnginePool(noisy_plan, folder, [EngineTemplate()])
     first = pool.engine(0)
-    assert pool.next_episode(None, 1, untouched=True) is EngineStart.REUSED
+    assert pool.next_episode(None, 1, untouched=[first]) is EngineStart.REUSED
     ended(first)
     second = pool.engine(1)
     first.close()
@@ -212,9 +212,9 @@ def test_reused_engine__that_dies_within_a_reset_leaves_the_files_of_its_success
 def test_prefetched_engine__that_dies_within_a_reset_is_replaced(folder: Path, noisy_plan: Plan) -> None:
     pool = EnginePool(noisy_plan, folder, [EngineTemplate()])
     first = pool.engine(0)
-    assert pool.next_episode(None, 0, untouched=True) is EngineStart.REUSED
+    assert pool.next_episode(None, 0, untouched=[first]) is EngineStart.REUSED
     pool.prefetch(0)
-    assert pool.next_episode(None, 1, untouched=False) is EngineStart.PREFETCHED
+    assert pool.next_episode(None, 1, untouched=()) is EngineStart.PREFETCHED
     noise = pool.files.noise_parameters
     ahead = pool._prefetched
     assert ahead is not None
