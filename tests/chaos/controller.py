@@ -126,6 +126,8 @@ def main() -> int:
     except (NodeLost, NodeNotFound) as error:
         sys.stderr.write(f"{error}\n")
         return LOST
+    finally:
+        signal.signal(signal.SIGUSR1, signal.SIG_IGN)  # else Python restores the default as it ends, which kills
     return 0
 
 

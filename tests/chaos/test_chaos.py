@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import itertools
+import json
 import re
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -14,6 +16,7 @@ import numpy as np
 import pytest
 
 from chaos.account import Account, Episode
+from chaos.controller import LOST
 from chaos.crew import environment
 from chaos.disturbances import Disturbance, script
 from chaos.invariants import _contiguous, _flat
@@ -268,3 +271,17 @@ def test_nothing_of_an_episode_rules_the_next() -> None:
 
     assert after(lambda: sample(1, episode=1, ruled=f"{BASE} {BASE}", rows="20 21")) == []
     assert after(lambda: sample(1, episode=1, ruled=BOTH, rows="30 21"))
+
+
+def test_a_controller_that_leaves_is_not_ended_by_the_signal_to_repeat(tmp_path: Path) -> None:
+    """The signal comes again and again, also while the interpreter ends."""
+    settings = {"endpoint": f"unixsock-stream/{tmp_path}/none", "journal": str(tmp_path / "journal")}
+    previous = signal.signal(signal.SIGUSR1, signal.SIG_IGN)  # inherited, as in a run
+    try:
+        command = [sys.executable, "-P", "-m", "chaos.controller", json.dumps(settings)]
+        process = subprocess.Popen(command, env=environment(), stderr=subprocess.DEVNULL)
+    finally:
+        signal.signal(signal.SIGUSR1, previous)
+    while process.poll() is None:
+        process.send_signal(signal.SIGUSR1)
+    assert process.returncode == LOST
