@@ -158,6 +158,7 @@ class NodeServer:
             self._run_tasks()
             return False
         controller, message = received
+        self.subscriptions.run_writes()
         payload, encoding = message.payload.to_bytes(), str(message.encoding)
         if self._recorder is not None:
             self._recorder.received(keys.COMMAND, controller, payload, encoding)

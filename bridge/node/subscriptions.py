@@ -121,6 +121,7 @@ class Subscriptions:
         self.recorder: Recorder | None = None
         self._tasks: deque[Callable[[], None]] = deque()
         self._queues = [self._tasks]
+        self._before_commands: list[deque[Callable[[], None]]] = []
         self.rate_limited = 0
         self._close = ExitStack()
         self._thread_id = 0
@@ -195,6 +196,15 @@ class Subscriptions:
             self._turn -= 1
             self._tasks.popleft()()
 
+    def run_writes(self) -> None:
+        """Run what was received on the topics whose messages take effect before commands that were sent later.
+
+        Zenoh keeps the order of one session's messages, so what it sent before a command is waiting by now.
+        """
+        for waiting in self._before_commands:
+            for _ in range(len(waiting)):
+                waiting.popleft()()
+
     def end_turn(self) -> None:
         """Run no further tasks in this turn, so that the server's thread simulates a step before them if it can."""
         self._turn = 0
@@ -226,14 +236,20 @@ class Subscriptions:
 
     # Subscribers and queryables besides commands
 
-    def _queue(self) -> deque[Callable[[], None]]:
+    def _queue(self, topic: keys.Topic) -> deque[Callable[[], None]]:
         queue: deque[Callable[[], None]] = deque()
         self._queues.append(queue)
+        if topic in (keys.ACTUATOR, keys.WRITE_REQUEST):
+            self._before_commands.append(queue)
         return queue
+
+    def _post_next(self, waiting: deque[Callable[[], None]]) -> None:
+        """Run the first message of a topic in the server's thread, unless `run_writes` has run it by then."""
+        self.post(lambda: waiting.popleft()() if waiting else None)
 
     def listen(self, topic: keys.Topic, handler: Handler) -> None:
         """Subscribe to a topic; the server's thread handles its messages."""
-        waiting = self._queue()
+        waiting = self._queue(topic)
 
         def receive(name: str, payload: bytes, encoding: str) -> None:
             if self.recorder is not None:
@@ -247,7 +263,7 @@ class Subscriptions:
             name = keys.last_chunk(str(message.key_expr))
             payload, encoding = message.payload.to_bytes(), str(message.encoding)
             waiting.append(lambda: receive(name, payload, encoding))
-            self.post(lambda: waiting.popleft()())  # noqa: PLW0108  # the first is determined when the task runs
+            self._post_next(waiting)
 
         subscriber = self._session.declare_subscriber(
             topic.at(self.node, name="*"), Callback(on_message, indirect=False)
@@ -335,7 +351,7 @@ class Subscriptions:
             handler: is called with each request.
             on_receipt: called first for each request, in the thread that receives it.
         """
-        waiting = self._queue()
+        waiting = self._queue(topic)
 
         def on_query(query: zenoh.Query) -> None:
             request = Request(query, topic, self)
@@ -345,7 +361,7 @@ class Subscriptions:
                 return
             on_receipt(request)
             waiting.append(lambda: handler(request))
-            self.post(lambda: waiting.popleft()())  # noqa: PLW0108  # the first is determined when the task runs
+            self._post_next(waiting)
 
         key = topic.at(self.node, name="*")
         queryable = self._session.declare_queryable(key, Callback(on_query, indirect=False), complete=True)

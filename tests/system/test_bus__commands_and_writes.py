@@ -30,11 +30,13 @@ from topics.messages import (
     ErrorReply,
     Event,
     EventKind,
+    Flag,
     Message,
     Reset,
     Sample,
     State,
     Status,
+    Write,
 )
 
 POINT = "core_zn_cooling_setpoint"
@@ -179,6 +181,23 @@ def test_a_write_that_is_acknowledged_is_in_effect_in_the_next_timestep(client: 
     assert sample.step == [ack.step[0] + 1]
     assert np.frombuffer(sample.effective)[index] == np.frombuffer(sample.commanded)[index] == 26.5
     assert sample.sources[np.frombuffer(sample.source_index, "<u2")[index]] == "panel"
+
+
+def test_a_write_acts_in_the_timestep_that_the_next_command_of_its_session_completes(client: Client) -> None:
+    """Both are puts, so nothing waits between them: hundreds of pairs, in the order in which they were sent."""
+    client.claim("one")
+    index, misplaced = client.actuators.index(POINT), []
+    for number in range(200):
+        value = 26.0 + number % 3
+        client.put(keys.ACTUATOR, POINT, Write(value=value, source="writer"))
+        client.put(keys.COMMAND, "one", client.command(), codec.encoding(Command))
+        sample = client.next_sample()
+        if np.frombuffer(sample.commanded)[index] != value:
+            misplaced.append(number)
+        if sample.flags[0] & Flag.TRUNCATED:
+            client.ask(keys.RESET, "", Reset())
+            client.next_sample()
+    assert misplaced == []
 
 
 def test_a_command_is_answered_as_its_event_says(client: Client) -> None:
