@@ -24,7 +24,7 @@ from bridge.node.pacing import Pacing
 from bridge.node.plant import RunningPlant
 from bridge.node.publications import Publications
 from bridge.node.request_handlers import RequestHandlers
-from bridge.node.subscriptions import COMMAND_QUEUE, MAX_PENDING, Subscriptions
+from bridge.node.subscriptions import COMMAND_QUEUE, Subscriptions
 from bridge.recording.channels import SAMPLES
 from bridge.runtime.timer import Timer
 from topics import codec, errors, keys
@@ -136,7 +136,9 @@ class NodeServer:
                 else:
                     self._receive(wait=True)
         except Stopped:
+            self._stopped = True
             self.exchange.transition(Trigger.STOP)
+            self.subscriptions.end()
             self.event(self.exchange.event(EventKind.STOPPED, "the node was stopped by a request or a signal"))
 
     def stop_serving(self) -> None:
@@ -158,7 +160,6 @@ class NodeServer:
             self._run_tasks()
             return False
         controller, message = received
-        self.subscriptions.run_writes()
         payload, encoding = message.payload.to_bytes(), str(message.encoding)
         if self._recorder is not None:
             self._recorder.received(keys.COMMAND, controller, payload, encoding)
@@ -219,7 +220,7 @@ class NodeServer:
             last = self.plant.step(commands, exchange.active_slots)
         except SimulatorError as error:
             if self.stopping:
-                self.subscriptions.run_pending(limit=MAX_PENDING)
+                raise Stopped from None
             self.fail(error)
             return
         exchange.finish_step(last, monotonic())

@@ -21,7 +21,7 @@ from zenoh.handlers import Callback, FifoChannel
 
 from bridge.transport.wakeup import Wake
 from topics import codec, errors, keys
-from topics.errors import BadMessage, RequestRejected, ZenostatError
+from topics.errors import BadMessage, NodeLost, RequestRejected, ZenostatError
 from topics.messages import ErrorReply, Message, Query
 
 if TYPE_CHECKING:
@@ -126,7 +126,7 @@ class Subscriptions:
         self._close = ExitStack()
         self._thread_id = 0
         self._is_waiting = False
-        self._is_command_next = False
+        self._is_command_next = self._has_ended = False
         self._turn = 0
         self._wake = Wake(session, keys.COMMAND.at(node, name=_WAKE))
         commands = session.declare_subscriber(keys.COMMAND.at(node, name="*"), FifoChannel(COMMAND_QUEUE))
@@ -149,6 +149,7 @@ class Subscriptions:
         try:
             self._wake.close()
             self._close.close()
+            self.end()  # requests that arrived meanwhile
         finally:
             closed.set()
             if drain.ident is not None:
@@ -172,7 +173,8 @@ class Subscriptions:
     def receive(self, *, wait: bool) -> tuple[str, zenoh.Sample] | None:
         """Return the next command and its controller; None if tasks are pending, or nothing has arrived.
 
-        If both are pending, commands and tasks take turns.
+        If both are pending, commands and tasks take turns. Writes that have arrived are carried out first: Zenoh keeps
+        the order of one session's messages, so what a controller wrote before its command is waiting by now.
         """
         if wait:
             self._thread_id = threading.get_ident()
@@ -187,7 +189,12 @@ class Subscriptions:
         if message is None:
             return None
         controller = str(message.key_expr)[self._prefix :]
-        return None if controller == _WAKE else (controller, message)
+        if controller == _WAKE:
+            return None
+        for waiting in self._before_commands:
+            if waiting:
+                self._run_all(waiting)
+        return controller, message
 
     def run_pending(self, *, limit: int = _TASKS_PER_TURN) -> None:
         """Run up to `limit` of the tasks that other threads have posted, or fewer if one ends the turn."""
@@ -196,18 +203,26 @@ class Subscriptions:
             self._turn -= 1
             self._tasks.popleft()()
 
-    def run_writes(self) -> None:
-        """Run what was received on the topics whose messages take effect before commands that were sent later.
+    @staticmethod
+    def _run_all(waiting: deque[Callable[[], None]]) -> None:
+        for _ in range(len(waiting)):
+            waiting.popleft()()
 
-        Zenoh keeps the order of one session's messages, so what it sent before a command is waiting by now.
-        """
-        for waiting in self._before_commands:
-            for _ in range(len(waiting)):
-                waiting.popleft()()
+    def end(self) -> None:
+        """Answer all requests that are waiting, those to stop with their reply and all others with an error."""
+        self._has_ended = True
+        for waiting in self._queues[1:]:
+            self._run_all(waiting)
 
     def end_turn(self) -> None:
         """Run no further tasks in this turn, so that the server's thread simulates a step before them if it can."""
         self._turn = 0
+
+    def _is_refused(self, topic: keys.Topic) -> bool:
+        return self._has_ended and topic is not keys.STOP
+
+    def _reject_ending(self) -> Message:
+        raise NodeLost(f"node {self.node!r} is ending")
 
     # For any thread
 
@@ -244,7 +259,7 @@ class Subscriptions:
         return queue
 
     def _post_next(self, waiting: deque[Callable[[], None]]) -> None:
-        """Run the first message of a topic in the server's thread, unless `run_writes` has run it by then."""
+        """Run the first message of a topic in the server's thread, unless it has run before a command by then."""
         self.post(lambda: waiting.popleft()() if waiting else None)
 
     def listen(self, topic: keys.Topic, handler: Handler) -> None:
@@ -262,7 +277,7 @@ class Subscriptions:
                 return
             name = keys.last_chunk(str(message.key_expr))
             payload, encoding = message.payload.to_bytes(), str(message.encoding)
-            waiting.append(lambda: receive(name, payload, encoding))
+            waiting.append(lambda: None if self._has_ended else receive(name, payload, encoding))
             self._post_next(waiting)
 
         subscriber = self._session.declare_subscriber(
@@ -360,7 +375,7 @@ class Subscriptions:
                 request.answer(_reject, is_recorded=False)  # in another thread
                 return
             on_receipt(request)
-            waiting.append(lambda: handler(request))
+            waiting.append(lambda: request.answer(self._reject_ending) if self._is_refused(topic) else handler(request))
             self._post_next(waiting)
 
         key = topic.at(self.node, name="*")
