@@ -5,6 +5,7 @@ from __future__ import annotations
 import pickle
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
 from functools import partial
 from typing import Any
 
@@ -57,16 +58,38 @@ def check_plant(
         raise InvalidConfig(f"an instance of {name_of(plant)}; its class expected: check_plant({name_of(plant)})")
     context = _CheckContext(partial(factory, **(arguments or {})), max_steps)
     checks = {name: check for name, check in PLANT_CHECKS.items() if context.applies(check)}
-    return run(name_of(factory), checks, context, skip).require()
+    try:
+        return run(name_of(factory), checks, context, skip).require()
+    finally:
+        context.close()
 
 
 class _CheckContext:
     """Factory of a plant, with its description and an episode of it."""
 
     def __init__(self, make: Callable[[], Any], max_steps: int) -> None:
-        self.make, self._max_steps = make, max_steps
+        self._create, self._max_steps = make, max_steps
+        self._open: list[Any] = []
         self._description: ClassDescription | None = None
         self._episode: list[Values] | None = None
+
+    def make(self) -> Any:
+        """Create an instance, which `close` closes unless a check has closed it."""
+        plant = self._create()
+        if callable(getattr(plant, "close", None)):
+            self._open.append(plant)
+        return plant
+
+    def close_instance(self, plant: Any) -> None:
+        """Close an instance; raises what its `close` raises."""
+        self._open = [other for other in self._open if other is not plant]
+        plant.close()
+
+    def close(self) -> None:
+        """Close all instances that are open."""
+        for plant in [*self._open]:
+            with suppress(Exception):  # a check of its own reports it
+                self.close_instance(plant)
 
     @property
     def description(self) -> ClassDescription:
@@ -105,6 +128,8 @@ class _CheckContext:
             return True  # the first check reports it, and the others are skipped
         if check is _saves:
             return description.has_state
+        if check is _closes:
+            return description.has_close
         return check is not _has_no_threads or description.forkable
 
     def play(self, plant: Any, seed: int, steps: int, commands: Commands | None = None) -> list[Values]:
@@ -268,6 +293,17 @@ def _has_no_threads(context: _CheckContext) -> Iterator[str]:
         yield f"it started {', '.join(started)}, which a fork loses; use save() and restore(state) instead"
 
 
+def _closes(context: _CheckContext) -> Iterator[str]:
+    plant = context.make()
+    tries = [("a new instance", context.make()), ("an instance within an episode", plant)]
+    context.play(plant, _SEED, context.few)
+    for what, instance in tries:
+        try:
+            context.close_instance(instance)
+        except (Exception, SystemExit) as error:
+            yield raised(error, f"close() of {what}")
+
+
 def _difference(expected: list[Values], actual: list[Values], description: str) -> Iterator[str]:
     """Compare samples up to the end of the shorter episode, to the bit."""
     for step, (first, second) in enumerate(zip(expected, actual, strict=False)):
@@ -288,5 +324,6 @@ PLANT_CHECKS: dict[str, Check[_CheckContext]] = {
     "shares no state between instances": _separate,
     "continues from a saved state": _saves,
     "starts no threads if it is forkable": _has_no_threads,
+    "can be closed": _closes,
 }
 """Checks by name, in the order in which `check_plant` runs them."""

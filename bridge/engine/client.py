@@ -51,6 +51,7 @@ def _start(spec: EngineSpec) -> tuple[SocketPair, Process]:
             stdin=subprocess.DEVNULL,
             stdout=2 if spec.program.prints else subprocess.DEVNULL,
             stderr=2 if spec.program.prints else log,
+            start_new_session=spec.program.leads_session,
         )
     return ours, process
 
@@ -79,7 +80,8 @@ class EngineClient:
         self._order_bytes = 8 * spec.actuators
         self._step = struct.pack("=dd", OrderKind.STEP, 0.0)
         self.last = False
-        self._interrupted = False
+        self._interrupted = ""
+        self._closing_until_s = 0.0
         if forked is None:
             self.registry.check_open()
         self._sockets, self._process = forked or _start(spec)
@@ -253,10 +255,41 @@ class EngineClient:
         """Specification of its run."""
         return self._spec
 
-    def interrupt(self) -> None:
-        """Kill the process, so that the thread waiting for its frame gets `EngineDied`; thread-safe."""
-        self._interrupted = True
+    def interrupt(self, reason: str = "the node ends") -> None:
+        """Kill the process, so that the thread waiting for its frame gets `EngineDied` with a reason; thread-safe.
+
+        One that has been told to close is left alone for `close_s`.
+        """
+        if monotonic() < self._closing_until_s:
+            return
+        self._interrupted = reason
+        self._kill()
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether it was killed by `interrupt`."""
+        return bool(self._interrupted)
+
+    def _kill(self) -> None:
+        if self._spec.program.leads_session:
+            with suppress(ProcessLookupError, PermissionError):
+                os.killpg(self._process.pid, signal.SIGKILL)
         self._process.kill()
+
+    def order_close(self) -> bool:
+        """Tell a simulator that has something to release to end; return whether it was told. `close` waits for it."""
+        if not self._spec.close_s or self._interrupted or self._closing_until_s or not self.alive:
+            return False
+        self._closing_until_s = monotonic() + self._spec.close_s
+        with suppress(OSError):  # it has ended, or has not read its previous orders
+            self._orders.send(self._finish, socket.MSG_DONTWAIT)
+        return True
+
+    def await_close(self) -> None:
+        """Wait until a simulator that was told to end has ended, for `close_s` at most."""
+        if self._closing_until_s:
+            with suppress(subprocess.TimeoutExpired):
+                self._process.wait(max(self._closing_until_s - monotonic(), 0.0))
 
     @property
     def step(self) -> int:
@@ -318,7 +351,7 @@ class EngineClient:
 
         def check() -> None:
             if self._interrupted:
-                raise EngineDied("the engine process was killed because the node ends")
+                raise EngineDied(f"the engine process was killed because {self._interrupted}")
             limit_s = self.registry.unresponsive_s
             if watch.look() < limit_s:
                 return
@@ -371,9 +404,11 @@ class EngineClient:
 
     def close(self) -> None:
         """End the process and remove its folder unless its output is kept; idempotent."""
+        self.order_close()
+        self.await_close()
         self._sockets.close()
-        if self._process.poll() is None:
-            self._process.kill()
+        if self._process.poll() is None or self._spec.program.leads_session:
+            self._kill()  # what the process has started may outlive it
         self._process.wait()
         self.registry.remove(self)
         if not self._spec.keep_output:
@@ -396,6 +431,8 @@ class EngineClient:
 
     def _exit_report(self) -> str:
         code = self._exit_code()
+        if self._interrupted:
+            return f"the engine process was killed because {self._interrupted}"
         how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with code {code}"
         log = self._spec.folder / LOG
         lines = log.read_text(errors="replace").strip().splitlines()[-3:] if log.exists() else []

@@ -167,10 +167,16 @@ class EngineGroup:
         for client in self.all:
             client.interrupt()
 
+    def abandon(self, reason: str, *, is_starting: bool) -> None:
+        """Kill the engines of a timestep that is to be given up; see `AbandonablePlant`."""
+        if not is_starting:
+            for client in self.all:
+                client.interrupt(reason)
+
     def end(self, *, failed: bool = False) -> None:
         """End all engines; where output is kept, the simulator may finish its files. Idempotent."""
         for client in self.all:
-            if client.spec.branch:
+            if not client.order_close() and client.spec.branch:
                 client.interrupt()  # all at once: a process takes a while to end
         for client in self.all:
             client.end(failed=failed)

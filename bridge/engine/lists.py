@@ -25,9 +25,9 @@ def start_all(items: Iterable[T], start: Callable[[T], EngineClient]) -> list[En
 
 
 def close_all(clients: Sequence[EngineClient]) -> None:
-    """Kill engines whose output is not kept, then close all of them: processes take a while to end."""
+    """Kill engines that have nothing to finish, then close all of them: processes take a while to end."""
     for client in clients:
-        if not client.spec.keep_output:
+        if not client.spec.keep_output and not client.order_close():
             client.interrupt()
     for client in clients:
         client.close()

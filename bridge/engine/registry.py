@@ -19,6 +19,12 @@ class Interruptible(Protocol):
     def interrupt(self) -> None:
         """Kill the process; thread-safe."""
 
+    def order_close(self) -> bool:
+        """Tell it to end, if it has something to release."""
+
+    def await_close(self) -> None:
+        """Wait until it has ended, for a limited time."""
+
 
 class EngineRegistry:
     """All engines of a node that have not been closed; thread-safe.
@@ -67,3 +73,13 @@ class EngineRegistry:
             clients = [*self._clients]
         for client in clients:
             client.interrupt()
+
+    def end(self) -> None:
+        """Let simulators that have something to release do so, all at the same time; then kill all engines."""
+        self.close()
+        with self._lock:
+            clients = [*self._clients]
+        closing = [client for client in clients if client.order_close()]
+        for client in closing:
+            client.await_close()
+        self.interrupt()

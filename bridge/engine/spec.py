@@ -20,6 +20,7 @@ class EngineProgram:
         environment: variables that are added to those of the node.
         prints: whether its standard output and standard error go to the node's standard error.
         failure: returns the error for a text that the engine sent before it ended, and its folder.
+        leads_session: whether it runs in a session of its own, which is killed when it ends.
         explain: returns the reason why an engine ended, from its folder and the end of its output.
     """
 
@@ -28,6 +29,7 @@ class EngineProgram:
     explain: Callable[[Path, str], str] = lambda _, output: output
     environment: Mapping[str, str] = field(default_factory=dict)
     prints: bool = False
+    leads_session: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,6 +45,7 @@ class EngineSpec:
         keep_output: keep the folder and let the simulator finish its files.
         cpus: cores on which the engine may run; empty leaves it to the system.
         poll: whether the engine polls for orders before it sleeps.
+        close_s: time that the simulator may take to release what it holds when it is ended; 0: it is killed at once.
         branch: end the process at its last sample, without the simulator's own end of run.
         replaced_file: for a fork that continues to read another file: the file, the other one, and the offset up to
             which they are equal.
@@ -58,6 +61,7 @@ class EngineSpec:
     keep_output: bool = False
     cpus: tuple[int, ...] = ()
     poll: bool = False
+    close_s: float = 0.0
     branch: bool = False
     replaced_file: tuple[str, str, int] | None = None
     forecast_error: tuple[float, ...] = ()

@@ -13,6 +13,8 @@ import socket
 import stat
 import struct
 import sys
+import termios
+from contextlib import suppress
 from typing import Any, NoReturn
 
 _scratch_folder = ""
@@ -52,6 +54,19 @@ def die_with_parent(parent: int) -> None:
         ctypes.CDLL(None).prctl(set_parent_death_signal, signal.SIGKILL)
         if os.getppid() != parent:
             leave(0)
+
+
+def lead_session() -> None:
+    """Make this process the leader of a session whose other processes end with it, in whatever way it ends.
+
+    The kernel sends SIGHUP to the foreground processes of a terminal when the leader of its session exits, so the
+    session gets a terminal that nobody uses. The children of a forked process are in a session of their own.
+    """
+    if os.getsid(0) != os.getpid():
+        os.setsid()
+    with suppress(OSError):  # without terminals (/dev/ptmx), only the node ends the session
+        _, terminal = os.openpty()  # open as long as the process runs; not inherited by programs that it starts
+        fcntl.ioctl(terminal, termios.TIOCSCTTY, 0)
 
 
 _SYS_CLONE = {"x86_64": 56, "aarch64": 220}.get(os.uname().machine)

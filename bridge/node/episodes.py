@@ -10,7 +10,7 @@ from bridge.exchange.step_exchange import StepExchange
 from bridge.node.branches import BranchManager
 from bridge.node.fault_injection import NO_FAULTS, FaultState
 from bridge.node.manifest import site_fields
-from bridge.node.plant import Plant
+from bridge.node.plant import AbandonablePlant, Plant
 from bridge.node.recording import RecordingManager
 from bridge.node.server import NodeServer, Stopped
 from topics import keys
@@ -31,6 +31,9 @@ from topics.messages import (
 if TYPE_CHECKING:
     from bridge.alarms.monitor import AlarmSnapshot
 
+_PATIENCE_S = 10.0
+"""Time that a reset waits at most for the end of a timestep; clients wait for their replies for longer."""
+
 
 class EpisodeManager:
     """Resets, snapshots and branches of a node. Its methods are for the server's thread.
@@ -43,11 +46,24 @@ class EpisodeManager:
         plant: that it simulates.
         branches: the node's snapshots and branches.
         recordings: the node's recordings.
+        patience_s: time that a reset waits for a timestep that is being simulated; after that, or after 10 s if that
+            is less, the timestep is given up.
     """
 
-    def __init__(self, server: NodeServer, plant: Plant, branches: BranchManager, recordings: RecordingManager) -> None:
+    def __init__(
+        self,
+        server: NodeServer,
+        plant: Plant,
+        branches: BranchManager,
+        recordings: RecordingManager,
+        *,
+        patience_s: float = _PATIENCE_S,
+    ) -> None:
         self._server, self._plant, self._branches, self._recordings = server, plant, branches, recordings
         self._slots = server.manifest.slots
+        self._patience_s = min(patience_s, _PATIENCE_S)
+        self._received = self._handled = 0
+        self._is_watching = False
 
     @property
     def _exchange(self) -> StepExchange:
@@ -56,7 +72,7 @@ class EpisodeManager:
     def declare(self) -> None:
         """Answer requests about episodes, snapshots and branches."""
         subscriptions = self._server.subscriptions
-        subscriptions.request(keys.RESET, Reset, self._reset)
+        subscriptions.request(keys.RESET, Reset, self._reset, on_receipt=self._on_receipt)
         subscriptions.request(keys.SNAPSHOT, TakeSnapshot, self._snapshot)
         subscriptions.request(keys.DROP, DropSnapshot, self._drop)
         subscriptions.request(keys.BRANCH, CreateBranch, self._branch)
@@ -70,7 +86,37 @@ class EpisodeManager:
 
     # Resets
 
+    def _on_receipt(self) -> None:
+        """Limit the time that a reset waits; in the thread that receives it."""
+        self._received += 1
+        if not self._is_watching:
+            self._watch()
+
+    def _watch(self) -> None:
+        self._is_watching, number = True, self._received
+        self._server.timer.at(monotonic() + self._patience_s, lambda: self._check(number))
+
+    def _check(self, number: int) -> None:
+        self._is_watching = False
+        if self._handled < number:
+            self._abandon()
+        if self._handled < self._received:
+            self._watch()
+
+    def _abandon(self) -> None:
+        """Give up the timestep, or the start, behind which a reset is still waiting."""
+        state = self._server.exchange.state
+        if self._server.stopping or state not in (State.RUNNING, State.STARTING):
+            return
+        if not isinstance(self._plant, AbandonablePlant):
+            self._plant.interrupt()
+            return
+        what, is_starting = ("start", True) if state is State.STARTING else ("timestep", False)
+        reason = f"a reset had waited for {self._patience_s:g} s for the end of its {what}"
+        self._plant.abandon(reason, is_starting=is_starting)
+
     def _reset(self, reset: Reset) -> Message:
+        self._handled += 1
         requested = list(dict.fromkeys(reset.slots)) if reset.slots is not None else [*range(self._slots)]
         by_slot = dict(sorted(zip(requested, _seeds(reset, len(requested)), strict=True)))
         slots, seeds = [*by_slot], [*by_slot.values()]

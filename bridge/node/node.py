@@ -199,13 +199,15 @@ class Node:
         self._close.callback(self._recordings.close)
         self._close.callback(self.server.close)
         if not self._finish_s:
-            self._close.callback(self._registry.interrupt)  # all at once is faster than one by one
+            self._close.callback(self._registry.end)  # all at once is faster than one by one
         if settings.faults is not None:
             self.server.inject(read_plan(settings.faults))
         self.branches = BranchManager(self.server, self._folder, cpus=self._cpus, limit=settings.branches)
         self._close.callback(self.branches.close)
         self._has_server = True
-        self._episodes = EpisodeManager(self.server, plant, self.branches, self._recordings)
+        self._episodes = EpisodeManager(
+            self.server, plant, self.branches, self._recordings, patience_s=settings.unresponsive_s
+        )
 
     def _alarms(self) -> AlarmMonitor | None:
         settings = self.settings

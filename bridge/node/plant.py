@@ -349,6 +349,17 @@ class ForecastPlant(RunningPlant, Protocol):
         """
 
 
+@runtime_checkable
+class AbandonablePlant(Protocol):
+    """A plant whose running `step` or `start` can be given up while the node goes on; else `interrupt` is called."""
+
+    def abandon(self, reason: str, *, is_starting: bool) -> None:
+        """Make a running `step`, or `start`, raise a `SimulatorError` with the reason soon; thread-safe.
+
+        A plant need not give up a `start` that ends by itself. All slots are started again.
+        """
+
+
 PlantFactory = Callable[[PlantContext], Plant]
 """Creates a plant; does not start a simulator.
 

@@ -23,6 +23,8 @@ class Plant(Protocol):
       then take milliseconds.
     - `save()`, which returns a state that can be pickled, and `restore(state)`: for snapshots and branches of plants
       that cannot be forked.
+    - `close()`: releases what the instance holds (processes, files, connections); called once, when its process is
+      ended, and must return within a second. Not called if the process is killed, or in a forked copy.
 
     Attributes:
         step_s: length of a timestep in seconds.

@@ -48,6 +48,7 @@ class ClassDescription:
     Attributes:
         file: that defines the class; empty if it is not known.
         forkable, has_state: whether it can be copied by a fork, or by its state.
+        has_close: whether it has something to release at its end.
     """
 
     name: str
@@ -62,6 +63,7 @@ class ClassDescription:
     reward: dict[str, Any] | None
     forkable: bool
     has_state: bool
+    has_close: bool
 
 
 def split_name(plant: str) -> tuple[str, str]:
@@ -181,6 +183,7 @@ def describe(plant: Any) -> ClassDescription:
         reward=reward,
         forkable=forkable,
         has_state=has_state,
+        has_close=_has(plant, "close"),
     )
 
 
@@ -277,7 +280,7 @@ def _check_methods(plant: Any, errors: list[str]) -> bool:
     has_save, has_restore = _has(plant, "save"), _has(plant, "restore")
     if has_save is not has_restore:
         errors.append(f"has {'save' if has_save else 'restore'}() without {'restore(state)' if has_save else 'save()'}")
-    for method, argument in (*required, ("save", ""), ("restore", "state")):
+    for method, argument in (*required, ("save", ""), ("restore", "state"), ("close", "")):
         if _has(plant, method) and not _takes(getattr(plant, method), 1 if argument else 0):
             errors.append(f"{method}{_signature(getattr(plant, method))}: {method}({argument}) expected")
     return has_save and has_restore

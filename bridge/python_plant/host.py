@@ -23,7 +23,15 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from bridge.engine.protocol import PROCESS_ID, FrameKind, OrderKind
-from bridge.engine.system_calls import clone, die_with_parent, leave, receive_spec, reopen_files, set_up_process
+from bridge.engine.system_calls import (
+    clone,
+    die_with_parent,
+    lead_session,
+    leave,
+    receive_spec,
+    reopen_files,
+    set_up_process,
+)
 from bridge.python_plant.description import create, describe
 from bridge.runtime.polling import Polling
 from topics.errors import ZenostatError, did_you_mean, to_wire
@@ -43,6 +51,15 @@ def users_traceback(error: BaseException) -> str:
     while frames is not None and frames.tb_frame.f_code.co_filename.startswith((_OWN_FILES, "<frozen importlib")):
         frames = frames.tb_next
     return "".join(traceback.format_exception(type(error), error, frames)).strip()
+
+
+def close(plant: Any) -> None:
+    """Let a plant release what it holds, if it can; print what it raises."""
+    try:
+        if callable(getattr(plant, "close", None)):
+            plant.close()
+    except (Exception, SystemExit) as error:
+        sys.stderr.write(f"{type(plant).__name__}.close() raised an error\n{users_traceback(error)}\n")
 
 
 class PlantHost:
@@ -155,6 +172,7 @@ class PlantHost:
             self._save(Path(json.loads(self._text())["path"]))
             return
         elif kind != OrderKind.REPEAT:
+            close(self._plant)
             leave(0)
         self._send()
 
@@ -213,6 +231,7 @@ class PlantHost:
             self._frames.sendall(PROCESS_ID.pack(child))
             return
         die_with_parent(child_fields["parent"])
+        lead_session()
         self._spec = self._spec | child_fields
         self._orders.close()
         self._frames.close()
@@ -230,6 +249,7 @@ class PlantHost:
             self._frames.sendall(raw)
         except OSError:
             leave(0)
+        close(self._plant)
         os._exit(1)  # the node reads the log and removes the folder
 
 
@@ -243,6 +263,7 @@ def serve(orders_descriptor: int, frames_descriptor: int, parent: int) -> NoRetu
     """Read the specification from the socket and serve the node."""
     orders = socket.socket(fileno=orders_descriptor)
     spec = receive_spec(orders, parent)
+    lead_session()
     _print_lines()
     PlantHost(orders, socket.socket(fileno=frames_descriptor), spec).run()
 
@@ -251,14 +272,16 @@ def print_description() -> NoReturn:
     """Print the description of the plant that standard input names, as JSON; the exit code is 1 after an error."""
     request = json.loads(sys.stdin.readline())
     die_with_parent(request["parent"])
+    lead_session()
     reply = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # what the user's module prints is no description
     _print_lines()
     try:
-        fields = dataclasses.asdict(
-            describe(create(request["plant"], request["arguments"], own_class=request["own_class"]))
-        )
-        text, code = json.dumps(fields), 0
+        plant = create(request["plant"], request["arguments"], own_class=request["own_class"])
+        try:
+            text, code = json.dumps(dataclasses.asdict(describe(plant))), 0
+        finally:
+            close(plant)
     except ZenostatError as error:
         text, code = json.dumps(to_wire(error)), 1
     except (Exception, SystemExit) as error:

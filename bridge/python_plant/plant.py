@@ -59,7 +59,11 @@ PYTHON = EngineProgram(
     # A process with threads, such as those of linear algebra libraries, cannot be forked.
     environment=dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1"),
     prints=True,
+    leads_session=True,
 )
+
+CLOSE_S = 1.0
+"""Time that the `close` of a plant may take; a node ends within two seconds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +74,7 @@ class ClassPlan:
         plant: file or module, and class.
         arguments: of the class, JSON built-ins.
         forkable, has_state: whether it can be copied by a fork, or by its state.
+        has_close: whether it has something to release at its end.
     """
 
     plant: str
@@ -77,6 +82,7 @@ class ClassPlan:
     description: PlantDescription
     forkable: bool
     has_state: bool
+    has_close: bool = False
 
 
 def plan_class(
@@ -103,15 +109,15 @@ def plan_class(
         stdout=subprocess.PIPE,
         text=True,
         env=environment,
-        process_group=0,  # Ctrl-C in the terminal is for the node
+        start_new_session=True,  # Ctrl-C in the terminal is for the node
     )
     with process:
         try:
             output = _communicate(process, request + "\n", plant, unresponsive_s)
-        except BaseException:
-            process.kill()
+        finally:
+            with suppress(ProcessLookupError, PermissionError):
+                os.killpg(process.pid, signal.SIGKILL)  # with what the class has started
             process.wait()  # after a KeyboardInterrupt, `with` does not wait
-            raise
     try:
         fields = json.loads(output)
     except ValueError:
@@ -119,7 +125,7 @@ def plan_class(
     if "error" in fields:
         raise errors.from_wire(fields)
     description = replace(_describe(fields), provenance=_provenance(plant, arguments, fields["file"]))
-    return ClassPlan(plant, dict(arguments), description, fields["forkable"], fields["has_state"])
+    return ClassPlan(plant, dict(arguments), description, fields["forkable"], fields["has_state"], fields["has_close"])
 
 
 def _provenance(plant: str, arguments: Mapping[str, Any], source: str) -> Provenance:
@@ -221,7 +227,7 @@ class PythonEngines(EngineGroup):
             raise ForkFailed(f"the node has no room for a copy's files: {error}") from None
         spec = replace(client.spec, folder=folder, cpus=self._copy_cpus, poll=False)
         if self._plan.forkable:
-            copy = client.fork(spec)
+            copy = client.fork(replace(spec, close_s=0.0))  # what is to be released belongs to the original
         else:
             state = folder / "state.pickle"
             client.save(state)
@@ -316,7 +322,7 @@ class PythonPlant(PythonEngines):
             try:
                 clients[slot].receive()
             except EngineDied as error:
-                if not is_reset[slot] or self._context.registry.closing:
+                if not is_reset[slot] or clients[slot].interrupted or self._context.registry.closing:
                     raise
                 self._warnings.append(f"the process of slot {slot} is replaced: {error}")
                 self._replace(clients, slot)
@@ -363,6 +369,7 @@ class PythonPlant(PythonEngines):
             },
             cpus=placement.cpus,
             poll=placement.poll,
+            close_s=CLOSE_S if self._plan.has_close else 0.0,
         )
 
     def restore(self, saved: RunningPlant, episode: Sequence[int]) -> list[EpisodeStart]:  # noqa: ARG002
@@ -384,6 +391,10 @@ class PythonPlant(PythonEngines):
         """Return warnings about processes that were replaced, since the last call."""
         warnings, self._warnings = self._warnings, []
         return warnings
+
+    def abandon(self, reason: str, *, is_starting: bool) -> None:  # noqa: ARG002
+        """Kill all processes, also those whose `reset` is running; see `AbandonablePlant`."""
+        super().abandon(reason, is_starting=False)
 
     def interrupt(self) -> None:
         """Kill all processes, also those that are starting; thread-safe."""

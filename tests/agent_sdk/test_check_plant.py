@@ -63,6 +63,21 @@ def test_good_plants_pass(plant: Any, checks: int) -> None:
     assert report.subject == plant.__name__
 
 
+def test_each_instance_is_closed_once() -> None:
+    open_instances: list[Any] = []
+
+    class Closing(Good):
+        def __init__(self) -> None:
+            super().__init__()
+            open_instances.append(self)
+
+        def close(self) -> None:
+            open_instances.remove(self)
+
+    assert "can be closed" in check_plant(Closing).passed
+    assert open_instances == []
+
+
 def test_a_file_its_class_and_arguments(tmp_path: Path) -> None:
     (tmp_path / "tank_of_a_file.py").write_text(
         "class Tank:\n"
@@ -266,6 +281,10 @@ MUTANTS: dict[str, tuple[Any, dict[str, str]]] = {
     "forkable with threads": (
         mutant(Forkable, __init__=starts_a_thread),
         {"starts no threads if it is forkable": "it started logger, which a fork loses"},
+    ),
+    "closes what an episode opens": (
+        mutant(close=lambda self: self.log.close()),
+        {"can be closed": r"close\(\) of a new instance raised AttributeError: .*'log'"},
     ),
 }
 

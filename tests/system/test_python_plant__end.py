@@ -1,0 +1,229 @@
+"""The end of plants of a user's: in a timestep that never ends, with processes of their own, and by `close()`."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from queue import SimpleQueue
+from typing import Any
+
+import psutil
+import pytest
+from support.nodes import NodeProgram, hosts_of, runs, until
+from zenoh.handlers import Callback
+
+import agent_sdk
+from agent_sdk import ControllerLink
+from topics import codec, keys
+from topics.errors import EngineDied
+from topics.messages import Ack, CreateBranch, ErrorReply, Message, Reset, State, Stop
+
+pytestmark = pytest.mark.usefixtures("scratch")
+
+PLANT = """
+import os, signal, subprocess, sys
+from pathlib import Path
+
+FOLDER = Path(__file__).parent
+
+class Plant:
+    step_s, duration_s = 60.0, 3600.0
+    sensors, actuators = {"level": "m"}, {"loops": ("1", 0.0, 1.0, 0.0)}
+    child = ""
+
+    def __init__(self):
+        self.child = subprocess.Popen([sys.executable, "-c", "import signal; print(0, flush=True); " + self.program],
+            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, **self.options)
+        self.child.stdout.readline()
+        (FOLDER / f"child-{self.child.pid}").touch()
+
+    program, options = "signal.pause()", {}
+
+    def reset(self, seed):
+        self.loop(seed == 13)
+        return {"level": 0.0}
+
+    def step(self, commands):
+        self.loop(commands["loops"] > 0.5)
+        return {"level": 1.0}
+
+    def loop(self, forever):
+        while forever:
+            pass
+
+class Closing(Plant):
+    def close(self):
+        self.child.kill()
+        self.child.wait()
+        (FOLDER / f"closed-{os.getpid()}").touch()
+
+class Saving(Closing):
+    def save(self):
+        return 0
+
+    def restore(self, state):
+        pass
+
+class Forking(Closing):
+    forkable = True
+
+class Endless(Plant):
+    def close(self):
+        self.loop("describe" not in sys.argv)
+
+class Stubborn(Plant):
+    program = "[signal.signal(n, signal.SIG_IGN) for n in (signal.SIGHUP, signal.SIGTERM)]; signal.pause()"
+"""
+
+
+@contextmanager
+def controlled(folder: Path, name: str, **settings: Any) -> Iterator[tuple[NodeProgram, agent_sdk.Bus, ControllerLink]]:
+    (folder / "plant.py").write_text(PLANT)
+    with (
+        NodeProgram(folder / "node", plant=f"{folder}/plant.py:{name}", **settings) as node,
+        agent_sdk.connect(node.endpoint, affinity="off") as bus,
+        bus.controller("office") as link,
+    ):
+        try:
+            yield node, bus, link
+        finally:
+            if node.process.poll() is None:
+                bus.stop("office")
+
+
+def children(folder: Path) -> list[psutil.Process]:
+    """All processes that instances have started and that run."""
+    found = []
+    for path in folder.glob("child-*"):
+        with suppress(psutil.NoSuchProcess):
+            found.append(psutil.Process(int(path.name.partition("-")[2])))
+    return [process for process in found if runs(process)]
+
+
+def instances(folder: Path, event: str) -> int:
+    return len([*folder.glob(f"{event}-*")])
+
+
+def request(bus: agent_sdk.Bus, topic: keys.Topic, message: Message) -> SimpleQueue[Any]:
+    """Send a request and do not wait for its reply."""
+    replies: SimpleQueue[Any] = SimpleQueue()
+    bus.session.get(
+        topic.at("office"),
+        Callback(replies.put, lambda: replies.put(None), indirect=False),
+        payload=codec.encode(message),
+    )
+    return replies
+
+
+def in_endless_step(bus: agent_sdk.Bus, link: ControllerLink) -> None:
+    link.reset()
+    link.send({"loops": 1.0})
+    until(lambda: bus.status("office").state is State.RUNNING, "the timestep begins")
+
+
+def test_a_stop_while_requests_wait_behind_a_timestep_answers_all_of_them(
+    scratch: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with controlled(scratch, "Plant", unresponsive_s=1e6) as (node, bus, link):
+        in_endless_step(bus, link)
+        waiting = [
+            request(bus, keys.RESET, Reset()),
+            request(bus, keys.BRANCH, CreateBranch(controller=link.name)),
+            request(bus, keys.RESET, Reset(slots=[0])),
+        ]
+        bus.status("office")  # answered at once, after they were received
+        stop = request(bus, keys.STOP, Stop())
+        assert node.process.wait(60) == 0
+        assert codec.decode(Ack, stop.get(timeout=60).ok.payload.to_bytes())
+        for replies in waiting:
+            reply = replies.get(timeout=60).ok
+            assert str(reply.encoding) == codec.encoding(ErrorReply)
+            error = codec.decode(ErrorReply, reply.payload.to_bytes())
+            assert (error.error, error.message) == ("NodeLost", "node 'office' is ending")
+    until(lambda: not children(scratch), "nothing is left")
+    assert "Traceback" not in capfd.readouterr().err
+
+
+@pytest.mark.variants
+@pytest.mark.parametrize("where", ["step", "reset"])
+def test_a_reset_gives_up_a_timestep_or_a_start_that_never_ends(scratch: Path, where: str) -> None:
+    with controlled(scratch, "Plant", unresponsive_s=1.0) as (node, bus, link):
+        if where == "step":
+            in_endless_step(bus, link)
+        else:
+            bus.reset("office", Reset(seed=13))
+        looping = hosts_of(node.pid)
+        assert link.reset(seed=1).step == 0
+        link.send({"loops": 0.0})
+        assert link.receive()["level"] == 1.0
+        assert not any(map(runs, looping))
+        assert len(children(scratch)) == 1, "those of the process that was given up have ended with it"
+
+
+@pytest.mark.slow
+def test_the_error_says_that_a_reset_gave_the_timestep_up(scratch: Path) -> None:
+    with controlled(scratch, "Plant", unresponsive_s=1.0) as (_, bus, link):
+        in_endless_step(bus, link)
+        bus.reset("office", Reset())
+        with pytest.raises(EngineDied, match="a reset had waited for 1 s for the end of its timestep"):
+            link.receive()
+
+
+ENDS = {
+    "stop": lambda node, bus: bus.stop("office"),
+    "SIGTERM": lambda node, _: os.kill(node.pid, signal.SIGTERM),
+    "SIGKILL": lambda node, _: os.kill(node.pid, signal.SIGKILL),
+}
+
+
+@pytest.mark.variants
+@pytest.mark.parametrize("end", ENDS)
+@pytest.mark.parametrize("name", ["Plant", "Closing"])
+def test_what_a_class_has_started_ends_with_the_node(folder: Path, name: str, end: str) -> None:
+    with controlled(folder, name, slots=2, baseline=True) as (node, bus, link):
+        link.reset()
+        assert len(children(folder)) == 4
+        assert instances(folder, "child") == 5, "and one that described the class"
+        ENDS[end](node, bus)
+        node.process.wait(60)
+        until(lambda: not children(folder), "the children have ended")
+        shutil.rmtree(node.folder)  # which a node that is killed leaves
+        closed = {"Plant": 0, "Closing": 1 if end == "SIGKILL" else 5}[name]
+        assert instances(folder, "closed") == closed
+
+
+@pytest.mark.slow
+def test_a_child_that_ignores_signals_ends_with_the_node(folder: Path) -> None:
+    with controlled(folder, "Stubborn") as (node, bus, link):
+        link.reset()
+        assert len(children(folder)) == 1
+        bus.stop("office")
+        assert node.process.wait(60) == 0
+        assert not children(folder)
+
+
+@pytest.mark.slow
+def test_a_close_that_never_ends_does_not_keep_the_node(scratch: Path) -> None:
+    with controlled(scratch, "Endless", slots=3) as (node, bus, link):
+        link.reset()
+        bus.stop("office")
+        assert node.process.wait(60) == 0
+        assert not children(scratch)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "closed"), [("Saving", 1), ("Forking", 0)])
+def test_a_copy_is_closed_unless_it_is_a_fork(scratch: Path, name: str, closed: int) -> None:
+    with controlled(scratch, name) as (_, bus, link):
+        link.reset()
+        before = instances(scratch, "closed")
+        snapshot = bus.snapshot("office", link.name).snapshot
+        assert instances(scratch, "closed") == before
+        bus.drop("office", snapshot)
+        assert instances(scratch, "closed") == before + closed
+        link.send({"loops": 0.0})
+        assert link.receive().step == 1
