@@ -21,6 +21,7 @@ import psutil
 from numpy.typing import NDArray
 
 from bridge.engine.forked_process import ForkedProcess, Process
+from bridge.engine.launch import describe_exit, launch
 from bridge.engine.lists import close_all
 from bridge.engine.protocol import PROCESS_ID, FrameKind, OrderKind
 from bridge.engine.registry import EngineRegistry
@@ -30,30 +31,11 @@ from bridge.runtime.idle_watch import LOOK_S, IdleWatch
 from bridge.runtime.polling import Polling
 from topics.errors import EngineDied, EngineUnresponsive, ForkFailed, SimulatorError
 
-LOG = "engine.log"
-"""Name of the file in the engine's folder that receives its standard error."""
-
 _MAX_ORDERED_FORKS = 8
 """Forks ordered at a time: their sockets are in transit until the engine receives them."""
 _FINISH_TIMEOUT_S = 30.0
 _EXIT_TIMEOUT_S = 5.0
 _FAILED, _LAST = float(FrameKind.FAILED), float(FrameKind.LAST)
-
-
-def _start(spec: EngineSpec) -> tuple[SocketPair, Process]:
-    """Start an engine process, which waits for its run description."""
-    ours, theirs = socket_pairs()
-    with theirs, (spec.folder / LOG).open("wb") as log:
-        process = subprocess.Popen(
-            [*spec.program.command, *map(str, theirs.descriptors), str(os.getpid())],
-            pass_fds=theirs.descriptors,
-            env={**os.environ, **spec.program.environment},
-            stdin=subprocess.DEVNULL,
-            stdout=2 if spec.program.prints else subprocess.DEVNULL,
-            stderr=2 if spec.program.prints else log,
-            start_new_session=spec.program.leads_session,
-        )
-    return ours, process
 
 
 class EngineClient:
@@ -84,7 +66,7 @@ class EngineClient:
         self._closing_until_s = 0.0
         if forked is None:
             self.registry.check_open()
-        self._sockets, self._process = forked or _start(spec)
+        self._sockets, self._process = forked or launch(spec)
         self._orders, self._frames = self._sockets
         self._orders_descriptor, self._frames_descriptor = self._orders.fileno(), self._frames.fileno()
         self._frame_buffers = [self._frame_bytes]
@@ -433,9 +415,4 @@ class EngineClient:
         code = self._exit_code()
         if self._interrupted:
             return f"the engine process was killed because {self._interrupted}"
-        how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with code {code}"
-        log = self._spec.folder / LOG
-        lines = log.read_text(errors="replace").strip().splitlines()[-3:] if log.exists() else []
-        output = "\n  ".join(["its last output:", *lines]) if lines else "it printed no error"
-        reason = self._spec.program.explain(self._spec.folder, output)
-        return f"the engine process {how} after sample {self.step}; {reason}"
+        return describe_exit(self._spec, code, self.step)

@@ -9,7 +9,7 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
-from bridge.engine.client import LOG
+from bridge.engine.launch import LOG
 from eplus_node.config import kept_episodes
 from eplus_node.plan import Plan
 from models.scenario.episode_weather import EpisodeFactory, EpisodeFiles, WeatherDraw
