@@ -1,8 +1,9 @@
 """Colors of zones, end uses and comfort, equal in all pictures of a building.
 
-Colors are (red, green, blue), each 0 to 255. They are computed in OKLCH (B. Ottosson, A perceptual color space for
-image processing, 2020), where equal distances look equally far apart. The colors of lines have a contrast of at least 3
-to a white and to a near-black ground, as WCAG 2.2 asks of graphics.
+Colors are (red, green, blue), each 0 to 255. The colors of lines have a contrast of at least 3 to a white and to a
+near-black ground, as WCAG 2.2 asks of graphics, and those of one plot are told apart by readers with deuteranopia, too:
+they were searched for, and tests compute the distances. The colors of further zones are computed in OKLCH (B. Ottosson,
+A perceptual color space for image processing, 2020), where equal distances look equally far apart.
 """
 
 from __future__ import annotations
@@ -19,8 +20,13 @@ RGB = tuple[int, int, int]
 UNKNOWN: RGB = (128, 128, 128)
 """Color of what has no value: a zone without a temperature, an unknown end use."""
 
-OUTDOOR: RGB = (124, 134, 146)
+OUTDOOR: RGB = (95, 140, 190)
 """Color of the outdoor temperature."""
+
+FACILITY = "facility"
+"""Label of all uses of a fuel in the building."""
+
+_FACILITY_FUEL: RGB = (100, 50, 250)
 
 COMFORT_RANGE_K = 4.0
 """Deviation from the comfort band at which the comfort scale ends."""
@@ -43,33 +49,58 @@ _FIRST_HUE_DEG = 250.0
 _LIGHTNESS = (0.645, 0.549, 0.612, 0.518, 0.58)
 _CHROMA = 0.17
 
-_END_USES = {
-    "heating": (35.0, 0.18), "cooling": (255.0, 0.15), "fans": (200.0, 0.10), "pumps": (300.0, 0.15),
-    "heat rejection": (225.0, 0.12), "humidification": (180.0, 0.09), "heat recovery": (330.0, 0.14),
-    "interior lights": (90.0, 0.13), "exterior lights": (110.0, 0.13), "interior equipment": (280.0, 0.03),
-    "exterior equipment": (60.0, 0.06), "water systems": (160.0, 0.12), "refrigeration": (240.0, 0.06),
-    "cogeneration": (140.0, 0.15),
-}  # fmt: skip
-"""Hue in degrees and chroma of each end use."""
+_ZONES: tuple[RGB, ...] = (
+    (40, 120, 220), (235, 110, 0), (0, 115, 40), (170, 50, 130), (180, 125, 215), (145, 150, 130), (175, 65, 0),
+    (105, 85, 155), (40, 170, 70), (105, 95, 85), (225, 100, 170), (185, 140, 50), (110, 145, 235), (80, 150, 175),
+    (175, 105, 90), (0, 100, 175), (120, 125, 125), (100, 120, 35), (135, 105, 195), (15, 105, 130), (195, 95, 0),
+    (240, 100, 115), (110, 120, 175), (155, 70, 75), (140, 130, 255), (55, 140, 100), (125, 85, 105), (150, 125, 40),
+    (70, 85, 200), (195, 80, 155),
+)  # fmt: skip
+"""Each is as far as possible from those before it, for readers with and without deuteranopia."""
+
+_END_USES: dict[str, tuple[RGB, RGB]] = {
+    "heating": ((225, 100, 85), (185, 80, 65)),
+    "cooling": ((30, 135, 245), (45, 95, 210)),
+    "fans": ((35, 155, 160), (5, 120, 135)),
+    "pumps": ((145, 115, 235), (105, 80, 195)),
+    "heat rejection": ((5, 145, 210), (25, 105, 140)),
+    "humidification": ((100, 150, 110), (20, 110, 90)),
+    "heat recovery": ((185, 105, 205), (140, 60, 180)),
+    "interior lights": ((170, 135, 0), (155, 100, 0)),
+    "exterior lights": ((150, 150, 45), (85, 105, 45)),
+    "interior equipment": ((135, 130, 140), (105, 105, 120)),
+    "exterior equipment": ((165, 140, 140), (125, 110, 100)),
+    "water systems": ((65, 160, 90), (25, 130, 75)),
+    "refrigeration": ((85, 140, 175), (65, 120, 175)),
+    "cogeneration": ((70, 145, 35), (20, 120, 15)),
+}
+"""Color of each end use for electricity and for other fuels."""
 
 
 @cache
 def zone_color(place: int) -> RGB:
     """Return the color of the zone at this place in its building, from 0.
 
-    Neighboring places differ in hue by the golden angle and in lightness, so that about 30 zones can be told apart.
+    Any two of the first 24 differ by at least 10 in CIELAB for readers with deuteranopia. From the 31st on, neighboring
+    places differ in hue by the golden angle and in lightness.
     """
+    if place < len(_ZONES):
+        return _ZONES[place]
     hue_deg = _FIRST_HUE_DEG + place * _GOLDEN_ANGLE_DEG
     return _oklch(_LIGHTNESS[place % len(_LIGHTNESS)], _CHROMA, hue_deg)
 
 
-@cache
 def end_use_color(end_use: str, fuel: str = "electricity") -> RGB:
-    """Return the color of an end use, such as `interior lights`; other fuels than electricity are darker."""
+    """Return the color of an end use, such as `interior lights`; other fuels than electricity are darker.
+
+    Any two differ by at least 10 in CIELAB for readers with deuteranopia (G. Machado, M. Oliveira, L. Fernandes, A
+    physiologically-based model for simulation of color vision deficiency, 2009).
+    """
+    if end_use == FACILITY:
+        return _FACILITY_FUEL
     if end_use not in _END_USES:
         return UNKNOWN
-    hue_deg, chroma = _END_USES[end_use]
-    return _oklch(0.63 if fuel == "electricity" else 0.52, chroma, hue_deg)
+    return _END_USES[end_use][fuel != "electricity"]
 
 
 def comfort_colors(deviation_k: ArrayLike) -> NDArray[np.uint8]:

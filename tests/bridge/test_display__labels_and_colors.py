@@ -104,9 +104,38 @@ def distance(first: tuple[int, ...], second: tuple[int, ...]) -> float:
     return float(np.linalg.norm(lab(first) - lab(second)))
 
 
+_LINEAR_TO_XYZ = np.array(
+    [[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750], [0.0193339, 0.1191920, 0.9503041]]
+)
+_DEUTERANOPIA = np.array(
+    [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]]
+)
+"""Severity 1.0 of G. Machado, M. Oliveira, L. Fernandes, 2009, for linear sRGB."""
+
+
+def deuteranopic_distance(first: tuple[int, ...], second: tuple[int, ...]) -> float:
+    """CIE 1976 color difference as a reader with deuteranopia sees it."""
+    return float(np.linalg.norm(_deuteranopic_lab(first) - _deuteranopic_lab(second)))
+
+
+def _deuteranopic_lab(color: tuple[int, ...]) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    channels = np.array(color) / 255.0
+    linear = np.where(channels <= 0.04045, channels / 12.92, ((channels + 0.055) / 1.055) ** 2.4)
+    xyz = _LINEAR_TO_XYZ @ np.clip(_DEUTERANOPIA @ linear, 0.0, 1.0) / _LINEAR_TO_XYZ.sum(axis=1)
+    x, y, z = np.where(xyz > (6 / 29) ** 3, np.cbrt(xyz), xyz / (3 * (6 / 29) ** 2) + 4 / 29)
+    return np.array([116 * y - 16, 500 * (x - y), 200 * (y - z)])
+
+
+def test_the_distance_of_deuteranopes_is_that_of_colors_which_they_confuse() -> None:
+    assert deuteranopic_distance(WHITE, (0, 0, 0)) == pytest.approx(100.0, abs=0.1)
+    # Orange red and olive: 67 apart for other readers.
+    assert deuteranopic_distance((224, 86, 51), (142, 143, 25)) == pytest.approx(2.7, abs=0.05)
+
+
 def test_thirty_zones_are_told_apart_on_both_grounds() -> None:
     colors = [zone_color(place) for place in range(30)]
     assert min(distance(a, b) for a, b in combinations(colors, 2)) > 0.04
+    assert min(deuteranopic_distance(a, b) for a, b in combinations(colors[:24], 2)) >= 10.0
     for ground in (WHITE, DARK):
         assert min(contrast(color, ground) for color in (*colors, OUTDOOR, UNKNOWN)) >= 3.0
     assert all(contrast(zone_color(place), WHITE) >= 3.0 for place in range(30, 200))  # of any number
@@ -117,11 +146,18 @@ def test_end_uses_have_colors_of_their_own() -> None:
     names = ["".join(f" {c.lower()}" if c.isupper() else c for c in use).strip() for use in END_USES]
     uses = [labels.get(name, name) for name in names]
     colors = [end_use_color(use, fuel) for use in uses for fuel in ("electricity", "natural gas")]
+    colors.append(end_use_color("facility", "natural gas"))  # a fuel without end uses
     assert UNKNOWN not in colors
-    assert min(distance(a, b) for a, b in combinations(colors, 2)) > 0.02
+    assert min(distance(a, b) for a, b in combinations(colors, 2)) > 0.04
+    assert min(deuteranopic_distance(a, b) for a, b in combinations(colors, 2)) >= 10.0
     for ground in (WHITE, DARK):
         assert min(contrast(color, ground) for color in colors) >= 3.0
     assert end_use_color("nonsense") == UNKNOWN
+
+
+def test_the_comfort_scale_is_read_with_deuteranopia() -> None:
+    steps = [comfort_color(k) for k in (-4.0, -2.0, -0.05, 0.0, 0.05, 2.0, 4.0)]
+    assert min(deuteranopic_distance(a, b) for a, b in combinations(steps, 2)) >= 10.0
 
 
 def test_contrast_is_that_of_wcag() -> None:
