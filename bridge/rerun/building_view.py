@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import rerun as rr
@@ -24,6 +24,9 @@ PERIOD_S = 900
 
 _SUN_PERIOD_S, _LONG_SUN_PERIOD_S = 1800, 3600
 """Interval between two positions of the sun, in simulated seconds: in episodes of up to 31 days, and in longer ones."""
+
+_MAX_NAMES = 16
+"""Largest number of zones whose names are drawn; more would hide the building."""
 
 _WINDOW = (120, 178, 226, 110)
 _DOOR = (88, 80, 74, 255)
@@ -102,9 +105,11 @@ class BuildingView:
         self._changes = ColorChanges(len(zones))
         self._sun_period_s = _LONG_SUN_PERIOD_S if is_long else _SUN_PERIOD_S
         self._sun_period = -1
-        self._begin()
+        self._log_meshes()
+        self._log_surroundings()
+        self._log_names(labels)
 
-    def _begin(self) -> None:
+    def _log_meshes(self) -> None:
         colored = {path for _, path in self._colored}
         for name, part in self._model.zones.items():
             path = self._paths[name]
@@ -112,6 +117,9 @@ class BuildingView:
             self._log.static(path, _mesh(part, None if path in colored else (*UNKNOWN, 255)))
         for name, part in self._model.others.items():
             self._log.static(f"{BUILDING}/{name}", _mesh(part, _OTHERS[name]))
+
+    def _log_surroundings(self) -> None:
+        """Log the ground, and north."""
         low, high = self._model.low, self._model.high
         margin = 0.12 * float(np.linalg.norm((high - low)[:2]))
         left, front, right, back = low[0] - margin, low[1] - margin, high[0] + margin, high[1] + margin
@@ -146,6 +154,17 @@ class BuildingView:
                     show_labels=True,
                 ),
             )
+
+    def _log_names(self, labels: Mapping[str, str]) -> None:
+        """Log the names of the zones; of many, those of the largest."""
+        areas = {zone.name: zone.floor_area_m2 for zone in self._geometry.zones}
+        largest = sorted(self._model.zone_places, key=lambda name: -areas.get(name, 0.0))[:_MAX_NAMES]
+        texts = [labels.get(name.casefold(), name) for name in largest]
+        places = [self._model.zone_places[name] for name in largest]
+        self._log.static(
+            f"{BUILDING}/names",
+            rr.Points3D(places, labels=texts, colors=[_NORTH] * len(texts), radii=0.01, show_labels=True),
+        )
 
     def add(self, block: SampleBlock) -> None:
         """Log the colors and the sun's positions that the samples change."""

@@ -32,6 +32,9 @@ _INSET_M = 0.05
 _PLENUM_M = 1.0
 """Height above a storey's floor from which a zone without a temperature counts as a plenum."""
 
+_BELOW_GROUND_M = -1.0
+"""Height of a floor below which its storey is a basement."""
+
 _OPENINGS = (SurfaceKind.WINDOW, SurfaceKind.DOOR)
 _SHADES = {SurfaceKind.SHADING: "shading", SurfaceKind.PHOTOVOLTAIC: "photovoltaics"}
 
@@ -54,12 +57,14 @@ class BuildingModel:
         zones: mesh of each drawn zone by its name in EnergyPlus.
         others: meshes of `windows`, `doors`, `shading`, `photovoltaics`, where there are any.
         storey_labels: text and position of the labels of storeys that are drawn side by side.
+        zone_places: where each drawn zone's name stands, above its floor.
         low, high: corners of the box around all zones, as drawn.
     """
 
     zones: dict[str, Mesh]
     others: dict[str, Mesh]
     storey_labels: list[tuple[str, Points]]
+    zone_places: dict[str, Points]
     low: Points
     high: Points
 
@@ -142,6 +147,7 @@ def building_model(geometry: Geometry, measured: Iterable[str]) -> BuildingModel
     cut_m = max(CUT_M, _CUT_SHARE * math.hypot(*extents))
     place = {storey: number for number, storey in enumerate(storeys)}
     zones: dict[str, Mesh] = {}
+    places: dict[str, Points] = {}
     openings: dict[str, list[Points]] = {"windows": [], "doors": []}
     for index in drawn:
         zone = geometry.zones[index]
@@ -150,6 +156,7 @@ def building_model(geometry: Geometry, measured: Iterable[str]) -> BuildingModel
         parts = [(cut + offset, brightness) for cut, brightness in _zone_parts(own, top)]
         if parts:
             zones[zone.name] = mesh([part for part, _ in parts], [brightness for _, brightness in parts])
+            places[zone.name] = _center(zones[zone.name], top + offset[2])
         for polygon in own:
             if polygon.kind in _OPENINGS:
                 cut = clip_above(polygon.corners + polygon.normal * _INSET_M, top)
@@ -160,7 +167,7 @@ def building_model(geometry: Geometry, measured: Iterable[str]) -> BuildingModel
     others = {name: mesh(parts) for name, parts in (openings | shades).items() if any(len(part) > 2 for part in parts)}
     positions = np.concatenate([part.positions for part in zones.values()])
     labels = _storey_labels(geometry, storeys, offsets, corners) if len(storeys) > MAX_STACKED else []
-    return BuildingModel(zones, others, labels, positions.min(axis=0), positions.max(axis=0))
+    return BuildingModel(zones, others, labels, places, positions.min(axis=0), positions.max(axis=0))
 
 
 def _zone_parts(own: Sequence[Surface], top: float) -> list[tuple[Points, float]]:
@@ -192,13 +199,38 @@ def _storey_labels(
     geometry: Geometry, storeys: Sequence[int], offsets: Points, corners: Points
 ) -> list[tuple[str, Points]]:
     low, high = corners.min(axis=0), corners.max(axis=0)
+    names = storey_names(geometry)
     labels = []
-    for number, (storey, offset) in enumerate(zip(storeys, offsets, strict=True), 1):
-        times = min(zone.multiplier for zone in geometry.zones if zone.storey == storey)
-        text = f"Storey {number}" + (f" (x {times:g})" if times > 1 else "")
+    for storey, offset in zip(storeys, offsets, strict=True):
+        text = names[storey]
         front = np.array([(low[0] + high[0]) / 2, low[1] - 0.04 * (high[1] - low[1]), geometry.storeys[storey]])
         labels.append((text, front + offset))
     return labels
+
+
+def storey_names(geometry: Geometry) -> list[str]:
+    """Return the name of each storey: `Basement`, `Storey 1` for the lowest above ground, `Storeys 2 to 11`."""
+    multipliers = dict.fromkeys(range(len(geometry.storeys)), math.inf)
+    for zone in geometry.zones:
+        multipliers[zone.storey] = min(multipliers[zone.storey], zone.multiplier)
+    below = sum(height < _BELOW_GROUND_M for height in geometry.storeys)
+    names = ["Basement"] if below == 1 else [f"Basement {below - number}" for number in range(below)]
+    first = 1
+    for storey in range(below, len(geometry.storeys)):
+        times = round(multipliers[storey]) if math.isfinite(multipliers[storey]) else 1
+        names.append(f"Storey {first}" if times == 1 else f"Storeys {first} to {first + times - 1}")
+        first += times
+    return names
+
+
+def _center(part: Mesh, height: float) -> Points:
+    """Return the center of the area of a zone's floor, seen from above, at a height."""
+    corners = part.positions[part.triangles]
+    areas = np.abs(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2])
+    if not areas.any():
+        areas = np.ones(len(areas))
+    east, north, _ = np.average(corners.mean(axis=1), axis=0, weights=areas)
+    return np.array([east, north, height])
 
 
 def mesh(polygons: Sequence[Points], brightness: Sequence[float] | None = None) -> Mesh:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from support.monitor import ZONES, geometry, two_storeys
 
 from bridge.display.surfaces import area
-from bridge.rerun.meshes import CUT_M, MAX_STACKED, building_model, clip_above, storey_offsets
+from bridge.rerun.meshes import CUT_M, MAX_STACKED, building_model, clip_above, storey_names, storey_offsets
 
 WALL = np.array([[0.0, 0.0, 3.0], [0.0, 0.0, 0.0], [8.0, 0.0, 0.0], [8.0, 0.0, 3.0]])
 
@@ -77,3 +77,29 @@ def test_storeys_side_by_side_have_labels() -> None:
     rooms = [(f"Zone {n}", n, (0, 0, 3 * n), (20, 10, 3 * n + 3), True) for n in range(5)]
     model = building_model(geometry(rooms, [3.0 * n for n in range(5)]), [])
     assert [text for text, _ in model.storey_labels] == [f"Storey {n}" for n in range(1, 6)]
+
+
+@pytest.mark.parametrize(
+    ("floors_m", "multipliers", "names"),
+    [
+        ([-2.4, 0.0, 4.3], [1, 1, 1], ["Basement", "Storey 1", "Storey 2"]),  # the hospital's, whose zones say so
+        ([-6.0, -3.0, 0.0], [1, 1, 1], ["Basement 2", "Basement 1", "Storey 1"]),
+        ([0.0, 4.0, 50.0], [1, 10, 1], ["Storey 1", "Storeys 2 to 11", "Storey 12"]),
+    ],
+)
+def test_storeys_are_numbered_from_the_ground(floors_m: list[float], multipliers: list[int], names: list[str]) -> None:
+    rooms = [(f"Zone {n}", n, (0, 0, floor), (20, 10, floor + 3), True) for n, floor in enumerate(floors_m)]
+    building = geometry(rooms, floors_m)
+    zones = tuple(
+        zone.model_copy(update={"multiplier": float(times)})
+        for zone, times in zip(building.zones, multipliers, strict=True)
+    )
+    assert storey_names(building.model_copy(update={"zones": zones})) == names
+
+
+def test_a_zones_name_stands_above_its_floor() -> None:
+    model = building_model(two_storeys(), ZONES)
+    for name, mesh in model.zones.items():
+        east, north, up = model.zone_places[name]
+        assert (east, north) == pytest.approx((10.0, 5.0))
+        assert up == pytest.approx(mesh.positions[:, 2].max())
