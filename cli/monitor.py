@@ -13,7 +13,7 @@ import typer
 from bridge.transport.session import DEFAULT_ENDPOINT, default_endpoint
 from cli.console import out, until_signal
 from cli.options import CertificateName, Keys
-from cli.view import At, Size, screenshot_request
+from cli.view import At, Size, Tab, screenshot_request
 from topics.errors import InvalidConfig, NodeNotFound, ViewerError, did_you_mean
 from topics.keys import Role
 
@@ -35,6 +35,7 @@ def monitor(
     screenshot: Annotated[Path | None, typer.Option(help="Write a screenshot to FILE.png at the end.")] = None,
     at: At = None,
     size: Size = None,
+    tab: Tab = None,
     web: Annotated[bool, typer.Option("--web", help="Serve the viewer as a web page on this machine.")] = False,
     once: Annotated[bool, typer.Option("--once", help="Stop when a monitored node leaves the bus.")] = False,
 ) -> None:
@@ -45,7 +46,7 @@ def monitor(
     from bridge.rerun.screenshot import check_writable, draw
     from bridge.rerun.viewer import how_to_open
 
-    request = screenshot_request(screenshot, at, size)
+    request = screenshot_request(screenshot, at, size, tab)
     if save is not None:
         if save.suffix != ".rrd":
             raise InvalidConfig(f"--save {save}: expected a .rrd file, for example --save run.rrd")

@@ -20,6 +20,13 @@ At = Annotated[
 Size = Annotated[
     str | None, typer.Option(help="Width and height of the screenshot in pixels.", show_default="1920x1080")
 ]
+Tab = Annotated[
+    str | None,
+    typer.Option(
+        help="Tab in the screenshot: Building, Zones, Energy, Control, Other points or Events; of one of several nodes "
+        "NODE/TAB. Default: the first."
+    ),
+]
 
 
 def view(
@@ -28,6 +35,7 @@ def view(
     screenshot: Annotated[Path | None, typer.Option(help="Write a screenshot to FILE.png.")] = None,
     at: At = None,
     size: Size = None,
+    tab: Tab = None,
 ) -> None:
     """Show a recording: in a window until it is closed, as a web page until Ctrl-C, or as a screenshot.
 
@@ -40,7 +48,7 @@ def view(
         raise InvalidConfig(f"there is no recording {recording}; zenostat monitor --save FILE.rrd writes one")
     if web and screenshot is not None:
         raise InvalidConfig("--web and --screenshot exclude each other")
-    request = screenshot_request(screenshot, at, size)
+    request = screenshot_request(screenshot, at, size, tab)
     if request is not None:
         draw(recording, request)
         out.print(f"screenshot: {request.path}", soft_wrap=True, markup=False)
@@ -52,7 +60,7 @@ def view(
         window(recording)
 
 
-def screenshot_request(path: Path | None, at: str | None, size: str | None) -> Screenshot | None:
+def screenshot_request(path: Path | None, at: str | None, size: str | None, tab: str | None) -> Screenshot | None:
     """Check the options of a screenshot; None if there is to be none.
 
     Raises:
@@ -61,8 +69,8 @@ def screenshot_request(path: Path | None, at: str | None, size: str | None) -> S
     from bridge.rerun.screenshot import SIZE, read_screenshot
 
     if path is not None:
-        return read_screenshot(path, at, size or SIZE)
-    for name, value in (("--at", at), ("--size", size)):
+        return read_screenshot(path, at, size or SIZE, tab)
+    for name, value in (("--at", at), ("--size", size), ("--tab", tab)):
         if value is not None:
             raise InvalidConfig(f"{name} {value} needs --screenshot FILE.png")
     return None

@@ -1,135 +1,99 @@
-"""A carpet of zones over time: an image with a row for each zone, for long episodes and many zones."""
+"""The zones over time: how far each is from its comfort band, and whether it is occupied."""
 
 from __future__ import annotations
 
-import struct
-import zlib
 from collections.abc import Sequence
 
 import numpy as np
-import rerun as rr
 from numpy.typing import NDArray
 
-from bridge.display.colors import comfort_colors
+from bridge.display.colors import RGB, comfort_colors
+from bridge.rerun.comfort_scale import comfort_legend
 from bridge.rerun.recording import EpisodeLog
+from bridge.rerun.row_picture import EMPTY, Columns, RowPicture
 from bridge.rerun.samples import Floats, SampleBlock
-from bridge.rerun.timelines import WITHIN_COLOR
+from topics.messages import Manifest
 
-CARPET = "carpet"
-MAX_COLUMNS = 1400
-"""Largest width of the carpet in pixels."""
+CARPET = "zones_over_time"
+WITHIN_COLOR: RGB = (116, 124, 118)  # darker than in other pictures: lit rows would outshine the deviations
 
-_ASPECT = 2.6
-_EMPTY = 34
-_GAP = (14, 14, 14)
-_TEXT = (225, 225, 225)
-_MAX_LABELS = 16
+_ASPECT = 2.35
+_DARK: RGB = (24, 26, 28)
+_DARK_SHARE = 0.58
 
 
 class Carpet:
-    """The deviation of each zone from its comfort band that is farthest from the band, by column of time.
+    """The deviation of each zone from its comfort band that is farthest from the band, by column.
+
+    A column with occupied samples of a zone has the farthest of these.
 
     Args:
         zones: number of zones.
-        steps: number of timesteps of the episode.
+        columns: of the episode.
+
+    Attributes:
+        deviations: in K, NaN if unknown, shape (zones, columns).
+        is_occupied: shape (zones, columns).
     """
 
-    def __init__(self, zones: int, steps: int) -> None:
-        self._per_column = max(1, -(-(steps + 1) // MAX_COLUMNS))
-        self.deviations: Floats = np.full((zones, -(-(steps + 1) // self._per_column)), np.nan)
+    def __init__(self, zones: int, columns: Columns) -> None:
+        self._columns = columns
+        self.deviations: Floats = np.full((zones, columns.count), np.nan)
+        self.is_occupied: NDArray[np.bool_] = np.zeros((zones, columns.count), bool)
 
-    def add(self, steps: NDArray[np.int64], deviations: Floats) -> None:
-        """Add deviations in K of samples, shape (n, zones)."""
-        columns = np.minimum(steps // self._per_column, self.deviations.shape[1] - 1)
+    def add(self, steps: NDArray[np.int64], deviations: Floats, is_occupied: NDArray[np.bool_]) -> None:
+        """Add deviations in K of samples and whether the zones are occupied, each of shape (n, zones)."""
+        columns = self._columns.of(steps)
+        zones = np.arange(len(self.deviations))
         for column in np.unique(columns):
-            rows = deviations[columns == column]
-            candidates = np.concatenate([self.deviations[:, column][None, :], rows])
+            rows = columns == column
+            candidates = np.concatenate([self.deviations[:, column][None], deviations[rows]])
+            occupied = np.concatenate([self.is_occupied[:, column][None], is_occupied[rows]])
             distances = np.where(np.isnan(candidates), -1.0, np.abs(candidates))
-            farthest = distances.argmax(axis=0)
-            self.deviations[:, column] = candidates[farthest, np.arange(candidates.shape[1])]
-
-    def column_of(self, step: int) -> int:
-        """Return the column of a step."""
-        return step // self._per_column
+            farthest = np.where(occupied & (distances >= 0), distances + 1e6, distances).argmax(axis=0)
+            self.deviations[:, column] = candidates[farthest, zones]
+            self.is_occupied[:, column] = occupied[farthest, zones]
 
 
-def row_height(zones: int, columns: int) -> int:
-    """Return the height of a zone's row in pixels."""
-    return max(3, round(columns / _ASPECT / max(zones, 1)))
-
-
-def picture(deviations: Floats, height: int) -> NDArray[np.uint8]:
-    """Return the pixels of a carpet, shape (zones * height, columns, 3); unknown values are dark."""
+def picture(deviations: Floats, is_occupied: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """Return the colors of a carpet, shape (zones, columns, 3): dark while unoccupied, darkest where unknown."""
     pixels = comfort_colors(deviations)
     pixels[deviations == 0] = WITHIN_COLOR
-    pixels[np.isnan(deviations)] = _EMPTY
-    tall = np.repeat(pixels, height, axis=0)
-    if height > 4:
-        tall[height - 1 :: height] = _GAP
-    return tall
-
-
-def png(pixels: NDArray[np.uint8]) -> bytes:
-    """Return an RGB picture of shape (height, width, 3) as PNG (ISO/IEC 15948), rows filtered by `Up`."""
-    rows = np.ascontiguousarray(pixels).reshape(len(pixels), -1)
-    above = np.vstack([np.zeros_like(rows[:1]), rows[:-1]])
-    filtered = np.empty((len(rows), rows.shape[1] + 1), np.uint8)
-    filtered[:, 0] = 2
-    filtered[:, 1:] = rows - above
-    header = struct.pack(">IIBBBBB", pixels.shape[1], pixels.shape[0], 8, 2, 0, 0, 0)
-    chunks = ((b"IHDR", header), (b"IDAT", zlib.compress(filtered.tobytes(), 6)), (b"IEND", b""))
-    return b"\x89PNG\r\n\x1a\n" + b"".join(
-        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in chunks
-    )
+    dark = np.rint(pixels + _DARK_SHARE * (np.array(_DARK) - pixels.astype(float))).astype(np.uint8)
+    pixels = np.where(is_occupied[..., None], pixels, dark)
+    pixels[np.isnan(deviations)] = EMPTY
+    return pixels
 
 
 class CarpetView:
-    """Logs the carpet of an episode; its image replaces the previous one.
+    """Logs the carpet of an episode.
 
     Args:
         log: where to log.
         zones: labels of the zones.
-        steps: number of timesteps of the episode.
-        begin: simulated time of the first sample.
-        step_s: length of a timestep in s.
+        manifest: of the node.
     """
 
-    def __init__(self, log: EpisodeLog, zones: Sequence[str], steps: int, begin: np.datetime64, step_s: float) -> None:
-        self._log, self._zones = log, zones
-        self._carpet = Carpet(len(zones), steps)
-        columns = self._carpet.deviations.shape[1]
-        self._scale = max(1, MAX_COLUMNS // columns)
-        self._height = row_height(len(zones), columns * self._scale)
-        self._label(begin, steps, step_s)
-
-    def _label(self, begin: np.datetime64, steps: int, step_s: float) -> None:
-        stride = -(-len(self._zones) // _MAX_LABELS)
-        shown = range(0, len(self._zones), stride)
-        end = begin + np.timedelta64(round(steps * step_s), "s")
-        days = np.arange(begin.astype("M8[D]"), end.astype("M8[D]") + 1)
-        ticks = (
-            [day for day in days if str(day).endswith("-01")] if len(days) > 45 else [*days[:: max(1, len(days) // 10)]]
-        )
-        bottom = len(self._zones) * self._height
-        places, texts = [], []
-        for place in shown:
-            places.append((-0.12 * self._carpet.deviations.shape[1] * self._scale, (place + 0.5) * self._height))
-            texts.append(self._zones[place])
-        for day in ticks:
-            step = int((day - begin) / np.timedelta64(1, "s") / step_s)
-            if 0 <= step <= steps:
-                places.append((self._carpet.column_of(step) * self._scale, bottom + 18.0))
-                texts.append(day.astype("M8[s]").item().strftime("%-d %b"))
-        self._log.static(
-            f"{CARPET}/labels",
-            rr.Points2D(places, labels=texts, colors=[_TEXT] * len(texts), radii=0.1, show_labels=True),
+    def __init__(self, log: EpisodeLog, zones: Sequence[str], manifest: Manifest) -> None:
+        columns = Columns(manifest.steps)
+        self._carpet = Carpet(len(zones), columns)
+        self._picture = RowPicture(
+            log,
+            CARPET,
+            zones,
+            columns,
+            steps=manifest.steps,
+            step_s=manifest.step_s,
+            begin=np.datetime64(manifest.begin, "s"),
+            aspect=_ASPECT,
         )
 
     def add(self, block: SampleBlock) -> None:
         """Add samples; `draw` logs them."""
-        self._carpet.add(block.steps, block.deviations)
+        self._carpet.add(block.steps, block.deviations, block.is_occupied)
+        self._picture.add(block)
 
     def draw(self) -> None:
-        """Log the image."""
-        pixels = np.repeat(picture(self._carpet.deviations, self._height), self._scale, axis=1)
-        self._log.static(CARPET, rr.EncodedImage(contents=png(pixels), media_type="image/png"))
+        """Log the picture."""
+        legend = [*comfort_legend(WITHIN_COLOR), ("dark: unoccupied", _DARK)]
+        self._picture.draw(picture(self._carpet.deviations, self._carpet.is_occupied), legend)

@@ -15,7 +15,7 @@ from bridge.rerun.stream import ROWS
 from topics import codec
 from topics.atomic_file import atomic_file
 from topics.errors import BadMessage, InvalidRecording, ViewerError
-from topics.messages import Event, EventKind, Manifest, Sample
+from topics.messages import Event, Manifest, Sample
 
 _SCHEMAS = frozenset(("Sample", "Event", "Manifest"))
 
@@ -68,10 +68,7 @@ def _log(
             if item.schema == "Sample":
                 count += node.add_sample(codec.decode(Sample, item.payload))
             elif item.schema == "Event":
-                event = codec.decode(Event, item.payload)
-                node.add_event(event)
-                if event.kind in (EventKind.CONNECTED, EventKind.DISCONNECTED):
-                    node.set_controller(event.source, is_connected=event.kind is EventKind.CONNECTED)
+                node.add_event(codec.decode(Event, item.payload))
             else:
                 node.set_manifest(codec.decode(Manifest, item.payload))
         except BadMessage as error:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from bridge.rerun.samples import SampleBlock
 
 SIMULATED = "simulated"
+ELAPSED = "elapsed"
 STEP = "step"
 
 
@@ -20,16 +21,23 @@ def entity_path(*parts: str) -> str:
     return "/" + "/".join(map(rr.escape_entity_path_part, texts))
 
 
+def episode_path(node: str, episode: int) -> str:
+    """Return the path of an episode's entity."""
+    return entity_path(node, f"episode_{episode:04}")
+
+
 class EpisodeLog:
     """Logs entities of one episode of one node.
 
     Args:
         recording: where to log.
         root: path of the episode's entity.
+        begin: simulated time of sample 0.
     """
 
-    def __init__(self, recording: rr.RecordingStream, root: str) -> None:
+    def __init__(self, recording: rr.RecordingStream, root: str, begin: str) -> None:
         self._recording, self.root = recording, root
+        self._begin = np.datetime64(begin, "ns")
 
     def path(self, name: str) -> str:
         """Return the path of an entity below the episode's."""
@@ -43,8 +51,13 @@ class EpisodeLog:
         self, name: str, block: SampleBlock, columns: Any, rows: NDArray[np.intp] | slice = slice(None)
     ) -> None:
         """Log columns with an entry for each of these rows of a block."""
-        times = [
-            rr.TimeColumn(SIMULATED, timestamp=block.times[rows]),
-            rr.TimeColumn(STEP, sequence=block.steps[rows]),
+        self.columns_at(name, block.times[rows], block.steps[rows], columns)
+
+    def columns_at(self, name: str, times: NDArray[np.datetime64], steps: NDArray[np.int64], columns: Any) -> None:
+        """Log columns with an entry for each of these simulated times (datetime64[ns]) and steps."""
+        lines = [
+            rr.TimeColumn(SIMULATED, timestamp=times),
+            rr.TimeColumn(ELAPSED, duration=times - self._begin),
+            rr.TimeColumn(STEP, sequence=steps),
         ]
-        rr.send_columns(self.path(name), times, columns, recording=self._recording)
+        rr.send_columns(self.path(name), lines, columns, recording=self._recording)

@@ -16,6 +16,12 @@ from topics.messages import Manifest, Sample
 
 Floats = NDArray[np.float64]
 
+BASELINE = "baseline control"
+"""Name of the value source of actuators that nobody sets."""
+
+UNRECORDED = "not recorded"
+"""Value source in samples of a node's history, which does not have the sources."""
+
 
 class RewardTerms(Protocol):
     """The reward terms of a running episode."""
@@ -97,6 +103,34 @@ class BlockReader:
             high=high,
             deviations=deviations(plant_values[:, self._comfort.zones], low, high),
             is_occupied=self._comfort.is_occupied(plant_values),
+        )
+
+    def history_block(self, manifest: Manifest, first_step: int, table: Floats) -> SampleBlock:
+        """Return samples of a node's history: without commands and sources, and as if no faults were injected.
+
+        Args:
+            manifest: manifest of the node.
+            first_step: step of the first sample.
+            table: the points' values and the actuators' effective values, shape (n, points + actuators).
+        """
+        values, effective = table[:, : self._points], table[:, self._points :]
+        steps = first_step + np.arange(len(table), dtype=np.int64)
+        timestep_ns = round(manifest.step_s * 1e9)
+        times = np.datetime64(manifest.begin, "ns") + steps * np.timedelta64(timestep_ns, "ns")
+        begins = (times.astype("M8[us]") - np.timedelta64(round(manifest.step_s * 1e6), "us")).tolist()
+        low, high = self._comfort.limits_of_samples(values, begins)
+        return SampleBlock(
+            steps=steps,
+            times=times,
+            values=values,
+            plant_values=values,
+            effective=effective,
+            commanded=np.full(effective.shape, np.nan),
+            sources=np.full(effective.shape, UNRECORDED, object),
+            low=low,
+            high=high,
+            deviations=deviations(values[:, self._comfort.zones], low, high),
+            is_occupied=self._comfort.is_occupied(values),
         )
 
     def _rows(self, raw: Iterable[bytes], width: int, what: str) -> Floats:

@@ -14,12 +14,13 @@ from typing import TypeVar
 import numpy as np
 from PIL import Image
 
+from bridge.rerun.recording import ELAPSED, SIMULATED
+from bridge.rerun.tabs import check_tab, open_tab
 from bridge.rerun.viewer import NO_VULKAN, Server, has_vulkan, readable, serving
 from topics.calendar import parse_moment
 from topics.errors import InvalidConfig, ViewerError
 
 SIZE = "1920x1080"
-TIMELINE = "simulated"
 
 _LIMIT_S = 120.0
 _SIZES = ((320, 240), (7680, 4320))
@@ -46,19 +47,23 @@ class Screenshot:
         path: a PNG file.
         at: simulated time of the cursor, such as `07-02T17:30`; None for the newest sample.
         width, height: size in pixels.
+        tab: name of the tab to show, such as `Control` or, of one of several nodes, `office/Control`; None for the
+            first.
     """
 
     path: Path
     at: str | None = None
     width: int = 1920
     height: int = 1080
+    tab: str | None = None
 
 
-def read_screenshot(path: Path, at: str | None = None, size: str = SIZE) -> Screenshot:
-    """Check where a screenshot is written, its time and its size.
+def read_screenshot(path: Path, at: str | None = None, size: str = SIZE, tab: str | None = None) -> Screenshot:
+    """Check where a screenshot is written, its time, its size and its tab.
 
     Raises:
-        InvalidConfig: the path is not that of a PNG file which can be written, or `at` or `size` has another form.
+        InvalidConfig: the path is not that of a PNG file which can be written, `at` or `size` has another form, or no
+            layout has such a tab.
         ViewerError: no Vulkan driver is installed.
     """
     if path.suffix.lower() != ".png":
@@ -77,9 +82,11 @@ def read_screenshot(path: Path, at: str | None = None, size: str = SIZE) -> Scre
             f"--size {size}: expected width and height in pixels, from {low[0]}x{low[1]} to {high[0]}x{high[1]}, "
             f"for example --size {SIZE}"
         )
+    if tab is not None:
+        check_tab(tab)
     if not has_vulkan():
         raise ViewerError(NO_VULKAN)
-    return Screenshot(path, at, width, height)
+    return Screenshot(path, at, width, height, tab)
 
 
 def check_writable(path: Path) -> None:
@@ -133,10 +140,14 @@ class Drawing:
         self._call(lambda: viewer.open(str(self._recording.absolute())))
         while self._call(viewer.get_state).loading:
             time.sleep(0.1)
-        first_ns, last_ns = self._recorded()
-        cursor = np.datetime64(_cursor(screenshot.at, first_ns, last_ns), "ns")
-        self._hide_panels()
-        self._call(lambda: viewer.set_time(TIMELINE, timestamp=cursor, play_state="paused"))
+        timeline = self._arrange(screenshot.tab)
+        cursor_ns = self._cursor_ns(timeline, screenshot.at)
+        if timeline == ELAPSED:
+            elapsed = np.timedelta64(cursor_ns, "ns")
+            self._call(lambda: viewer.set_time(timeline, duration=elapsed, play_state="paused"))
+        else:
+            moment = np.datetime64(cursor_ns, "ns")
+            self._call(lambda: viewer.set_time(timeline, timestamp=moment, play_state="paused"))
         for _ in range(_NOTICE_FRAMES):  # each answer takes a frame
             self._call(viewer.get_state)
         before = b""
@@ -149,20 +160,37 @@ class Drawing:
                     return image
             before = now
 
-    def _recorded(self) -> tuple[int, int]:
-        """Return the first and the last simulated time in ns since 1970."""
+    def _cursor_ns(self, timeline: str, at: str | None) -> int:
+        """Return the place of the cursor: the newest sample, or simulated time `at` of the first node that has it."""
+        first_ns, last_ns = self._recorded(timeline)
+        if at is None or timeline == SIMULATED:
+            return _cursor(at, first_ns, last_ns)
+        errors = []
+        for begin_ns in _begins(self._recording):
+            try:
+                return _cursor(at, begin_ns + first_ns, begin_ns + last_ns) - begin_ns
+            except ViewerError as error:
+                errors.append(error)
+        raise errors[0]
+
+    def _recorded(self, timeline: str) -> tuple[int, int]:
+        """Return the first and the last time on a timeline in ns: since 1970, or since the begin of the episode."""
         for opened in self._call(self.viewer.get_state).recordings:
             for line in opened.timelines:
-                if line.name == TIMELINE and line.start is not None and line.end is not None:
+                if line.name == timeline and line.start is not None and line.end is not None:
                     return line.start, line.end
         raise ViewerError(f"{self._name} has no samples: there is nothing to draw")
 
-    def _hide_panels(self) -> None:
+    def _arrange(self, tab: str | None) -> str:
+        """Hide the panels, and open a tab; return the layout's timeline."""
         blueprint = self._call(lambda: self.viewer.get_blueprint("recording")).blueprint
         for panel, archetype in _PANELS.items():
             blueprint.setdefault(f"/{panel}_panel", {}).setdefault(archetype, {})["state"] = "Hidden"
         blueprint["/time_panel"]["TimePanelBlueprint"]["play_state"] = "Paused"
+        if tab is not None:
+            open_tab(blueprint, tab)
         self._call(lambda: self.viewer.set_blueprint(blueprint, "recording"))
+        return str(blueprint["/time_panel"]["TimePanelBlueprint"].get("timeline", SIMULATED))
 
     def _call(self, request: Callable[[], _T]) -> _T:
         """Return the viewer's answer; it has 15 s for each, which a busy machine may exceed."""
@@ -176,6 +204,22 @@ class Drawing:
             except RuntimeError as error:
                 raise ViewerError(f"the viewer cannot draw {self._name}: {error}") from None
             time.sleep(0.1)
+
+
+def _begins(recording: Path) -> list[int]:
+    """Return the simulated times at which the recorded episodes begin, in ns since 1970, sorted by their paths."""
+    from rerun.chunk import RrdReader
+
+    begins: dict[str, int] = {}
+    for chunk in RrdReader(str(recording)).stream():
+        if not chunk.is_static:
+            node, _, episode = str(chunk.entity_path).lstrip("/").partition("/")
+            path = f"{node}/{episode.partition('/')[0]}"
+            if path not in begins:
+                batch = chunk.to_record_batch()
+                simulated, elapsed = (batch.column(name)[0].value for name in (SIMULATED, ELAPSED))
+                begins[path] = simulated - elapsed
+    return [begin for _, begin in sorted(begins.items())]
 
 
 def _cursor(at: str | None, first_ns: int, last_ns: int) -> int:

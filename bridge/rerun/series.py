@@ -10,21 +10,23 @@ import rerun as rr
 from numpy.typing import NDArray
 from rerun.components import AggregationPolicy, InterpolationMode
 
-from bridge.display.colors import OUTDOOR, RGB, UNKNOWN, zone_color
+from bridge.display.colors import OUTDOOR, RGB, zone_color
 from bridge.display.labels import label, point_unit, unit_label
 from bridge.display.roles import EndUse, PointRoles, PowerSource
 from bridge.rerun.samples import Floats, SampleBlock
 from bridge.rerun.totals import TotalRows
-from topics.messages import Manifest
+from topics.energyplus_names import COOLING_SETPOINT, HEATING_SETPOINT
+from topics.messages import Actuator, Manifest
 
-COLDEST: RGB = (74, 144, 226)
-MEDIAN: RGB = (214, 216, 210)
-WARMEST: RGB = (240, 110, 50)
-BAND: RGB = (92, 184, 120)
-HEATING: RGB = (226, 88, 70)
-COOLING: RGB = (80, 150, 235)
-FACILITY: RGB = (170, 170, 170)
-HVAC: RGB = (186, 104, 200)
+COLDEST: RGB = (45, 125, 235)
+MEDIAN: RGB = (132, 132, 128)
+WARMEST: RGB = (235, 95, 25)
+BAND: RGB = (60, 150, 60)
+ZONE: RGB = MEDIAN
+HEATING: RGB = (225, 100, 85)
+COOLING: RGB = (30, 135, 245)
+FACILITY: RGB = (128, 128, 128)
+HVAC: RGB = (185, 90, 205)
 
 TEMPERATURES = "temperatures"
 TEMPERATURE_RANGE = "temperature_range"
@@ -93,7 +95,12 @@ class Series(Lines):
     is_smooth: bool = False
 
     def rows(self, steps: NDArray[np.int64], table: Floats, episode_steps: int) -> NDArray[np.intp]:
-        """Return the rows to log of values at these steps of an episode."""
+        """Return the rows to log of values at these steps of an episode.
+
+        The timestep that sample 0 closes belongs to the warmup: what holds for a timestep begins with sample 1.
+        """
+        if self.is_step and len(steps) and steps[0] == 0:
+            return self.rows(steps[1:], table[1:], episode_steps) + 1
         if self.is_sparse:
             return significant_rows(table)
         if self.is_smooth:
@@ -185,9 +192,8 @@ def _zone_series(roles: PointRoles, *, has_comfort: bool) -> list[Series]:
             continue
         indices, is_step = [getattr(zone, role) for zone in zones], path not in (TEMPERATURES, HUMIDITY)
         names, colors = [zone.label for zone in zones], [zone.color for zone in zones]
-        plots.append(
-            Series(path, title, names, colors, compute=_of_points(indices), is_step=is_step, is_sparse=is_step)
-        )
+        text = title.replace("All zones", zones[0].label) if len(zones) == 1 else title
+        plots.append(Series(path, text, names, colors, compute=_of_points(indices), is_step=is_step, is_sparse=is_step))
     air = np.array([zone.temperature for zone in roles.zones if zone.temperature is not None], np.intp)
     if len(air) > 1:
         plots.append(
@@ -256,9 +262,9 @@ def _power_series(roles: PointRoles) -> list[Series]:
 
 
 def use_label(use: EndUse) -> str:
-    """Return the name of an end use in a legend: `Cooling`, `Water systems (natural gas)`."""
+    """Return the name of an end use in a legend: `Cooling`, `Water systems (gas)`."""
     text = use.label[:1].upper() + use.label[1:]
-    return text if use.fuel == "electricity" else f"{text} ({use.fuel})"
+    return text if use.fuel == "electricity" else f"{text} ({use.fuel.removeprefix('natural ')})"
 
 
 def _other_fuels(roles: PointRoles) -> list[EndUse]:
@@ -309,22 +315,22 @@ def _unit_title(unit: str, names: Sequence[str]) -> str:
 
 
 def _actuator_series(manifest: Manifest, roles: PointRoles) -> list[Series]:
-    by_unit: dict[str, list[int]] = {}
+    groups: dict[tuple[str, str], list[int]] = {}
     for index, actuator in enumerate(manifest.actuators):
-        by_unit.setdefault(point_unit(actuator), []).append(index)
+        groups.setdefault((_setpoint_kind(actuator, index, roles), point_unit(actuator)), []).append(index)
     colors = {zone.heating_actuator: zone.color for zone in roles.zones} | {
         zone.cooling_actuator: zone.color for zone in roles.zones
     }
     plots = []
-    for number, (unit, indices) in enumerate(by_unit.items()):
-        own = [colors.get(index, UNKNOWN if len(indices) > 30 else zone_color(index)) for index in indices]
-        quantity = f"setpoints ({unit})" if unit == "°C" else f"values ({unit})".replace(" ()", "")
+    for number, ((kind, unit), indices) in enumerate(sorted(groups.items(), key=lambda group: not group[0][0])):
+        own = [colors.get(index, zone_color(index)) for index in indices]
+        quantity = f"{kind} {'setpoints' if kind or unit == '°C' else 'values'} ({unit})".strip().replace(" ()", "")
         for path, adjective, compute in ((COMMANDS, "Commanded", _commanded), (ACTUATORS, "Effective", _effective)):
             plots.append(
                 Series(
                     f"{path}/{number}",
                     f"{adjective} {quantity}",
-                    [roles.actuator_labels[index] for index in indices],
+                    [_actuator_name(index, kind, roles) for index in indices],
                     own,
                     compute=compute(indices),
                     widths=[2.0] * len(indices),
@@ -333,3 +339,18 @@ def _actuator_series(manifest: Manifest, roles: PointRoles) -> list[Series]:
                 )
             )
     return plots
+
+
+def _setpoint_kind(actuator: Actuator, index: int, roles: PointRoles) -> str:
+    """Return `heating` or `cooling` for the setpoint of a zone; else no text."""
+    for kind, control in (("heating", HEATING_SETPOINT), ("cooling", COOLING_SETPOINT)):
+        is_zones = any(getattr(zone, f"{kind}_actuator") == index for zone in roles.zones)
+        if is_zones or actuator.control_type.casefold() == control.casefold():
+            return kind
+    return ""
+
+
+def _actuator_name(index: int, kind: str, roles: PointRoles) -> str:
+    """Return the label of an actuator; for the setpoint of one zone that of the zone, as the title has the kind."""
+    zones = [zone.label for zone in roles.zones if kind and getattr(zone, f"{kind}_actuator") == index]
+    return zones[0] if len(zones) == 1 else roles.actuator_labels[index]

@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack
+from functools import partial
 from typing import Any, TypeVar
 
 import rerun as rr
@@ -17,15 +18,29 @@ import zenoh
 from zenoh.handlers import RingChannel
 
 from bridge.display.comfort import default_comfort
+from bridge.rerun.history import read_history
 from bridge.rerun.layout import OVERVIEW, blueprint
-from bridge.rerun.node_stream import NodeStream
+from bridge.rerun.node_stream import PRESENT, NodeStream
 from bridge.rerun.recording import entity_path
-from bridge.rerun.samples import ComfortFactory, RewardFactory
+from bridge.rerun.samples import ComfortFactory, Floats, RewardFactory
 from bridge.rerun.summary import NodeRow, overview
 from bridge.transport.request import ask
 from topics import codec, keys
 from topics.errors import BadMessage, ZenostatError
-from topics.messages import SCHEMA_VERSION, Batch, Event, Geometry, Manifest, Message, Query, Sample, Status
+from topics.messages import (
+    SCHEMA_VERSION,
+    AlarmList,
+    AlarmQuery,
+    Batch,
+    Event,
+    Geometry,
+    HistorySeries,
+    Manifest,
+    Message,
+    Query,
+    Sample,
+    Status,
+)
 
 RING = 65536
 PERIOD_S = 0.1
@@ -104,8 +119,6 @@ class RerunStream:
         tokens = keys.NODE_TOKEN.at(node, name="*").replace(f"/v{SCHEMA_VERSION}/", "/*/")
         live = session.liveliness()
         self._tokens = declare(live.declare_subscriber(tokens, RingChannel(256), history=True))
-        controllers = keys.CONTROLLER_TOKEN.at(node, name="*")
-        self._controllers = declare(live.declare_subscriber(controllers, RingChannel(1024), history=True))
         self._close.callback(self._finish)
         self.samples += self._catch_up(node)  # a new liveliness subscriber does not know the nodes yet
 
@@ -182,14 +195,9 @@ class RerunStream:
     # Presence
 
     def _poll_presence(self) -> None:
-        """Process nodes' and controllers' connections and disconnections."""
+        """Process nodes' connections and disconnections."""
         while (token := self._tokens.try_recv()) is not None:
             self._on_node_token(str(token.key_expr), is_gone=token.kind == zenoh.SampleKind.DELETE)
-        while (token := self._controllers.try_recv()) is not None:
-            node = self._nodes.get(keys.node_of(str(token.key_expr)))
-            name = keys.last_chunk(str(token.key_expr))
-            if node is not None:
-                node.set_controller(name, is_connected=token.kind == zenoh.SampleKind.PUT)
 
     def _on_node_token(self, key: str, *, is_gone: bool) -> None:
         name, version = keys.node_of(key), key.split("/")[_VERSION_CHUNK]
@@ -300,20 +308,27 @@ class RerunStream:
             known.set_manifest(manifest)
             return known
         name = manifest.node
-        geometry = self._ask(name, keys.GEOMETRY, Geometry)  # None for a plant without one, and for an older node
-        node = NodeStream(self.recording, manifest, geometry, self._comfort, self._reward)
+        geometry = self._ask(name, keys.GEOMETRY, Query(), Geometry)  # None for a plant without one, or an older node
+        node = NodeStream(self.recording, manifest, geometry, self._comfort, self._reward, self._read_history)
         self._nodes[name] = node
-        status = self._ask(name, keys.STATUS, Status)
+        status = self._ask(name, keys.STATUS, Query(), Status)
         if status is not None:
-            for controller in status.controllers:
-                node.set_controller(controller.controller, is_connected=controller.state.is_connected)
             node.set_faults(status.faults)
+        alarms = self._ask(name, keys.ALARMS, AlarmQuery(), AlarmList)
+        if alarms is not None:
+            node.set_alarms(alarm.alarm for alarm in alarms.alarms if alarm.state in PRESENT)
         return node
 
-    def _ask(self, name: str, topic: keys.Topic, reply_type: type[M]) -> M | None:
+    def _read_history(self, manifest: Manifest, episode: int, last_step: int) -> tuple[int, Floats] | None:
+        if not manifest.history_samples:
+            return None
+        query = partial(self._ask, manifest.node, keys.HISTORY, reply_type=HistorySeries)
+        return read_history(query, manifest, episode, last_step)
+
+    def _ask(self, name: str, topic: keys.Topic, request: Message, reply_type: type[M]) -> M | None:
         """Return a node's reply to a query; None if it has none."""
         try:
-            return ask(self._session, topic, name, Query(), reply_type, timeout_s=_QUERY_S)
+            return ask(self._session, topic, name, request, reply_type, timeout_s=_QUERY_S)
         except BadMessage as error:
             self._on_unreadable(name, error)
         except ZenostatError:  # the node refuses, or does not answer in time

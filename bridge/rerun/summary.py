@@ -1,33 +1,38 @@
-"""Numbers of a node at a glance, as a text for each sample of a choice."""
+"""Numbers of a node at a glance, as a text for each sample."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from math import isnan
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from bridge.display.roles import PointRoles
-from bridge.rerun.samples import SampleBlock
-from bridge.rerun.totals import TotalRows
+from bridge.rerun.samples import BASELINE, Floats, SampleBlock
+from bridge.rerun.totals import TotalRows, fuels_besides_electricity
 
 NUMBERS = "numbers"
 _NO_VALUE = "\N{EN DASH}"
 _MARKUP = re.compile(r"[\\`*\[\]<>!#~&]")
 _MAX_NAMES = 3
-MAX_TEXTS = 500
-"""Largest number of texts in an episode."""
 
 
 class NodeStatus(NamedTuple):
-    """Names of a node's connected controllers, and of its active faults."""
+    """Names of a node's active alarms, and of its active faults."""
 
-    controllers: tuple[str, ...] = ()
+    alarms: tuple[str, ...] = ()
     faults: tuple[str, ...] = ()
+
+
+class FuelUse(NamedTuple):
+    """Use of a fuel: its power, and its energy since the first sample."""
+
+    fuel: str
+    kw: float
+    kwh: float
 
 
 @dataclass(slots=True)
@@ -37,11 +42,15 @@ class NodeNumbers:
     Attributes:
         time: simulated time.
         low_degc, high_degc: lowest and highest zone temperature.
+        band_degc: lowest and highest limit of the zones' comfort bands.
         zones_outside: number of zones outside their comfort band.
         facility_kw, hvac_kw: electric power; `hvac_label`: what the second is measured of.
         facility_kwh, hvac_kwh: electricity since the first sample.
+        peak_kw: highest electric power of the whole building since the first sample.
+        fuels: use of the fuels besides electricity.
         outside_kh, occupied_kh: kelvin hours outside the band since the first sample: all, and of occupied zones.
-        controllers: names of the connected controllers.
+        sources: names of the controllers and devices that set actuators in the timestep, in the actuators' order.
+        alarms: alarms whose condition is present.
         faults: injected faults that are active.
     """
 
@@ -49,6 +58,7 @@ class NodeNumbers:
     outdoor_degc: float | None = None
     low_degc: float | None = None
     high_degc: float | None = None
+    band_degc: tuple[float, float] | None = None
     zones: int = 0
     zones_outside: int | None = None
     people: float | None = None
@@ -57,48 +67,57 @@ class NodeNumbers:
     hvac_kw: float | None = None
     facility_kwh: float | None = None
     hvac_kwh: float | None = None
+    peak_kw: float | None = None
+    fuels: Sequence[FuelUse] = ()
     outside_kh: float | None = None
     occupied_kh: float | None = None
-    controllers: tuple[str, ...] = ()
+    sources: tuple[str, ...] = ()
+    alarms: tuple[str, ...] = ()
     faults: tuple[str, ...] = ()
 
 
-def numbers_at(
-    row: int,
-    block: SampleBlock,
-    totals: TotalRows,
-    roles: PointRoles,
-    status: NodeStatus,
-) -> NodeNumbers:
-    """Return a node's numbers at one row of a block."""
-    values = block.values[row]
+def numbers_of(
+    block: SampleBlock, totals: TotalRows, roles: PointRoles, statuses: Sequence[NodeStatus]
+) -> list[NodeNumbers]:
+    """Return a node's numbers at each sample of a block, with its status at each."""
+    values, count = block.values, len(block)
     zones = [zone.temperature for zone in roles.zones if zone.temperature is not None]
-    air = [value for value in values[zones].tolist() if not isnan(value)]
-    people = [values[zone.occupants] for zone in roles.zones if zone.occupants is not None]
+    people = [zone.occupants for zone in roles.zones if zone.occupants is not None]
     has_band = block.deviations.shape[1] > 0
-    outdoor = roles.outdoor_temperature
-    return NodeNumbers(
-        time=block.times[row].astype("M8[s]").item(),
-        outdoor_degc=None if outdoor is None else _known(values[outdoor]),
-        low_degc=min(air, default=None),
-        high_degc=max(air, default=None),
-        zones=len(zones),
-        zones_outside=int((np.abs(block.deviations[row]) > 0.05).sum()) if has_band else None,
-        people=float(sum(people)) if people else None,
-        facility_kw=_known(totals.facility_kw[row]),
-        hvac_label=roles.hvac_power.label if roles.hvac_power else "HVAC",
-        hvac_kw=_known(totals.hvac_kw[row]),
-        facility_kwh=_known(totals.facility_kwh[row]),
-        hvac_kwh=_known(totals.hvac_kwh[row]),
-        outside_kh=_known(totals.outside_kh[row]) if has_band else None,
-        occupied_kh=_known(totals.occupied_kh[row]) if has_band else None,
-        controllers=status.controllers,
-        faults=status.faults,
-    )
+    nothing: list[None] = [None] * count
+    air, outdoor = values[:, zones], roles.outdoor_temperature
+    outside = (np.abs(block.deviations) > 0.05).sum(axis=1).tolist()
+    limits = zip(block.low.min(axis=1).tolist(), block.high.max(axis=1).tolist(), strict=True) if has_band else nothing
+    fuels = [fuel.fuel for fuel in fuels_besides_electricity(roles)]
+    uses = zip(totals.fuels_kw.tolist(), totals.fuels_kwh.tolist(), strict=True)
+    columns: dict[str, Iterable[Any]] = {
+        "time": block.times.astype("M8[s]").tolist(),
+        "outdoor_degc": _known(values[:, outdoor]) if outdoor is not None else nothing,
+        "low_degc": _known(np.fmin.reduce(air, axis=1)) if zones else nothing,
+        "high_degc": _known(np.fmax.reduce(air, axis=1)) if zones else nothing,
+        "band_degc": limits,
+        "zones": [len(zones)] * count,
+        "zones_outside": outside if has_band else nothing,
+        "people": values[:, people].sum(axis=1).tolist() if people else nothing,
+        "facility_kw": _known(totals.facility_kw),
+        "hvac_label": [roles.hvac_power.label if roles.hvac_power else "HVAC"] * count,
+        "hvac_kw": _known(totals.hvac_kw),
+        "facility_kwh": _known(totals.facility_kwh),
+        "hvac_kwh": _known(totals.hvac_kwh),
+        "peak_kw": _known(totals.peak_kw),
+        "fuels": ([FuelUse(*use) for use in zip(fuels, kw, kwh, strict=True)] for kw, kwh in uses),
+        "outside_kh": _known(totals.outside_kh) if has_band else nothing,
+        "occupied_kh": _known(totals.occupied_kh) if has_band else nothing,
+        "sources": (tuple(name for name in dict.fromkeys(row) if name) for row in block.sources.tolist()),
+        "alarms": (status.alarms for status in statuses),
+        "faults": (status.faults for status in statuses),
+    }
+    return [NodeNumbers(**dict(zip(columns, row, strict=True))) for row in zip(*columns.values(), strict=True)]
 
 
-def _known(value: float) -> float | None:
-    return None if isnan(value) else float(value)
+def _known(values: Floats) -> list[float | None]:
+    """Return the values, None where they are unknown."""
+    return [None if value != value else value for value in values.tolist()]
 
 
 def quantity(value: float | None, unit: str, digits: int = 1) -> str:
@@ -120,23 +139,26 @@ def markdown(numbers: NodeNumbers) -> str:
     cells = [("Simulated time", clock(numbers.time)), ("Outdoors", _degrees(numbers.outdoor_degc))]
     if numbers.low_degc is not None and numbers.high_degc is not None:
         cells.append(("Zones", f"{numbers.low_degc:.1f} to {numbers.high_degc:.1f} °C"))
+    if numbers.band_degc is not None:
+        cells.append(("Comfort band", "{:.1f} to {:.1f} °C".format(*numbers.band_degc)))
     if numbers.zones_outside is not None:
         cells.append(("Outside comfort", f"{numbers.zones_outside} of {numbers.zones} zones"))
     if numbers.people is not None:
         cells.append(("Occupants", quantity(numbers.people, _people(numbers.people), 0)))
     cells += [
-        (numbers.hvac_label, _kw(numbers.hvac_kw)),
-        (f"{numbers.hvac_label} so far", _kwh(numbers.hvac_kwh)),
-        ("Whole building", _kw(numbers.facility_kw)),
-        ("Electricity so far", _kwh(numbers.facility_kwh)),
+        (numbers.hvac_label, _use(numbers.hvac_kw, numbers.hvac_kwh)),
+        ("Electricity", _use(numbers.facility_kw, numbers.facility_kwh)),
+        ("Electric peak", _kw(numbers.peak_kw)),
+        *((fuel.capitalize(), _use(kw, kwh)) for fuel, kw, kwh in numbers.fuels),
         ("Outside comfort, occupied", _kh(numbers.occupied_kh)),
-        ("Outside comfort, all hours", _kh(numbers.outside_kh)),
-        ("Controllers", _listing(numbers.controllers)),
-        ("Active faults", _listing(numbers.faults)),
+        ("all hours", _kh(numbers.outside_kh)),
+        ("Set by", _setters(numbers.sources)),
+        ("Alarms", _listing(numbers.alarms)),
+        ("Faults", _listing(numbers.faults)),
     ]
     cells = [(name, text) for name, text in cells if text]
-    head, values = (" | ".join(column) for column in zip(*((name, f"**{text}**") for name, text in cells), strict=True))
-    return "\n".join([f"| {head} |", "|" + "---|" * len(cells), f"| {values} |"])
+    head, values = " | ".join([name for name, _ in cells]), "** | **".join([text for _, text in cells])
+    return f"| {head} |\n|{'---|' * len(cells)}\n| **{values}** |"
 
 
 def _degrees(value: float | None) -> str:
@@ -147,12 +169,17 @@ def _kw(value: float | None) -> str:
     return "" if value is None else quantity(value, "kW")
 
 
-def _kwh(value: float | None) -> str:
-    return "" if value is None else quantity(value, "kWh", 0)
+def _use(kw: float | None, kwh: float | None) -> str:
+    """Return power and energy so far: `128.7 kW, 3,798 kWh`."""
+    return "" if kw is None else f"{quantity(kw, 'kW')}, {quantity(kwh, 'kWh', 0)}"
 
 
 def _kh(value: float | None) -> str:
     return "" if value is None else quantity(value, "K h")
+
+
+def _setters(names: Sequence[str]) -> str:
+    return _listing(names) if names else BASELINE
 
 
 def _listing(names: Sequence[str]) -> str:
@@ -180,7 +207,7 @@ def overview(rows: list[NodeRow]) -> str:
     """Return the overview of several nodes as a table in markdown."""
     head = (
         "Node", "Building", "Simulated time", "Zones", "HVAC", "Electricity so far", "Degree-hours outside, occupied",
-        "Controllers", "Faults",
+        "Set by", "Alarms", "Faults",
     )  # fmt: skip
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     for row in sorted(rows, key=lambda row: row.name):
@@ -195,8 +222,9 @@ def overview(rows: list[NodeRow]) -> str:
             quantity(numbers.hvac_kw, "kW") + ("" if numbers.hvac_label == "HVAC" else f" ({numbers.hvac_label})"),
             quantity(energy, "kWh", 0),
             quantity(numbers.occupied_kh, "K h"),
-            _literal(", ".join(numbers.controllers)) or "none",
-            _literal(", ".join(numbers.faults)) or "none",
+            _setters(numbers.sources),
+            _listing(numbers.alarms),
+            _listing(numbers.faults),
         )
         lines.append("| " + " | ".join(cell.replace("|", "/") for cell in cells) + " |")
     return "\n".join(lines)

@@ -23,6 +23,7 @@ from bridge.display.colors import (
     zone_color,
 )
 from bridge.display.labels import label, point_unit, unit_label, zone_label, zone_labels
+from bridge.rerun import series
 from topics.energyplus_names import END_USES
 
 WHITE, DARK = (255, 255, 255), (13, 17, 23)
@@ -153,6 +154,20 @@ def test_end_uses_have_colors_of_their_own() -> None:
     for ground in (WHITE, DARK):
         assert min(contrast(color, ground) for color in colors) >= 3.0
     assert end_use_color("nonsense") == UNKNOWN
+
+
+@pytest.mark.parametrize(
+    "colors",
+    [
+        (series.COLDEST, series.MEDIAN, series.WARMEST, series.BAND),
+        (series.FACILITY, series.HVAC, end_use_color("facility", "natural gas")),
+        (series.ZONE, series.HEATING, series.COOLING),
+    ],
+    ids=["temperatures", "power", "zone"],
+)
+def test_lines_of_a_plot_are_told_apart_on_both_grounds(colors: tuple[tuple[int, int, int], ...]) -> None:
+    assert min(deuteranopic_distance(a, b) for a, b in combinations(colors, 2)) >= 10.0
+    assert min(contrast(color, ground) for color in colors for ground in (WHITE, DARK)) >= 3.0
 
 
 def test_the_comfort_scale_is_read_with_deuteranopia() -> None:

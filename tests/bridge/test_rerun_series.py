@@ -91,10 +91,15 @@ def test_commands_are_drawn_apart_from_effective_values_with_gaps_where_they_wer
     block = BlockReader(manifest, default_comfort(manifest)).block(made)
     plots, totals = _plots(manifest), Totals(manifest, roles(manifest)).add(block)
     nan = float("nan")
-    np.testing.assert_array_equal(plots["commands/0"].compute(block, totals), [[21, nan], [21, nan], [nan, nan]])
-    np.testing.assert_array_equal(plots["actuators/0"].compute(block, totals), [[20, 25]] * 3)
-    assert plots["commands/0"].names == plots["actuators/0"].names
-    assert plots["commands/0"].colors == plots["actuators/0"].colors
+    heating, cooling = [[21], [21], [nan]], [[nan]] * 3
+    np.testing.assert_array_equal(plots["commands/0"].compute(block, totals), heating)
+    np.testing.assert_array_equal(plots["commands/1"].compute(block, totals), cooling)
+    np.testing.assert_array_equal(plots["actuators/0"].compute(block, totals), [[20]] * 3)
+    np.testing.assert_array_equal(plots["actuators/1"].compute(block, totals), [[25]] * 3)
+    for number, kind in enumerate(("heating", "cooling")):
+        commands, effective = plots[f"commands/{number}"], plots[f"actuators/{number}"]
+        assert commands.title == f"Commanded {kind} setpoints (°C)"
+        assert (commands.names, commands.colors) == (effective.names, effective.colors)
 
 
 def test_a_plant_without_zones_has_plots_by_unit() -> None:

@@ -115,16 +115,22 @@ def test_each_view_of_a_real_run_shows_its_data(scratch, shared_node, episode_bu
     with serving("--headless", "--hide-welcome-screen", "--window-size", "1280x720") as server:
         drawing = Drawing(server, path, str(path))
         first, last = (drawing.image(Screenshot(path, f"07-03T{hour}:00", 1280, 720)) for hour in ("06", "18"))
-        views = drawing.viewer.get_state().views
-        pictures = {}
-        for view in views:
-            with contextlib.suppress(ConnectionError):  # in another tab
-                pictures[view.view_id] = _pixels(drawing.viewer.take_screenshot(view.view_id))
+        views, pictures = drawing.viewer.get_state().views, _open_views(drawing)
+        drawing = Drawing(server, path, str(path))
+        drawing.image(Screenshot(path, "07-03T18:00", 1280, 720, tab="Control"))
+        open_views = _open_views(drawing)
+        in_control = {view.name for view in drawing.viewer.get_state().views if view.view_id in open_views}
     assert np.any(np.asarray(first) != np.asarray(last))
     assert not [view.reports for view in views if any(report.severity == "error" for report in view.reports)]
     shown = [view for view in views if view.view_id in pictures]
     in_first_tab = {"Now", "Zone temperatures (°C)", "Outdoor temperature (°C)", "Events and faults"}
     assert in_first_tab <= {view.name for view in shown}
+    assert {
+        "Effective heating setpoints (°C)",
+        "Effective cooling setpoints (°C)",
+        "Who sets each actuator",
+    } <= in_control
+    assert not in_control & in_first_tab
     assert "3D" in {view.view_class for view in shown}
     for view in shown:
         pixels = pictures[view.view_id]
@@ -135,6 +141,49 @@ def test_each_view_of_a_real_run_shows_its_data(scratch, shared_node, episode_bu
             colors, counts = np.unique(pixels.reshape(-1, 3), axis=0, return_counts=True)
             assert counts.max() < 0.98 * counts.sum(), view.name
             assert len(colors) > 20, view.name
+
+
+def _open_views(drawing: Drawing) -> dict[str, NDArray[np.int16]]:
+    """Return the pixels of each view of the open tab."""
+    pictures = {}
+    for view in drawing.viewer.get_state().views:
+        with contextlib.suppress(ConnectionError):  # in another tab
+            pictures[view.view_id] = _pixels(drawing.viewer.take_screenshot(view.view_id))
+    return pictures
+
+
+@needs_vulkan
+def test_the_cursor_of_nodes_of_different_years_is_where_simulated_time_is(scratch):
+    """Two nodes, nine years apart, six hours after each began."""
+    path, columns = _two_years(scratch / "run.rrd"), []
+    for number, at in enumerate(("2017-07-03T06:00", "2026-01-12T06:00")):
+        picture = scratch / f"{number}.png"
+        draw(path, Screenshot(picture, at, *SIZE))
+        columns.append(_cursor(_pixels(picture)))
+    assert columns[0] == pytest.approx(SIZE[0] / 4, abs=0.05 * SIZE[0])
+    assert columns[0] == columns[1]
+    with pytest.raises(
+        ViewerError, match=r"--at 2018-01-01T00:00 is outside of the recorded time, 2017-07-03T00:00 to"
+    ):
+        draw(path, Screenshot(scratch / "run.png", "2018-01-01T00:00", *SIZE))
+
+
+def _two_years(path: Path) -> Path:
+    """Write a day of two nodes on the timeline of the time since each one's begin."""
+    axis = rrb.TimeAxis(view_range=TimeRange(*(TimeRangeBoundary.absolute(seconds=s) for s in (0, 86400))))
+    with rr.RecordingStream("zenostat") as recording:
+        recording.set_sinks(rr.FileSink(str(path)))
+        elapsed = np.arange(97) * np.timedelta64(15, "m").astype("m8[ns]")
+        for node, begin in (("north", "2017-07-03"), ("south", "2026-01-12")):
+            simulated = rr.TimeColumn("simulated", timestamp=np.datetime64(begin, "ns") + elapsed)
+            times = [simulated, rr.TimeColumn("elapsed", duration=elapsed)]
+            values = rr.Scalars.columns(scalars=np.full(97, 20.0))
+            rr.send_columns(f"{node}/episode_0000/power", times, values, recording=recording)
+        view = rrb.TimeSeriesView(origin="north", axis_x=axis)
+        panel = rrb.TimePanel(timeline="elapsed", play_state="following")
+        recording.send_blueprint(rrb.Blueprint(view, panel))
+        recording.disconnect()
+    return path
 
 
 @needs_vulkan
@@ -180,7 +229,9 @@ def test_no_screenshot_without_a_vulkan_driver(scratch, monkeypatch):
     (["--screenshot", "run.png", "--at", "noon"], "--at noon: expected a date and time such as 2017-07-03T08:00"),
     (["--screenshot", "run.png", "--at", "02-30T08:00"], "'02-30T08:00' is not a valid date and time"),
     (["--screenshot", "run.png", "--size", "10x10"], "--size 10x10: expected width and height in pixels"),
+    (["--screenshot", "run.png", "--tab", "Controls"], "--tab Controls: there is no tab 'Controls'; did you mean"),
     (["--at", "07-03"], "--at 07-03 needs --screenshot FILE.png"),
+    (["--tab", "Control"], "--tab Control needs --screenshot FILE.png"),
     (["--web", "--screenshot", "run.png"], "--web and --screenshot exclude each other"),
     ([], "a window needs a display, and neither DISPLAY nor WAYLAND_DISPLAY is set"),
 ])  # fmt: skip
