@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from support import builders
 from support.monitor import office, rows, samples
 
 from bridge.display.comfort import default_comfort
@@ -46,3 +47,22 @@ def test_injected_faults_do_not_count() -> None:
 def test_unknown_temperatures_are_not_outside() -> None:
     sums = _add(Totals(office(), roles(office())), rows(2, core_air_temperature=float("nan")))
     assert sums.outside_kh.tolist() == [0.0, 0.0]
+
+
+def test_the_peak_is_that_of_the_timesteps_so_far() -> None:
+    totals = Totals(office(), roles(office()))
+    first = _add(totals, rows(3, electricity=[9e6, 3.6e6, 1.8e6]))  # sample 0 does not count
+    second = _add(totals, rows(2, electricity=[0.9e6, 5.4e6]), first=3)
+    np.testing.assert_allclose(first.peak_kw, [np.nan, 4.0, 4.0])
+    np.testing.assert_allclose(second.peak_kw, [4.0, 6.0])
+
+
+def test_fuels_besides_electricity_are_added_up() -> None:
+    """900 kJ in a quarter of an hour are 1 kW, and a quarter of a kilowatt hour."""
+    manifest = office(meters=[builders.meter("electricity"), builders.meter("gas", "NaturalGas:Facility")])
+    table = rows(3)
+    table[:, 6] = [1.8e6, 0.9e6, 0.9e6]
+    reader = BlockReader(manifest, default_comfort(manifest))
+    sums = Totals(manifest, roles(manifest)).add(reader.block(samples(manifest, table)))
+    np.testing.assert_allclose(sums.fuels_kw, [[2.0], [1.0], [1.0]])
+    np.testing.assert_allclose(sums.fuels_kwh, [[0.0], [0.25], [0.5]])
