@@ -13,7 +13,7 @@ from agent_sdk.envs.building_env import BuildingEnv
 from agent_sdk.envs.fleet_env import FleetVectorEnv
 from agent_sdk.envs.vector_env import BuildingVectorEnv
 from agent_sdk.rewards import Reward
-from agent_sdk.rewards.config import RewardConfig
+from agent_sdk.rewards.manifest_data import is_data, reward_data
 from agent_sdk.wrappers import apply_wrappers, wrappers_of
 from topics import yaml12
 from topics.errors import InvalidConfig
@@ -85,12 +85,12 @@ def save_env(env: gym.Env[Any, Any], path: str | Path) -> None:
 def _serialize(reward: Reward | None) -> dict[str, Any] | None:
     if reward is None:
         return None
-    if not isinstance(reward, RewardConfig):
+    if not is_data(reward):
         raise InvalidConfig(
             f"the reward {reward!r} is code of your own and cannot be saved in a file; save the environment with "
             "reward=None, and pass the reward to load_env(path, reward=...)"
         )
-    return reward.model_dump(mode="json", exclude_defaults=True)
+    return reward_data(reward)
 
 
 def load_env(path: str | Path, **arguments: Any) -> gym.Env[Any, Any]:

@@ -26,6 +26,7 @@ from pydantic import (
     Discriminator,
     Field,
     Tag,
+    field_serializer,
     field_validator,
     model_validator,
 )
@@ -174,6 +175,11 @@ class HourlyFile(TimeSeries):
         if self.header_row == 0 and isinstance(self.column, str):
             raise ValueError("without a header_row the column is a number, from 1")
         return self
+
+    @field_serializer("csv", when_used="json")
+    def _serialize_absolute(self, file: Path) -> str:
+        """Return a path that refers to the same file for a reader in another folder."""
+        return str(file.expanduser().absolute())
 
     def load(self) -> None:
         """Read the file; see `TimeSeries.load`."""

@@ -20,7 +20,6 @@ class NodeConfig(NodeSettings):
 
     Attributes:
         what: fields of a scenario; they override those of `scenario`.
-        own_reward: the agent has a custom reward; the reward of a Sinergym configuration is not read.
         shrink_caches: on by default because of its gain; see `eplus_node.engine.memory`.
         keep_last: None keeps all, or as many as the Sinergym configuration defines.
     """
@@ -29,7 +28,6 @@ class NodeConfig(NodeSettings):
     config: Path | None = None
     variant: str | None = None
     what: dict[str, Any] = Field(default_factory=dict)
-    own_reward: bool = False
     shrink_caches: bool = True
     output_dir: Path | None = None
     keep_last: Annotated[int, Field(ge=1)] | None = None
@@ -68,7 +66,7 @@ def read_base(config: NodeConfig, errors: ErrorCollector | None = None) -> Scena
         from models.sinergym.scenarios import scenario_of as sinergym_scenario  # rarely needed, and slow to import
 
         overridden = {name for name, value in config.what.items() if value is not None}
-        overridden |= {"reward"} if config.own_reward else set()
+        overridden |= set() if config.environment_reward == "scenario" else {"reward"}
         overridden |= {"period"} if {"begin", "end"} <= overridden else set()
         return sinergym_scenario(config.config, config.variant, overridden=overridden)
     if config.scenario is None:

@@ -109,6 +109,8 @@ def plan(config: NodeConfig) -> Plan:
         *([geometry.note] if geometry.note else []),
         *_lockstep_loss_warnings(config, injected),
     )
+    if not isinstance(config.environment_reward, str):
+        scenario = scenario.model_copy(update={"reward": config.environment_reward})
     planned = Plan(config, scenario, model, tuple(valid_sources), period, chosen, task, warnings, geometry, injected)
     if injected is not None:
         FaultInjection(

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from datetime import datetime
-from typing import Any
 
 from agent_sdk.controllers.parameters import number
-from agent_sdk.rewards import REWARDS, LinearReward, read_reward
+from agent_sdk.rewards import LinearReward
+from agent_sdk.rewards.comfort_band import ComfortBand
+from agent_sdk.rewards.manifest_data import comfort_reward
 from agent_sdk.rewards.occupied import OccupiedComfort
 from topics.errors import InvalidConfig
 from topics.messages import Manifest
@@ -24,7 +25,7 @@ SETBACK_K, SHALLOW_SETBACK_K = 6.0, 1.0
 
 
 def comfort_bands(manifest: Manifest, low: object = None, high: object = None) -> Bands:
-    """Return the comfort bands of the task's reward, or those of `LinearReward` if it has none.
+    """Return the comfort bands of the task's reward; if it has none, those of the scenario's, or of `LinearReward`.
 
     Args:
         manifest: manifest of the node.
@@ -34,8 +35,8 @@ def comfort_bands(manifest: Manifest, low: object = None, high: object = None) -
     Raises:
         InvalidConfig: a limit is not a number, or the lower limit is not below the upper one on some day of the year.
     """
-    reward = _reward(manifest)
-    from_reward: Bands = (reward if hasattr(reward, "season") else LinearReward()).season(manifest).band
+    reward = comfort_reward(manifest)
+    from_reward: Bands = (reward if isinstance(reward, ComfortBand) else LinearReward()).season(manifest).band
     fixed_low = None if low is None else number("low", low)
     fixed_high = None if high is None else number("high", high)
 
@@ -62,15 +63,9 @@ def inside(band: Band, margin_k: float | None = None) -> Band:
 
 def default_setback(manifest: Manifest) -> float:
     """Return the default distance of setpoints outside the band in unoccupied zones, in K, for the task's reward."""
-    return SETBACK_K if isinstance(_reward(manifest), OccupiedComfort) else SHALLOW_SETBACK_K
+    return SETBACK_K if isinstance(comfort_reward(manifest), OccupiedComfort) else SHALLOW_SETBACK_K
 
 
 def rewarded_temperatures(manifest: Manifest) -> tuple[str, ...]:
     """Return the names of the temperature sensors in the task's reward; empty if it names none."""
-    return tuple(getattr(_reward(manifest), "temperatures", None) or ())
-
-
-def _reward(manifest: Manifest) -> Any:
-    settings = manifest.task.reward
-    # A node of another version may have a reward that is unknown in this process.
-    return read_reward(settings) if settings is not None and settings.get("kind") in REWARDS else None
+    return tuple(getattr(comfort_reward(manifest), "temperatures", None) or ())

@@ -67,7 +67,7 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
         link: Source of samples and destination of commands instead of a node; see `agent_sdk.testing`.
 
     Attributes:
-        manifest: The node's manifest.
+        manifest: The node's manifest; the reward of its task is the one that this environment pays.
         reward: The reward; None if there is none.
         wrappers: The wrappers of `agent_sdk.wrappers` around this environment that have a state.
 

@@ -19,6 +19,7 @@ from agent_sdk.bus.snapshot import require_node
 from agent_sdk.envs import arguments
 from agent_sdk.envs.space_names import SpaceNames
 from agent_sdk.rewards import AnyReward, Reward, read_reward
+from agent_sdk.rewards.manifest_data import reward_data, task_paying
 from bridge.recording.file import next_recording
 from bridge.runtime.affinity import Affinity
 from topics.errors import BusError, EpisodeChanged, InvalidConfig, RequestRejected
@@ -53,7 +54,7 @@ class NodeConnection:
         slots: Number of the node's engines.
 
     Attributes:
-        manifest: The node's manifest.
+        manifest: The node's manifest; the reward of its task is the one that the environment pays.
         local_node: The node that was started; None if it runs elsewhere.
         reward: The reward; None if there is none.
         closed: Whether it has been closed.
@@ -78,6 +79,7 @@ class NodeConnection:
     ) -> None:
         self._close, self.closed, self._has_monitor = ExitStack(), False, False
         self._stopped_recording = ""
+        self._adopted: Manifest | None = None
         self.local_node: LocalNode | None = None
         self._link, self._slots = link, slots
         self._keys = None if keys is None else Path(keys)
@@ -106,15 +108,16 @@ class NodeConnection:
             self._check_slots()
             chosen = self.manifest.task.reward if reward == arguments.FROM_SCENARIO else reward
             self.reward: Reward | None = None if chosen is None else read_reward(chosen)
+            self.adopt(self.manifest)
             undo.pop_all()
 
     def _start_local(
         self, node_arguments: Mapping[str, Any], reward: AnyReward | None, node: str, priority: int, placement: Affinity
     ) -> None:
         settings = arguments.for_node(node_arguments, node, self._slots)
-        if reward != arguments.FROM_SCENARIO:
-            settings["own_reward"] = True
         arguments.check_agent_settings(reward, settings, placement)
+        if reward != arguments.FROM_SCENARIO:
+            settings["environment_reward"] = reward_data(None if reward is None else read_reward(reward))
         self._settings = settings
         self._start(settings, node, priority, placement)
 
@@ -149,8 +152,16 @@ class NodeConnection:
             if self.local_node is None or not self._has_ended(self.local_node) or not self.restart_if_ended():
                 raise
             sample = self.link.reset(seed=seed)
-        self.manifest = self.link.manifest
+        self.adopt(self.link.manifest)
         return sample
+
+    def adopt(self, manifest: Manifest) -> Manifest:
+        """Take over the node's manifest, with the reward that this environment pays; return it."""
+        if manifest is not self._adopted:
+            self._adopted = manifest
+            task = task_paying(manifest.task, self.reward)
+            self.manifest = manifest if task is manifest.task else manifest.model_copy(update={"task": task})
+        return self.manifest
 
     def check_recording(self, stacklevel: int) -> None:
         """Warn if the recording that the user asked for has stopped; `stacklevel` is the caller's."""
@@ -196,6 +207,7 @@ class NodeConnection:
             settings = {**settings, "record": str(next_recording(Path(record)))}  # that of the former node is kept
             recorded = f"; it records to {settings['record']}"
         self._start(settings, target.node, target.priority, target.placement)
+        self.adopt(self.manifest)
         if self._has_monitor:
             self.open_monitor()
         warnings.warn(

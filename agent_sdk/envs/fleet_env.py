@@ -111,6 +111,7 @@ class FleetVectorEnv(SpaceNames, VectorEnv[Observations, Any, NDArray[Any]]):
                 return BuildingEnv(link=link, reward=reward, render_mode=render_mode)
 
             self.envs = all_results(make, self.addresses)
+            self.manifest = self.envs[0].manifest
             undo.pop_all()
         self._actions = Actions(self.manifest)
         self.metadata = {**BuildingEnv.metadata, "autoreset_mode": self.autoreset_mode}

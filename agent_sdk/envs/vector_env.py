@@ -54,7 +54,7 @@ class BuildingVectorEnv(ConnectedEnv, VectorEnv[Observations, Any, NDArray[Any]]
         node_arguments: The simulation, as for `BuildingEnv`.
 
     Attributes:
-        manifest: The node's manifest.
+        manifest: The node's manifest; the reward of its task is the one that this environment pays.
         reward: The reward; None if there is none.
         wrappers: The wrappers of `agent_sdk.wrappers` around this environment that have a state.
         envs: The slots, as `Slot` objects.
@@ -181,7 +181,7 @@ class BuildingVectorEnv(ConnectedEnv, VectorEnv[Observations, Any, NDArray[Any]]
         link = self.link
         name = snapshot.name if snapshot is not None else ""
         sample = VectorSample(link.reset(seed=seed, slots=None if is_all else slots, snapshot=name))
-        self.manifest = link.manifest
+        self.manifest = self._connection.adopt(link.manifest)
         self._state.reset(None if is_all else slots)
         ends, steps = sample.times, sample.message.step
         begins = [end - self._timestep if step else end for end, step in zip(ends, steps, strict=True)]

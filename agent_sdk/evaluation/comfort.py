@@ -7,8 +7,9 @@ from datetime import datetime
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk.rewards import REWARDS, MultiZoneReward, Reward, read_reward
+from agent_sdk.rewards import MultiZoneReward, Reward
 from agent_sdk.rewards.comfort_band import ComfortBand
+from agent_sdk.rewards.manifest_data import known_rewards
 from agent_sdk.rewards.occupied import PEOPLE, OccupiedComfort
 from agent_sdk.rewards.selectors import same_zone, temperatures
 from bridge.display.comfort import DEFAULT_BAND_DEGC, Comfort, default_comfort
@@ -23,12 +24,9 @@ def comfort(manifest: Manifest, reward: Reward | None = None) -> Comfort | None:
 
     Args:
         manifest: manifest of the node.
-        reward: a reward with a comfort band; None, or a reward without a band: that of the scenario.
+        reward: a reward with a comfort band; None, or a reward without a band: that of the task.
     """
-    settings = manifest.task.reward
-    # A node of another version may have a reward that is unknown in this process.
-    from_task = read_reward(settings) if settings is not None and settings.get("kind") in REWARDS else None
-    for candidate in (reward, from_task):
+    for candidate in (reward, *known_rewards(manifest)):
         try:
             if isinstance(candidate, ComfortBand):
                 return _from_band(candidate, manifest)

@@ -17,6 +17,7 @@ from agent_sdk.evaluation.tariffs import Rate, read_emissions, read_prices
 from agent_sdk.evaluation.trace import EpisodeTrace, TraceRecorder, WeatherTrace, weather_trace
 from agent_sdk.report.runs import Comparison, Run
 from agent_sdk.rewards import AnyReward, Reward, read_reward
+from agent_sdk.rewards.read import CUSTOM
 from topics import codec
 from topics.errors import BadMessage, InvalidConfig, InvalidRecording
 from topics.extras import requires_extra
@@ -52,7 +53,8 @@ def compare_recordings(
         paths: of the recordings, of the same run period and timestep.
         prices: as for `agent_sdk.evaluation.evaluate`.
         emissions: as for `agent_sdk.evaluation.evaluate`.
-        reward: the reward; by default that of the scenario, as the recordings do not have an environment's own.
+        reward: the reward; by default the one that a recorded node's own environment paid, else that of the scenario.
+            Code of the user's is not in a recording: without `reward` such a run has no reward.
         command: the command line that repeats the report.
 
     Raises:
@@ -60,7 +62,8 @@ def compare_recordings(
         InvalidRecording: a file is not a recording, or has no timestep.
 
     Warns:
-        UserWarning: a recording ends early, or has episodes that are not in the report.
+        UserWarning: a recording ends early, has episodes that are not in the report, or was paid by code that is not
+            in it.
     """
     with requires_extra("recording", "a recording", "mcap and zstandard"):
         from bridge.recording.reader import RecordingReader
@@ -222,8 +225,7 @@ class _Episodes:
 def _results(reader: RecordingReader, reward: AnyReward | None, rates: Any) -> list[_Result]:
     """Return what was recorded and, first, the baseline that was simulated in parallel."""
     manifest, index = reader.manifest, value_index(reader.manifest)
-    chosen = manifest.task.reward if reward == FROM_SCENARIO else reward
-    bound = None if chosen is None else read_reward(chosen)
+    bound = _recorded_reward(reader) if reward == FROM_SCENARIO else None if reward is None else read_reward(reward)
     recorded = _Episodes(bound, rates)
     baseline = _Episodes(bound, rates) if manifest.baseline else None
     starts: dict[tuple[int, int], tuple[int | None, str]] = {}
@@ -252,6 +254,18 @@ def _results(reader: RecordingReader, reward: AnyReward | None, rates: Any) -> l
         warnings.warn(f"{reader.path}: {reader.end.text}", stacklevel=3)
     parts = ([(baseline, True)] if baseline is not None else []) + [(recorded, False)]
     return [_result(reader, episodes, bound, starts, weathers, is_parallel=flag) for episodes, flag in parts]
+
+
+def _recorded_reward(reader: RecordingReader) -> Reward | None:
+    data = reader.manifest.task.reward
+    if data is not None and data.get("kind") == CUSTOM:
+        warnings.warn(
+            f"{reader.path}: its reward {data.get('name', '')} was code of the environment's program, which is not in "
+            "the recording: the run is reported without a reward",
+            stacklevel=4,
+        )
+        return None
+    return None if data is None else read_reward(data)
 
 
 def _add(episodes: _Episodes, sample: Sample, manifest: Manifest, index: PointIndex) -> None:

@@ -56,7 +56,7 @@ def _signature_error(function: RewardFunction | type) -> str | None:
 
 class _FunctionReward:
     def __init__(self, function: RewardFunction | type) -> None:
-        self._function = function
+        self._function, self.name = function, _name(function)
 
     def bind(self, manifest: Manifest) -> BoundReward:
         function = instantiate(self._function) if isinstance(self._function, type) else self._function

@@ -48,7 +48,7 @@ def node_manifest(
         sensors=description.sensors,
         meters=description.meters,
         actuators=description.actuators,
-        task=description.task,
+        task=settings.task(description.task),
         warnings=description.warnings,
         versions=description.versions,
         host=affinity.host(),

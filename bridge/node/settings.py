@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from bridge.engine.registry import UNRESPONSIVE_S
 from bridge.runtime.affinity import Affinity
 from bridge.transport.session import DEFAULT_ENDPOINT
-from topics.messages import Mode, OnFull, Policy
+from topics.messages import Mode, OnFull, Policy, Task
 
 
 class NodeSettings(BaseModel):
@@ -22,6 +22,8 @@ class NodeSettings(BaseModel):
         faults: a file with a fault plan.
         listen: endpoints; empty for a node that only connects to a router or another node.
         keys: a folder created by `zenostat keys init`; `certificate` names another certificate than `node`.
+        environment_reward: the reward that the environment pays in place of the scenario's, for the manifest; None:
+            it pays none.
         monitoring: also measure what pictures and reports need; a Python plant measures all its points anyway.
         record: a file (`.mcap`) or a folder for recordings; `record_on_full` and `record_overwrite` are options of it.
         history_mb: memory for the history of the present episode, in MB; 0 keeps none.
@@ -48,6 +50,7 @@ class NodeSettings(BaseModel):
     certificate: str | None = None
     slots: Annotated[int, Field(ge=1, le=256)] = 1
     baseline: bool = False
+    environment_reward: dict[str, Any] | Literal["scenario"] | None = "scenario"
     monitoring: bool = False
     branches: Annotated[int, Field(ge=0, le=4096)] = 64
     record: Path | None = None
@@ -65,3 +68,8 @@ class NodeSettings(BaseModel):
         if not self.listen and not self.connect:
             raise ValueError("name an endpoint to listen on, or one to connect to")
         return self
+
+    def task(self, described: Task) -> Task:
+        """Return the task of the plant's description with the reward that the environment pays."""
+        reward = self.environment_reward
+        return described if isinstance(reward, str) else described.with_reward(reward)

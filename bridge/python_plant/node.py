@@ -20,6 +20,8 @@ from topics.codec import describe_validation_errors
 from topics.errors import InvalidConfig, did_you_mean
 from topics.scenario_fields import NODE_ARGUMENTS
 
+_NULLABLE = ("deadline_s", "environment_reward")
+
 
 class PlantSettings(NodeSettings):
     """The settings of a node whose plant is a Python class.
@@ -27,13 +29,11 @@ class PlantSettings(NodeSettings):
     Attributes:
         plant: `FILE.py:CLASS` or `MODULE:CLASS`.
         plant_arguments: arguments of the class.
-        own_reward: ignored; the environment has a reward of its own.
     """
 
     name: str = "plant"
     plant: str
     plant_arguments: dict[str, Any] = Field(default_factory=dict)
-    own_reward: bool = False
 
 
 def read_settings(settings: Mapping[str, Any]) -> PlantSettings:
@@ -42,7 +42,7 @@ def read_settings(settings: Mapping[str, Any]) -> PlantSettings:
     Raises:
         InvalidConfig: lists all errors.
     """
-    set_fields = {name: value for name, value in settings.items() if value is not None or name == "deadline_s"}
+    set_fields = {name: value for name, value in settings.items() if value is not None or name in _NULLABLE}
     known = list(PlantSettings.model_fields)
     if unknown := [name for name in set_fields if name not in known]:
         raise InvalidConfig("\n".join(_unknown_setting(name, known) for name in unknown))

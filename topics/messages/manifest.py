@@ -90,8 +90,10 @@ class Task(Message):
     """The agent's part of a scenario: time features, actions, reward, termination limits and wrappers.
 
     With `discrete_actions` the action is discrete: a number for each of them. Otherwise it is a value for each of
-    `actions`. `reward` is a kind with its parameters, as `agent_sdk.rewards` reads them; `wrappers` are names with
-    arguments, innermost first, as `agent_sdk.wrappers` reads them.
+    `actions`. `reward` is what the environment pays: a kind with its parameters, as `agent_sdk.rewards` reads them, or
+    `{"kind": "custom", "name": …}` for code of the user's program. `scenario_reward` is the scenario's own reward where
+    `reward` replaces it: its comfort band applies where `reward` has none. `wrappers` are names with arguments,
+    innermost first, as `agent_sdk.wrappers` reads them.
     """
 
     scenario: str = ""
@@ -99,8 +101,13 @@ class Task(Message):
     actions: tuple[Action, ...] = ()
     discrete_actions: tuple[DiscreteAction, ...] = ()
     reward: dict[str, Any] | None = None
+    scenario_reward: dict[str, Any] | None = None
     terminate: tuple[TerminationLimit, ...] = ()
     wrappers: tuple[dict[str, Any], ...] = ()
+
+    def with_reward(self, reward: dict[str, Any] | None) -> Task:
+        """Return the task of an environment that pays another reward than the scenario's."""
+        return self.model_copy(update={"reward": reward, "scenario_reward": self.scenario_reward or self.reward})
 
 
 class Versions(Message):
