@@ -14,10 +14,17 @@ from topics.errors import InvalidConfig
 from topics.extras import import_extra
 
 if TYPE_CHECKING:
-    from agent_sdk.benchmark import Results
+    from collections.abc import Mapping
+
+    from agent_sdk.benchmark import Results, Selection
     from agent_sdk.benchmark.run import Progress
 
 _ALL = "baseline,fixed,rbc,pid,random,ppo,sac,oracle"
+
+
+_Names = Annotated[
+    str | None, typer.Option(help="With --check, only these rows; names separated by commas.", show_default=False)
+]
 
 
 def benchmark(
@@ -42,6 +49,10 @@ def benchmark(
     checked: Annotated[
         Path | None, typer.Option("--check", help="Run the rows of this file again, and compare them to the bit.")
     ] = None,
+    building: _Names = None,
+    season: _Names = None,
+    weather: _Names = None,
+    seed: _Names = None,
     shown: Annotated[Path | None, typer.Option("--show", help="Show the results of this file; nothing is run.")] = None,
     page: Annotated[
         Path | None, typer.Option(help="Write a page with tables and figures to FILE.md and the folder FILE.")
@@ -59,10 +70,13 @@ def benchmark(
     import_extra("scipy", "benchmark", "the benchmark")
     if page is not None:
         _check_page(page)
-    names = [name.strip() for name in controllers.split(",") if name.strip()]
+    names = _listed(controllers)
+    conditions = {"building": building, "season": season, "weather": weather, "seed": seed}
+    if checked is None and (named := [name for name, value in conditions.items() if value is not None]):
+        raise InvalidConfig(f"--{', --'.join(named)}: only with --check, which runs the rows of a file again")
     errors: list[str] = []
     if checked is not None:
-        _check(checked, None if controllers == _ALL else names, workers, trainings)
+        _check(checked, {"controller": None if controllers == _ALL else controllers, **conditions}, workers, trainings)
         return
     if shown is not None:
         from agent_sdk.benchmark import load_results
@@ -105,25 +119,43 @@ def _hashes(set_name: str) -> dict[str, str]:
     return {name: file_digest(path) for name, path in paths.items()}
 
 
-def _check(path: Path, names: list[str] | None, workers: int, trainings: Path | None) -> None:
-    from agent_sdk.benchmark import check, load_results
+def _listed(text: str) -> list[str]:
+    return [name.strip() for name in text.split(",") if name.strip()]
 
-    rows = load_results(path)
+
+def _selection(conditions: Mapping[str, str | None]) -> Selection:
+    from agent_sdk.benchmark import Selection
+
+    values: dict[str, Any] = {name: _listed(text) for name, text in conditions.items() if text is not None}
+    if "seed" in values:
+        try:
+            values["seed"] = [int(seed) for seed in values["seed"]]
+        except ValueError:
+            raise InvalidConfig(f"--seed {conditions['seed']}: numbers separated by commas expected") from None
+    return Selection(**values)
+
+
+def _check(path: Path, conditions: Mapping[str, str | None], workers: int, trainings: Path | None) -> None:
+    from agent_sdk.benchmark import check, load_results
+    from agent_sdk.benchmark.run import selected_rows
+
+    results, selection = load_results(path), _selection(conditions)
+    count = len(selected_rows(results, selection, str(path)))
     with ExitStack() as stack:
         differences = check(
-            path, workers=workers, cache=trainings, controllers=names, hashes=_hashes(rows.set),
-            progress=_watcher(stack),
-        )  # fmt: skip
+            path, selection, workers=workers, cache=trainings, hashes=_hashes(results.set), progress=_watcher(stack)
+        )
     for difference in differences:
         err.print(difference, soft_wrap=True, markup=False)
     if differences:
         raise typer.Exit(1)
-    count = sum(names is None or row.controller in names for row in rows.rows.values())
     out.print(f"{path}: {count} rows are equal to the bit", soft_wrap=True, markup=False)
 
 
 def _watcher(stack: ExitStack) -> Progress:
-    """Show a progress bar for the trainings and one for the tasks."""
+    """Show a progress bar for the trainings and one for the tasks; without a terminal, a line for each finished one."""
+    if not out.is_interactive:
+        return lambda stage, done, total: err.print(f"{stage}: {done} of {total}", soft_wrap=True, markup=False)
     bars = stack.enter_context(progress())
     bar_of: dict[str, Any] = {}
 

@@ -4,6 +4,7 @@ from agent_sdk.benchmark.definition import BASELINES, SETS, VERSION, BenchmarkSe
 from agent_sdk.benchmark.results import Results, Row, load_results
 from agent_sdk.benchmark.run import check, run_benchmark
 from agent_sdk.benchmark.scores import Interval, Scores, interquartile_mean, relative_score, score_rows
+from agent_sdk.benchmark.selection import Selection
 
 __all__ = [
     "BASELINES",
@@ -14,6 +15,7 @@ __all__ = [
     "Results",
     "Row",
     "Scores",
+    "Selection",
     "Task",
     "check",
     "interquartile_mean",

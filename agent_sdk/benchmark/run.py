@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager
@@ -16,6 +16,7 @@ from typing import Any
 from agent_sdk.benchmark.definition import BASELINES, SETS, Task, is_trained
 from agent_sdk.benchmark.episodes import Job, describe_error, run_job
 from agent_sdk.benchmark.results import Results, Row, changed_versions, load_results
+from agent_sdk.benchmark.selection import Selection
 from agent_sdk.benchmark.trained import Training, ensure_trained
 from agent_sdk.controllers.base import BaselineController
 from bridge.recording.file import file_digest
@@ -23,7 +24,7 @@ from topics.errors import InvalidConfig, SimulatorError, UnknownName, did_you_me
 from topics.file_lock import locked
 
 Progress = Callable[[str, int, int], None]
-"""Callback with the stage (`training`, `episodes`), the number of finished items and of all."""
+"""Callback with the stage (`training`, `episodes`), the number of finished items (first 0) and of all."""
 
 Episode = tuple[str, Task, int]
 """Controller, task and seed."""
@@ -170,6 +171,8 @@ def _pool(workers: int) -> Iterator[RunAll]:
             function: Callable[..., Any], items: Sequence[Any], stage: str, progress: Progress | None, errors: list[str]
         ) -> Iterator[Any]:
             outcomes: Iterable[tuple[Any, str]]
+            if progress is not None and items:
+                progress(stage, 0, len(items))
             if executor is None:
                 outcomes = (_attempt(function, item) for item in items)
             else:
@@ -238,28 +241,24 @@ def _jobs(set_name: str, episodes: Sequence[Episode], cache: Path) -> list[Job]:
 
 
 def check(
-    path: Path, *, workers: int = 1, cache: Path | None = None, progress: Progress | None = None,
-    controllers: Collection[str] | None = None, hashes: Mapping[str, str] | None = None,
+    path: Path, selection: Selection | None = None, *, workers: int = 1, cache: Path | None = None,
+    progress: Progress | None = None, hashes: Mapping[str, str] | None = None,
 ) -> list[str]:  # fmt: skip
     """Run the rows of a file again, and return what differs; empty if all rows are equal to the bit.
 
     Args:
         path: file of the results.
+        selection: check only these rows; None: all.
         workers: as of `run_benchmark`.
         cache: as of `run_benchmark`.
         progress: as of `run_benchmark`.
-        controllers: check only the rows of these.
         hashes: as of `run_benchmark`.
 
     Raises:
         UnknownName, InvalidConfig: see `load_results`; or there are no such rows.
     """
     results = load_results(path)
-    chosen = [row for row in results.sorted_rows() if controllers is None or row.controller in controllers]
-    if not chosen:
-        raise InvalidConfig(
-            f"{path} has no rows of {', '.join(controllers or ())}; there are: {', '.join(results.names())}"
-        )
+    chosen = selected_rows(results, selection, str(path))
     files = check_controllers(list(dict.fromkeys(row.controller for row in chosen)))
     differences = [f"version of {change}" for change in changed_versions(results)]
     for known, now in ((results.hashes, hashes or {}), (results.controllers, files)):
@@ -274,6 +273,13 @@ def check(
             differences += failures
             again.update({row.key: row for row in rows})
     return differences + [_difference(row, again.get(row.key)) for row in chosen if again.get(row.key) != row]
+
+
+def selected_rows(results: Results, selection: Selection | None, what: str) -> list[Row]:
+    """Return the selected rows in order; errors as of `Selection.check`."""
+    selection, rows = selection or Selection(), results.sorted_rows()
+    selection.check([(row.controller, row.task, row.seed) for row in rows], what)
+    return [row for row in rows if selection.has(row.controller, row.task, row.seed)]
 
 
 def _difference(row: Row, again: Row | None) -> str:

@@ -17,6 +17,7 @@ from agent_sdk.benchmark import (
     SETS,
     Results,
     Row,
+    Selection,
     check,
     definition,
     interquartile_mean,
@@ -26,13 +27,14 @@ from agent_sdk.benchmark import (
     score_rows,
 )
 from agent_sdk.benchmark import run as benchmark_run
+from agent_sdk.benchmark.episodes import Job
 from agent_sdk.benchmark.figures import write_figures
 from agent_sdk.benchmark.page import write_page
 from agent_sdk.benchmark.scores import bootstrap_interval
 from agent_sdk.benchmark.tables import tables
 from cli.commands import app
 from models.catalog import find_building, find_weather
-from topics.errors import InvalidConfig, UnknownName
+from topics.errors import InvalidConfig, UnknownName, UsageError
 from topics.file_lock import locked
 
 OFFICE, WAREHOUSE = SETS["smoke"].buildings
@@ -233,6 +235,49 @@ def test_the_command_shows_results_and_names_what_is_missing(saved: Path) -> Non
     assert "expected a .md file" in str(page.exception)
 
 
+def test_check_runs_the_selected_rows_and_prints_its_progress_without_a_terminal(
+    saved: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    episodes: list[tuple[str, str, int]] = []
+
+    def run_again(job: Job) -> tuple[list[Row], list[str]]:
+        episodes.extend((name, job.task.building, seed) for name, seed in job.episodes)
+        rows = load_results(saved).rows
+        return [rows[name, *job.task.key, seed] for name, seed in job.episodes], []
+
+    monkeypatch.setattr(benchmark_run, "run_job", run_again)
+    monkeypatch.setattr("cli.benchmark._hashes", lambda _: {})
+    options = ["--controllers", "rbc", "--building", f"{OFFICE},{WAREHOUSE}", "--season", "summer", "--seed", "1"]
+    done = CliRunner().invoke(app, ["benchmark", "--check", str(saved), *options])
+    assert done.exit_code == 0, done.output
+    expected = [one.key for one in load_results(saved).sorted_rows() if (one.controller, one.seed) == ("rbc", 1)]
+    assert sorted(episodes) == sorted((key[0], key[1], key[4]) for key in expected)
+    assert "episodes: 0 of 2" in done.output
+    assert "episodes: 2 of 2" in done.output
+    assert f"{len(expected)} rows are equal to the bit" in done.output
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        (["--building", "ref-warehous"], "has no rows of the building 'ref-warehous'; did you mean 'ref-warehouse'"),
+        (["--season", "winter"], "has no rows of the season 'winter'; there are: 'summer'"),
+        (["--seed", "one"], "--seed one: numbers separated by commas expected"),
+        (["--seed", "7", "--weather", "Paris"], "no rows of the seed 7"),
+    ],
+)
+def test_a_selection_without_rows_is_refused(saved: Path, options: list[str], text: str) -> None:
+    done = CliRunner().invoke(app, ["benchmark", "--check", str(saved), *options])
+    assert isinstance(done.exception, UsageError)
+    assert text in str(done.exception)
+
+
+def test_a_selection_needs_rows_to_check(saved: Path) -> None:
+    done = CliRunner().invoke(app, ["benchmark", "--show", str(saved), "--season", "summer"])
+    assert isinstance(done.exception, InvalidConfig)
+    assert "--season: only with --check" in str(done.exception)
+
+
 # What is published
 
 
@@ -308,7 +353,7 @@ def test_episodes_are_resumed_and_run_again_to_the_bit(tmp_path: Path) -> None:
     wrong = next(one for one in results.rows.values() if one.controller == "fixed")
     results.add([dataclasses.replace(wrong, reward=float(np.nextafter(wrong.reward, 0.0)))])
     results.save(path)
-    differences = check(path, controllers=["fixed", "baseline"])
+    differences = check(path, Selection(controller=["fixed", "baseline"]))
     assert [text.split(":")[0] for text in differences] == [f"fixed/{OFFICE}/summer/USA_IL_Chicago/20001"]
 
 
