@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from itertools import product
 from typing import Any
 
+from agent_sdk.benchmark.frozen_bounds import frozen_actuators
+
 VERSION = 1
 
 SEASONS = {"winter": ("01-09", "01-15"), "spring": ("04-10", "04-16"), "summer": ("07-10", "07-16")}
@@ -144,6 +146,10 @@ class BenchmarkSet:
 
     def arguments(self, building: str, season: str, weather: str) -> dict[str, Any]:
         """Return the arguments of `BuildingEnv` for a task: one pair of setpoints for all thermostats."""
+        return self._published_arguments(building, season, weather) | {"actuators": frozen_actuators(building)}
+
+    def _published_arguments(self, building: str, season: str, weather: str) -> dict[str, Any]:
+        """Return the arguments of version 1 as published, when `frozen_actuators` were the default; for hashes."""
         begin, last = SEASONS[season]
         month, day = begin.split("-")
         end = last if self.days == 7 else f"{month}-{int(day) + self.days - 1:02}"
@@ -151,7 +157,12 @@ class BenchmarkSet:
 
     def training(self, algorithm: str, building: str, season: str) -> dict[str, Any]:
         """Return the fields of a training file; `agent_sdk.training.read_training` reads them."""
-        arguments = self.arguments(building, season, TRAINING_WEATHERS[0])
+        published = self.published_training(algorithm, building, season)
+        return published | {"arguments": published["arguments"] | {"actuators": frozen_actuators(building)}}
+
+    def published_training(self, algorithm: str, building: str, season: str) -> dict[str, Any]:
+        """Return the fields of a training file of version 1 as published; for hashes."""
+        arguments = self._published_arguments(building, season, TRAINING_WEATHERS[0])
         return {
             "algorithm": algorithm,
             "scenario": arguments.pop("scenario"),
@@ -167,10 +178,10 @@ class BenchmarkSet:
     def digest(self) -> str:
         """Return a hash of all that defines the rows of the set, for results of different programs."""
         trained = {
-            f"{algorithm}/{building}/{season}": self.training(algorithm, building, season)
+            f"{algorithm}/{building}/{season}": self.published_training(algorithm, building, season)
             for algorithm, building, season in product(_TRAININGS, self.buildings, self.seasons)
         }
-        tasks = [[*task.key, self.arguments(*task.key)] for task in self.tasks()]
+        tasks = [[*task.key, self._published_arguments(*task.key)] for task in self.tasks()]
         content = [VERSION, self.name, list(self.seeds), tasks, trained, LINEAR, BASELINES]
         return digest_of(content)
 

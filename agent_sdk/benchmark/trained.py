@@ -52,7 +52,7 @@ class Training:
     @property
     def digest(self) -> str:
         """Hash of its configuration and of the versions that determine its weights."""
-        return digest_of([self.fields, current_versions()])
+        return digest_of([SETS[self.set].published_training(*self.key), current_versions()])
 
     @property
     def folder(self) -> Path:

@@ -9,6 +9,7 @@ from typing import TypeVar
 
 from models.building.model import Building
 from models.points.discovery import ActuatorPoint, MeterPoint, PointCatalog, Variable
+from models.points.thermostat_bounds import setpoint_bounds
 from topics.energyplus_names import (
     COMPUTED_ON_REQUEST,
     COOLING_SETPOINT,
@@ -44,10 +45,6 @@ _SITE_SENSORS = {
     "outdoor_humidity": ("Site Outdoor Air Relative Humidity", "Environment"),
     "hvac_and_plant_power": (HVAC_POWER, "Whole Building"),
 }
-
-# Thermostat bounds: those of the medium office in the paper that Zenostat follows (Sinergym). They meet
-# at 22.5 degC because EnergyPlus aborts the run when a heating setpoint is above the cooling setpoint.
-_SETPOINT_BOUNDS = {HEATING_SETPOINT: (15.0, 22.5), COOLING_SETPOINT: (22.5, 30.0)}
 
 _FEEDBACK = {
     (THERMOSTAT, HEATING_SETPOINT): HEATING_SETPOINT_VARIABLE,
@@ -284,8 +281,8 @@ def find_actuator(available: PointCatalog, name: str, component: str, control: s
 
 def actuator_bounds(building: Building, actuator: ActuatorPoint) -> tuple[float | None, float | None]:
     """Return an actuator's bounds: a thermostat's, its schedule's type limits, or those of its unit."""
-    if actuator.component_type == THERMOSTAT and actuator.control_type in _SETPOINT_BOUNDS:
-        return _SETPOINT_BOUNDS[actuator.control_type]
+    if actuator.component_type == THERMOSTAT and (setpoints := setpoint_bounds(building, actuator.control_type)):
+        return setpoints
     if actuator.control_type == SCHEDULE_VALUE:
         schedule = building.find(actuator.component_type, actuator.key)
         bounds = building.find("ScheduleTypeLimits", str(schedule.get("schedule_type_limits_name", "")))
@@ -333,5 +330,5 @@ def default_actuators(available: PointCatalog) -> dict[str, tuple[str, str, str]
     return {
         f"{zones[a.key]}_{safe_name(a.control_type)}": (a.component_type, a.control_type, a.key)
         for a in available.actuators
-        if a.component_type == THERMOSTAT and a.control_type in _SETPOINT_BOUNDS
+        if a.component_type == THERMOSTAT and a.control_type in (HEATING_SETPOINT, COOLING_SETPOINT)
     }

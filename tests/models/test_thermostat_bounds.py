@@ -1,0 +1,87 @@
+"""Default bounds of setpoints contain what the building's own schedules do, and never let heating above cooling."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from agent_sdk.benchmark.definition import BUILDINGS
+from agent_sdk.benchmark.frozen_bounds import frozen_actuators
+from models.building.model import Building, read_building
+from models.catalog import bundled_buildings, find_building, find_weather
+from models.points import discovery, selection
+from models.points.thermostat_bounds import setpoint_bounds
+from topics.energyplus_names import COOLING_SETPOINT, HEATING_SETPOINT
+
+
+def building(heating: dict[str, Any], **objects: dict[str, Any]) -> Building:
+    thermostat = {"heating_setpoint_temperature_schedule_name": "heat"}
+    return Building("a.epJSON", {"ThermostatSetpoint:DualSetpoint": {"t": thermostat}, **objects, **heating}, "")
+
+
+def compact(*fields: str | float) -> dict[str, Any]:
+    return {"Schedule:Compact": {"Heat": {"data": [{"field": field} for field in fields]}}}
+
+
+YEAR: dict[str, Any] = {
+    "Schedule:Year": {"heat": {"schedule_weeks": [{"schedule_week_name": "week", "start_month": 1}]}},
+    "Schedule:Week:Daily": {
+        "week": {
+            "monday_schedule_day_name": "day",
+            "winterdesignday_schedule_day_name": "design",
+            "customday1_schedule_day_name": "design",
+        }
+    },
+    "Schedule:Day:Interval": {
+        "day": {"data": [{"time": "08:00", "value_until_time": 11.0}, {"time": "24:00", "value_until_time": 21.0}]},
+        "design": {"data": [{"time": "24:00", "value_until_time": 6.0}]},
+    },
+}
+
+
+@pytest.mark.parametrize(
+    ("schedule", "expected"),
+    [
+        (compact("Through: 12/31", "For: AllDays", "Until: 24:00", 7.2), 7.2),
+        (compact("For: Weekdays", "Until: 24:00", 21.0, "For: WinterDesignDay", "Until: 24:00", 8.0), 15.0),
+        (compact("For: Weekdays WinterDesignDay", "Until: 24:00", 9.0), 9.0),
+        (compact("For: AllDays", "Until: 24:00", -60.0), 15.0),  # off
+        (compact("For: AllDays", "Until: 24:00", 21.0), 15.0),
+        ({"Schedule:Constant": {"HEAT": {"hourly_value": 12.5}}}, 12.5),
+        ({"Schedule:Day:Hourly": {}, "Schedule:Compact": {}}, 15.0),  # of a file or a program: unknown
+        (YEAR, 11.0),
+    ],
+)
+def test_heating_goes_down_to_the_lowest_scheduled_setpoint(schedule: dict[str, Any], expected: float) -> None:
+    assert setpoint_bounds(building(schedule), HEATING_SETPOINT) == (expected, 22.5)
+    assert setpoint_bounds(building(schedule), COOLING_SETPOINT) == (22.5, 30.0)
+    assert setpoint_bounds(building(schedule), "Schedule Value") is None
+
+
+def test_the_warehouse_can_be_heated_as_little_as_it_is() -> None:
+    warehouse = read_building(find_building("ref-warehouse"))
+    assert setpoint_bounds(warehouse, HEATING_SETPOINT) == (7.2, 22.5)
+    assert setpoint_bounds(warehouse, COOLING_SETPOINT) == (22.5, 30.0)
+
+
+@pytest.mark.slow
+def test_every_bundled_building_has_bounds_that_meet() -> None:
+    for entry in bundled_buildings():
+        heating, cooling = (
+            setpoint_bounds(read_building(entry), kind) for kind in (HEATING_SETPOINT, COOLING_SETPOINT)
+        )
+        assert heating is not None
+        assert cooling is not None
+        assert 5.0 < heating[0] <= 15.0 < heating[1] == cooling[0] == 22.5 < 30.0 <= cooling[1] < 40.0, entry.name
+
+
+@pytest.mark.parametrize("name", BUILDINGS)
+def test_version_1_of_the_benchmark_has_the_actuators_and_bounds_of_its_publication(name: str) -> None:
+    model = read_building(find_building(name))
+    offered = discovery.discover(model, find_weather("USA_IL_Chicago").path)
+    names = {key: list(spec) for key, spec in selection.default_actuators(offered).items()}
+    frozen = frozen_actuators(name)
+    assert {key: spec[:3] for key, spec in frozen.items()} == names
+    assert list(frozen) == list(names)
+    assert {tuple(spec[3:]) for spec in frozen.values()} == {(15.0, 22.5), (22.5, 30.0)}
