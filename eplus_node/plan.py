@@ -44,8 +44,8 @@ class Plan:
     """A checked configuration: everything that can be determined before EnergyPlus runs.
 
     Attributes:
-        warnings: objects of the model that override the scenario's actuators, surfaces that cannot be drawn, and
-            faults that would block the node.
+        warnings: objects of the model that override the scenario's actuators, surfaces that cannot be drawn, a missing
+            run period, and faults that would block the node.
         faults: faults to inject.
     """
 
@@ -107,6 +107,7 @@ def plan(config: NodeConfig) -> Plan:
     warnings = (
         *conflicts.conflicts(model.objects, chosen.actuators),
         *([geometry.note] if geometry.note else []),
+        *_run_period_warnings(model, scenario),
         *_lockstep_loss_warnings(config, injected),
     )
     if not isinstance(config.environment_reward, str):
@@ -225,6 +226,12 @@ def _check_noise_start(scenario: Scenario, model: Building | None, period: Perio
 def _check_output_dir(folder: Path) -> None:
     if folder.exists() and not folder.is_dir():
         raise InvalidConfig(f"output_dir={folder} is a file; name a folder")
+
+
+def _run_period_warnings(model: Building, scenario: Scenario) -> tuple[str, ...]:
+    if model.run_period or scenario.begin is not None or scenario.end is not None:
+        return ()
+    return ("the model has no RunPeriod, so an episode is a whole year; choose begin and end",)
 
 
 def _lockstep_loss_warnings(config: NodeConfig, faults: FaultPlan | None) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ T = TypeVar("T")
 
 
 class ControllerMismatch(InvalidConfig):
-    """A node lacks points or actions that a controller needs, whatever its parameters; `evaluate` skips it."""
+    """A node lacks points or actions that a controller needs, or a parameter is left out; `evaluate` skips it."""
 
 
 def number(name: str, value: object, *, minimum: float = -math.inf, maximum: float = math.inf) -> float:
@@ -67,8 +67,8 @@ def make_controller(factory: Callable[..., T], manifest: Manifest, parameters: M
     """Create a controller of a node with parameters.
 
     Raises:
-        InvalidConfig: an unknown parameter, a required parameter is missing, or the node lacks what the controller
-            needs.
+        ControllerMismatch: a required parameter is left out, or the node lacks what the controller needs.
+        InvalidConfig: an unknown or invalid parameter.
     """
     name = getattr(factory, "__name__", str(factory))
     signature = list(inspect.signature(factory).parameters.values())[1:]
@@ -78,7 +78,7 @@ def make_controller(factory: Callable[..., T], manifest: Manifest, parameters: M
             raise InvalidConfig(f"{name} has no parameter {unknown!r}; {did_you_mean(unknown, known)}")
     missing = [p.name for p in signature if p.name in known and p.default is p.empty and p.name not in parameters]
     if missing:
-        raise InvalidConfig(f"{name} needs {_join(missing)}: --set {missing[0]}=..., or {missing[0]}= in Python")
+        raise ControllerMismatch(f"{name} needs {_join(missing)}: --set {missing[0]}=..., or {missing[0]}= in Python")
     return factory(manifest, **parameters)
 
 

@@ -17,6 +17,7 @@ from agent_sdk.envs import spaces
 from agent_sdk.envs.actions import Actions
 from agent_sdk.envs.time_features import time_features
 from agent_sdk.vec_normalization import load_normalization, normalization_of
+from topics import yaml12
 from topics.errors import InvalidConfig, UnknownName, did_you_mean
 from topics.extras import requires_extra
 from topics.messages import CommandOp, Manifest
@@ -94,8 +95,8 @@ class PolicyController(Controller):
                 names = _dimension_names(manifest, kind)
                 raise InvalidConfig(
                     f"the model was trained on other {kind} than those of {manifest.node!r}: "
-                    f"{describe_difference(trained, current, names)}; use the scenario of its training; a model "
-                    "trained behind wrappers is evaluated by agent_sdk.training.evaluate_model"
+                    f"{describe_difference(trained, current, names)}; use the scenario of its training; for a "
+                    "model trained behind wrappers, save_wrappers(env, 'model.wrappers.yaml') beside model.zip"
                 )
         self._normalization = normalization if normalization is not None else normalization_of(model)
         self._model, self._predictor = model, Predictor(model)
@@ -151,8 +152,9 @@ def load_policy(
     """Load a trained model as a controller factory, which is called with a node's manifest like a controller class.
 
     The normalization of a model that was trained behind `VecNormalize` is loaded with it: `model.vecnormalize.pkl`
-    beside `model.zip`, where `EvaluationCallback` saves it and `VecNormalize.save` can. A model in the folder of a
-    training acts within the wrappers of the training.
+    beside `model.zip`, where `EvaluationCallback` saves it and `VecNormalize.save` can. A model acts within the
+    wrappers of its training: those of the training's folder, or of `model.wrappers.yaml` beside `model.zip`, which
+    `EvaluationCallback` and `agent_sdk.wrappers.save_wrappers` write.
 
     These files contain pickled Python objects, which may execute arbitrary code when they are loaded: load only files
     that you trust.
@@ -186,7 +188,7 @@ def load_policy(
             f"the algorithm of {path} is missing: one of {', '.join(ALGORITHMS)} expected, as ppo:{path}"
         )
     model, normalization = _load_model(path, algorithm)
-    wrappers, states = ([], []) if folder is None else training_folder.read_wrappers(folder, path)
+    wrappers, states = _read_chain(path) if folder is None else training_folder.read_wrappers(folder, path)
 
     def policy(manifest: Manifest) -> Controller:
         if not wrappers:
@@ -196,6 +198,15 @@ def load_policy(
         return WrappedPolicy(manifest, model, normalization, wrappers, states)
 
     return policy
+
+
+def _read_chain(model: Path) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Return the wrappers that `save_wrappers` wrote beside a model, innermost first, and their states."""
+    file = model.with_suffix(".wrappers.yaml")
+    if not file.is_file():
+        return [], []
+    content = yaml12.parse(yaml12.read_text(file), str(file))
+    return list(content.get("chain", [])), list(content.get("wrappers", []))
 
 
 def _load_model(path: Path, algorithm: str | type[BaseAlgorithm]) -> tuple[BaseAlgorithm, VecNormalize | None]:

@@ -75,7 +75,8 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
         UsageError, BusError, SimulatorError: See `topics.errors`; everything that was started is closed again.
 
     Warns:
-        UserWarning: Controls in the model conflict with the scenario's actuators.
+        UserWarning: Controls in the model conflict with the scenario's actuators, the model has no run period and
+            none was chosen, or a plant has no reward.
     """
 
     metadata = {"render_modes": [*RENDER_MODES], "render_fps": 4}  # noqa: RUF012  # Gymnasium's own form

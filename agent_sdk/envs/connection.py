@@ -108,6 +108,8 @@ class NodeConnection:
             self._check_slots()
             chosen = self.manifest.task.reward if reward == arguments.FROM_SCENARIO else reward
             self.reward: Reward | None = None if chosen is None else read_reward(chosen)
+            is_plant = not self.manifest.versions.energyplus and link is None
+            self._is_without_reward = reward == arguments.FROM_SCENARIO and self.reward is None and is_plant
             self.adopt(self.manifest)
             undo.pop_all()
 
@@ -252,9 +254,15 @@ class NodeConnection:
         self._close.callback(Monitor(self._target.endpoint, self._keys).close)
 
     def warn(self, stacklevel: int) -> None:
-        """Warn of controls in the model that conflict with the scenario's actuators; `stacklevel` is the caller's."""
+        """Warn of what the node reports, and of a plant that pays nothing; `stacklevel` is the caller's."""
+        building = self.manifest.building
         for warning in self.manifest.warnings:
-            warnings.warn(f"{self.manifest.building}: {warning}", stacklevel=stacklevel + 1)
+            warnings.warn(f"{building}: {warning}", stacklevel=stacklevel + 1)
+        if self._is_without_reward:
+            warnings.warn(
+                f"{building} has no reward, so every step pays 0.0; pass reward=, or reward=None if that is intended",
+                stacklevel=stacklevel + 1,
+            )
 
     def push_exit(self, exits: AbstractContextManager[object]) -> None:
         """Exit another context manager first when the connection closes."""

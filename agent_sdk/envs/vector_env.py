@@ -63,7 +63,8 @@ class BuildingVectorEnv(ConnectedEnv, VectorEnv[Observations, Any, NDArray[Any]]
         UsageError, BusError, SimulatorError: See `topics.errors`; everything that was started is closed again.
 
     Warns:
-        UserWarning: Controls in the model conflict with the scenario's actuators.
+        UserWarning: Controls in the model conflict with the scenario's actuators, the model has no run period and
+            none was chosen, or a plant has no reward.
     """
 
     closed = True  # until construction ends, because Gymnasium before 1.4 closes an environment when it is deleted

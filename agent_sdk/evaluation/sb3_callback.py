@@ -208,7 +208,7 @@ def _copy_wrapper_state(training: Any, env: gym.Env[Any, Any]) -> str:
         path = Path(folder) / "learnt.yaml"
         save_wrappers(envs[0], path)
         text = path.read_text(encoding="utf-8")
-        if not yaml12.parse(text, str(path))["wrappers"]:
-            return ""
-        restore_wrappers(env, path)
-    return text
+        content = yaml12.parse(text, str(path))
+        if content["wrappers"]:
+            restore_wrappers(env, path)
+    return text if content["wrappers"] or "chain" in content else ""

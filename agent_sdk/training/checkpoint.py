@@ -213,7 +213,7 @@ def restore_random_states(checkpoint: Checkpoint, model: BaseAlgorithm, env: Tra
 
 
 def wrapper_state(env: Any) -> str:
-    """Return what the wrappers of an environment have learnt as YAML; "" if none has a state."""
+    """Return the wrappers of an environment and what they have learnt as YAML; "" without any."""
     with TemporaryDirectory(prefix="zenostat-") as folder:
         path = Path(folder) / WRAPPERS
         save_wrappers(env, path)

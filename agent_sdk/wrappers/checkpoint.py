@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,6 +13,7 @@ from gymnasium.vector import VectorWrapper
 
 from agent_sdk.wrappers.adapters import BuildingWrapper
 from agent_sdk.wrappers.names import inside
+from agent_sdk.wrappers.serialization import wrappers_of
 from topics import yaml12
 from topics.atomic_file import atomic_file
 from topics.errors import InvalidConfig
@@ -29,8 +30,10 @@ class _StatefulWrapper(NamedTuple):
 
 
 def save_wrappers(env: Any, path: str | Path) -> None:
-    """Write the state of the wrappers of `env`: those of `agent_sdk.wrappers`, and Gymnasium's running statistics.
+    """Write the wrappers of `env` and their state: those of `agent_sdk.wrappers`, and Gymnasium's running statistics.
 
+    Beside a model, as `model.wrappers.yaml` beside `model.zip`, the file lets `load_policy` and `zenostat evaluate`
+    apply the same wrappers again; of a chain with wrappers that cannot be written as data it has the state alone.
     Includes the wrappers of each slot's environment in a `SyncVectorEnv`. The YAML file is written atomically, and its
     folder is created. Save between episodes: the state of the simulation is not saved.
 
@@ -38,7 +41,12 @@ def save_wrappers(env: Any, path: str | Path) -> None:
         env: single or vector.
         path: the file.
     """
-    content = {"wrappers": [{"wrapper": wrapper.name, **wrapper.get()} for wrapper in _stateful_wrappers(env)]}
+    content: dict[str, Any] = {
+        "wrappers": [{"wrapper": wrapper.name, **wrapper.get()} for wrapper in _stateful_wrappers(env)]
+    }
+    with suppress(InvalidConfig):
+        if chain := wrappers_of(env):
+            content["chain"] = chain
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_file(path) as temporary:

@@ -173,7 +173,8 @@ def _entry(layer: Any) -> dict[str, Any]:
         raise InvalidConfig(f"{name} cannot be written as data; {did_you_mean(name, (*OURS, *GYMNASIUMS))}")
     if layer in _applied_arguments:
         return {"wrapper": name, **deepcopy(_applied_arguments[layer])}
-    arguments = getattr(layer, "_saved_kwargs", None)
+    # Gymnasium's vector form of a single wrapper records nothing, but the single one in it does.
+    arguments = getattr(layer, "_saved_kwargs", None) or getattr(getattr(layer, "wrapper", None), "_saved_kwargs", None)
     if arguments is None:
         raise InvalidConfig(f"{name} does not record its arguments; create it with apply_wrappers")
     if is_gymnasium:  # which records its defaults as well

@@ -1,0 +1,71 @@
+"""A model that was trained behind wrappers acts within them again if they are saved beside it."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
+
+from agent_sdk.controllers import Agent
+from agent_sdk.controllers.policy import load_policy
+from agent_sdk.envs.sb3_vec_env import as_sb3
+from agent_sdk.testing import FakeEnv
+from agent_sdk.vec_normalization import normalization_path
+from agent_sdk.wrappers import restore_wrappers, save_wrappers
+from topics import yaml12
+from topics.errors import InvalidConfig
+
+ONE = (np.float32(-1), np.float32(1))
+DAY: dict[str, Any] = {"steps_per_hour": 1, "control": "building"}
+
+
+def test_a_model_behind_rescaled_actions_is_evaluated_afterwards(tmp_path: Path) -> None:
+    """The recipe of docs/vector.md; the commands equal those of the model in the wrapped environment."""
+    envs = gym.make_vec("zenostat/Fake-v1", num_envs=2, autoreset_mode="SameStep", **DAY)
+    scaled = gym.wrappers.vector.RescaleAction(envs, *ONE)
+    model = PPO("MlpPolicy", VecNormalize(VecMonitor(as_sb3(scaled))), n_steps=8, batch_size=8, device="cpu", seed=0)
+    model.learn(16)
+    normalization = model.get_vec_normalize_env()
+    assert normalization is not None
+    file = tmp_path / "model.zip"
+    model.save(file)
+    normalization.save(str(normalization_path(file)))
+    with closing(FakeEnv(**DAY)) as env, pytest.raises(InvalidConfig, match="save_wrappers"):
+        load_policy(file, "ppo")(env.manifest)
+    save_wrappers(scaled, tmp_path / "model.wrappers.yaml")
+    envs.close()
+    with closing(FakeEnv(**DAY)) as env, closing(gym.wrappers.RescaleAction(FakeEnv(**DAY), *ONE)) as wrapped:
+        agent = Agent(load_policy(file, "ppo")(env.manifest))
+        observation, _ = env.reset(seed=5)
+        wrapped.reset(seed=5)
+        for _ in range(12):
+            action = model.predict(normalization.normalize_obs(observation), deterministic=True)[0]
+            observation, reward, *_ = env.step(agent.action(env.sample))
+            expected, expected_reward, *_ = wrapped.step(action)
+            assert np.array_equal(observation, expected)
+            assert reward == expected_reward
+
+
+def test_the_state_of_wrappers_is_restored_with_and_without_the_chain(tmp_path: Path) -> None:
+    class Mine(gym.Wrapper[Any, Any, Any, Any]):
+        """A wrapper of the user's, which cannot be written as data."""
+
+    def chain(*, with_own: bool) -> Any:
+        inner = gym.wrappers.NormalizeObservation(FakeEnv(**DAY))
+        return Mine(inner) if with_own else inner
+
+    for with_own in (False, True):
+        file = tmp_path / f"{with_own}.wrappers.yaml"
+        with closing(chain(with_own=with_own)) as env:
+            env.reset(seed=0)
+            save_wrappers(env, file)
+        content = yaml12.parse(file.read_text(), str(file))
+        assert content.get("chain") == (None if with_own else [{"wrapper": "NormalizeObservation"}])
+        with closing(chain(with_own=with_own)) as env:
+            restore_wrappers(env, file)
