@@ -121,7 +121,9 @@ def _with_reward_defaults(scenario: Scenario) -> Scenario:
 
 @scenarios.command()
 def check(file: Annotated[Path, typer.Argument(help="Scenario file.")]) -> None:
-    """Check a scenario file with its building, weather and points, without simulating.
+    """Check a scenario file without simulating: building, weather, points, actions, reward and wrappers.
+
+    All errors are listed at once.
 
     Example: `zenostat scenarios check mine.yaml`
     """
@@ -139,18 +141,19 @@ def check(file: Annotated[Path, typer.Argument(help="Scenario file.")]) -> None:
 
 
 def plan_scenario(settings: Mapping[str, Any]) -> Plan:
-    """Return the plan of the scenario in a node's settings, whose reward and wrappers are valid as well.
+    """Return the plan of the scenario in a node's settings, whose reward and wrappers fit its points as well.
 
     Raises:
         UsageError, SimulatorError: lists the errors of all parts.
     """
     from agent_sdk.envs.arguments import check_agent_fields
+    from agent_sdk.envs.task_check import check_task
     from eplus_node.config import read_config
     from eplus_node.plan import plan
 
     errors = ErrorCollector()
     errors.collect(lambda: check_agent_fields(settings["scenario"]))
-    planned = errors.collect(lambda: plan(read_config(settings)))
+    planned = errors.collect(lambda: plan(read_config(settings), check_task))
     errors.raise_if_any()
     return cast("Plan", planned)
 

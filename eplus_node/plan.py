@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -27,13 +27,13 @@ from models.scenario.run_period import Period, check_steps_per_hour
 from models.scenario.schema import ActuatorSpec, Scenario, dump
 from models.scenario.task import task_of
 from models.weather import design_days, epw, noise
-from models.weather.header import check_covers, read_header
+from models.weather.header import check_complete, check_covers, read_header
 from topics import VERSION
 from topics.calendar import parse_day
 from topics.errors import ErrorCollector, InvalidConfig, UnknownName
 from topics.fault_plan import FaultPlan, Loss
 from topics.keys import check_name
-from topics.messages import Aggregation, Mode, Policy, Task, Versions
+from topics.messages import Aggregation, Manifest, Mode, Policy, Task, Versions
 
 REPEATED_SETTINGS = ("shrink_caches", "monitoring", "building", "weather")
 """Settings of a provenance. A recording is data of anybody: no other setting of a node may come from one."""
@@ -61,8 +61,13 @@ class Plan:
     faults: FaultPlan | None = None
 
 
-def plan(config: NodeConfig) -> Plan:
+def plan(config: NodeConfig, check_task: Callable[[Manifest], None] | None = None) -> Plan:
     """Find and check the scenario: building, edits, weather, run period, points, task.
+
+    Args:
+        config: settings of the node.
+        check_task: also called with a manifest that has the points and the task, as soon as these are known; its errors
+            are listed with the others.
 
     Raises:
         UnknownName: no such scenario, building, weather or point.
@@ -73,20 +78,15 @@ def plan(config: NodeConfig) -> Plan:
     errors = ErrorCollector()
     scenario = scenario_of(config, errors)
     model = _read_model(scenario, errors)
-    if config.output_dir is None:
-        errors.collect(lambda: output_objects.check_edits(scenario.edits))
     sources = tuple(errors.collect(lambda name=name: _source(name, scenario)) for name in scenario.weather if name)  # type: ignore[misc]
     errors.collect(lambda: noise.resolve_columns(scenario.weather_noise))
-    output_dir = config.output_dir
-    if output_dir is not None:
-        errors.collect(lambda: _check_output_dir(output_dir))
+    errors.collect(lambda: _check_output(config.output_dir, scenario))
     period = chosen = task = None
     if _dates_are_valid(scenario, errors) and model is not None:
         period = errors.collect(lambda: model.period(scenario.begin, scenario.end, scenario.steps_per_hour))
     valid_sources = [source for source in sources if source is not None]
+    _check_weather(valid_sources, period, errors)
     if period is not None:
-        for source in valid_sources:
-            errors.collect(lambda source=source: check_covers(source.header, period, source.name))  # type: ignore[misc]
         errors.collect(lambda: _check_noise_start(scenario, model, period))
     if model is not None and valid_sources:
         chosen = errors.collect(
@@ -94,6 +94,9 @@ def plan(config: NodeConfig) -> Plan:
         )
     if chosen is not None:
         task = errors.collect(lambda: task_of(scenario, chosen))
+        if check_task is not None and model is not None and period is not None and task is not None:
+            manifest = _manifest(config, model, valid_sources[0], period, chosen, task)
+            errors.collect(lambda: check_task(manifest))
     file = config.faults
     injected = errors.collect(lambda: read_plan(file)) if file is not None else None
     rules_file = config.alarms
@@ -120,6 +123,37 @@ def plan(config: NodeConfig) -> Plan:
     if rules is not None:
         point_alarms(rules, describe(planned))
     return planned
+
+
+def _check_weather(sources: Sequence[WeatherSource], period: Period | None, errors: ErrorCollector) -> None:
+    for source in sources:
+        errors.collect(lambda source=source: check_complete(source.header, source.path))  # type: ignore[misc]
+        if period is not None:
+            errors.collect(lambda source=source: check_covers(source.header, period, source.name))  # type: ignore[misc]
+
+
+def _manifest(
+    config: NodeConfig, model: Building, source: WeatherSource, period: Period, points: Points, task: Task
+) -> Manifest:
+    """Return what a node of this plan would publish, as far as an agent's part depends on it."""
+    return Manifest(
+        node=config.name,
+        instance="",
+        building=model.name,
+        latitude_deg=source.header.latitude_deg,
+        longitude_deg=source.header.longitude_deg,
+        begin=period.time(0).isoformat(),
+        end=period.time(period.steps).isoformat(),
+        step_s=period.step_s,
+        steps=period.steps,
+        mode=config.mode,
+        policy=config.policy,
+        sensors=points.sensors,
+        meters=points.meters,
+        actuators=points.actuators,
+        task=task,
+        versions=Versions(zenostat=VERSION, energyplus=energyplus.version()),
+    )
 
 
 def describe(plan: Plan) -> PlantDescription:
@@ -221,6 +255,14 @@ def _check_noise_start(scenario: Scenario, model: Building | None, period: Perio
             f"noise_start: third_day is not possible with {model.name}: its {reader} reads the whole weather file "
             "before the episode starts; use noise_start: episode"
         )
+
+
+def _check_output(output_dir: Path | None, scenario: Scenario) -> None:
+    """Check the folder of EnergyPlus's output files; without one, no edit may ask for such files."""
+    if output_dir is None:
+        output_objects.check_edits(scenario.edits)
+    else:
+        _check_output_dir(output_dir)
 
 
 def _check_output_dir(folder: Path) -> None:

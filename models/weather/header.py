@@ -144,6 +144,24 @@ def _design(cells: list[str]) -> DesignConditions | None:
     return conditions if conditions.plausible else None
 
 
+def check_complete(header: Header, path: Path) -> None:
+    """Check that a weather file has a complete line for each interval that its header announces.
+
+    Raises:
+        InvalidConfig: lines are missing, or the last one is cut off; EnergyPlus would end in the middle of an episode.
+    """
+    lines = [line for line in path.read_bytes().splitlines()[HEADER_LINES:] if line.strip()]
+    days = (date(2001 + 3 * header.leap, *header.last) - date(2001 + 3 * header.leap, *header.first)).days
+    expected = (days % (365 + header.leap) + 1) * 24 * header.records_per_hour
+    if len(lines) < expected:
+        raise InvalidConfig(
+            f"{path} is incomplete: it has {len(lines):,} records, but {_span(header)} has {expected:,}; get the whole "
+            "file again"
+        )
+    if lines[expected - 1].count(b",") < lines[0].count(b","):
+        raise InvalidConfig(f"{path} is incomplete: its last record is cut off; get the whole file again")
+
+
 def check_covers(header: Header, period: Period, name: str) -> None:
     """Check that the weather file has data for every day of a run period.
 
