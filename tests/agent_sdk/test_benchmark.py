@@ -284,6 +284,8 @@ def test_a_selection_needs_rows_to_check(saved: Path) -> None:
 def test_the_published_tables_and_figures_are_those_of_the_published_rows(tmp_path: Path) -> None:
     results, text = load_results(benchmark_page.PUBLISHED), benchmark_page.PAGE.read_text(encoding="utf-8")
     assert benchmark_page.page(text) == text
+    planning = benchmark_page.PLANNING.read_text(encoding="utf-8")
+    assert benchmark_page.planning_page(planning) == planning
     for figure in write_figures(results, tmp_path):
         assert (benchmark_page.FOLDER / f"{figure.stem}.svg").is_file()
     assert set(results.hashes) == {*SETS["quick"].buildings, *SETS["quick"].weathers, *definition.TRAINING_WEATHERS}
