@@ -147,6 +147,17 @@ def test_torchrl_checks_and_collects() -> None:
 
 
 @pytest.mark.filterwarnings("ignore")
+def test_torchrl_steps_a_vector_that_it_resets_itself() -> None:
+    """24 timesteps an episode: in 30 steps TorchRL has reset both slots once."""
+    envs = pytest.importorskip("torchrl.envs")
+    env = envs.GymWrapper(gym.make_vec("zenostat/Fake-v1", num_envs=2, autoreset_mode="Disabled", **DAY))
+    envs.check_env_specs(env)
+    steps = env.rollout(30, break_when_any_done=False)
+    assert tuple(steps.batch_size) == (2, 30)
+    assert steps["next", "done"].sum(1).flatten().tolist() == [1, 1]
+
+
+@pytest.mark.filterwarnings("ignore")
 def test_minari_collects_with_infos(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
     minari = pytest.importorskip("minari")
