@@ -11,37 +11,48 @@ from support.nodes import PATIENCE_S, until
 from bridge.node.subscriptions import Subscriptions
 from bridge.transport.session import open_session
 from topics import codec, keys
-from topics.messages import Ack, Message, Stop
+from topics.messages import Ack, ErrorReply, Message, Stop, StopRecording
 
 
 @pytest.mark.process
-def test_close__ends_the_wait_for_requests_that_were_not_handled(folder: Path) -> None:
-    endpoint, handled, replies = f"unixsock-stream/{folder}/bus", list[Stop](), list[object]()
+@pytest.mark.parametrize(
+    ("topic", "request_sent", "reply"),
+    [
+        (keys.STOP, Stop(), Ack(episode=[0])),
+        (keys.STOP_RECORDING, StopRecording(), ErrorReply(error="NodeLost", message="node 'office' is ending")),
+    ],
+)
+def test_close__answers_requests_that_were_not_handled(
+    folder: Path, topic: keys.Topic, request_sent: Message, reply: Message
+) -> None:
+    endpoint, handled, replies = f"unixsock-stream/{folder}/bus", list[Message](), list[Message]()
 
-    def handle(stop: Stop) -> Message:
-        handled.append(stop)
+    def handle(request: Message) -> Message:
+        handled.append(request)
         return Ack(episode=[0])
 
     with open_session(listen=[endpoint]) as node, open_session(connect=[endpoint]) as client:
         received = threading.Event()
         with Subscriptions(node, "office") as subscriptions:
-            subscriptions.request(keys.STOP, Stop, handle, on_receipt=received.set)
-            until(lambda: _has_queryable(client), "the client knows of the queryable")
+            subscriptions.request(topic, type(request_sent), handle, on_receipt=received.set)
+            until(lambda: _has_queryable(client, topic), "the client knows of the queryable")
 
             def ask() -> None:
-                request = codec.encode(Stop())
-                replies.extend(client.get(keys.STOP.at("office"), payload=request, timeout=1e6))
+                payload = codec.encode(request_sent)
+                for answer in client.get(topic.at("office"), payload=payload, timeout=1e6):
+                    replies.append(codec.decode(type(reply), answer.ok.payload.to_bytes()))
 
             asking = threading.Thread(target=ask, daemon=True)
             asking.start()
             assert received.wait(PATIENCE_S)
         asking.join(PATIENCE_S)
         assert not asking.is_alive()
-    assert (handled, replies) == ([], [])
+    assert replies == [reply]
+    assert handled == ([request_sent] if topic is keys.STOP else [])
 
 
-def _has_queryable(client: object) -> bool:
-    querier = client.declare_querier(keys.STOP.at("office"))  # type: ignore[attr-defined]
+def _has_queryable(client: object, topic: keys.Topic) -> bool:
+    querier = client.declare_querier(topic.at("office"))  # type: ignore[attr-defined]
     try:
         return bool(querier.matching_status.matching)
     finally:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -127,8 +126,7 @@ def test_the_replies_of_a_hostile_node_are_errors_without_them() -> None:
 
 
 def test_the_monitor_shows_names_as_they_are_and_not_as_markdown() -> None:
-    known = {"zones": 1, "controllers": ("[x](http://a) <b>|*y*",), "faults": ("a*b",)}
-    numbers = NodeNumbers(**{field.name: known.get(field.name) for field in fields(NodeNumbers)})
+    numbers = NodeNumbers(zones=1, sources=("[x](http://a) <b>|*y*",), faults=("a*b",))
     shown = markdown(numbers) + overview([NodeRow("room", "![i](http://a/i.png)", numbers)])
     assert "[x](http" not in shown
     assert "![i]" not in shown

@@ -37,7 +37,7 @@ def node(plain: Path) -> Iterator[NodeProgram]:
 
 @pytest.fixture
 def env(node: NodeProgram) -> Iterator[BuildingEnv]:
-    with BuildingEnv(connect=node.endpoint, node="plain", affinity="off") as environment:
+    with BuildingEnv(connect=node.endpoint, node="plain", reward=None, affinity="off") as environment:
         yield environment
 
 
@@ -94,7 +94,7 @@ def test_a_plant_that_can_be_copied_has_snapshots_and_branches(
     monkeypatch.setenv(COPIES, str(copies))
     with (
         NodeProgram(plain, **SETTINGS) as node,
-        BuildingEnv(connect=node.endpoint, node="plain", affinity="off") as env,
+        BuildingEnv(connect=node.endpoint, node="plain", reward=None, affinity="off") as env,
     ):
         env.reset(seed=0)
         act(env, 4.0)

@@ -268,12 +268,19 @@ def test_name_of_a_controller_that_does_not_use_the_gateway_is_taken_too(shared_
         until(lambda: peer.ask("rpc/claim", controller=link.name)[0] == "Ack", "it has left")
 
 
+def _is_stopped(pid: int) -> bool:
+    """Whether each thread of a process has stopped."""
+    states = [(task / "stat").read_text().rpartition(")")[2].split()[0] for task in Path(f"/proc/{pid}/task").iterdir()]
+    return set(states) == {"T"}
+
+
 def test_peer_with_too_many_unanswered_requests_is_told_and_delays_nobody_by_more(node, own_gateway):
     """frozen node: 100 of 300 requests wait for it, the others are rejected → the node goes on: all are answered"""
     with Peer(own_gateway) as flood, Peer(own_gateway) as peer:
         assert flood.ask("rpc/status")[0] == peer.ask("rpc/status")[0] == "Status"
         psutil.Process(node.pid).send_signal(signal.SIGSTOP)
         try:
+            until(lambda: _is_stopped(node.pid), "the node is frozen")
             for _ in range(300):
                 flood.say("rpc/status")
             for _ in range(200):
