@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from agent_sdk.report.figures.base import Figure
+from agent_sdk.report.readings import readings
 from agent_sdk.report.runs import Comparison, Run
 from agent_sdk.report.sections import Section
 from agent_sdk.report.summary import summary
@@ -26,11 +27,12 @@ from agent_sdk.report.totals_section import NONE, totals_section
 _PACKAGES = ("numpy", "gymnasium", "eclipse-zenoh", "pyenergyplus-lbnl", "matplotlib")
 _MAX_TABLE_ROWS = 100
 _STYLE = Path(__file__).with_name("page.css")
-_SCRIPT = (
-    "for(const [e,o] of [['beforeprint',1],['afterprint',0]])addEventListener(e,()=>"
-    "document.querySelectorAll('details.print').forEach(d=>d.open=!!o));"
+_SCRIPT = Path(__file__).with_name("page.js").read_text(encoding="utf-8")
+"""Shows values at the pointer, zooms, and opens what is folded while the page is printed."""
+_HINT = (
+    "Point at a figure over time to read its values; drag to zoom in, double-click or press Escape to zoom out. With "
+    "the keyboard: Tab to a figure, arrow keys, + and \N{MINUS SIGN}."
 )
-"""Opens what is folded while the page is printed."""
 
 
 def page(comparison: Comparison) -> str:
@@ -47,6 +49,7 @@ def page(comparison: Comparison) -> str:
     body = "".join(
         [
             f'<header>{heading}</header><nav aria-label="Sections"><ul>{toc}</ul></nav><main>',
+            f'<p class="note" id="hint" hidden>{escape(_HINT)}</p>',
             _result(comparison),
             totals_section(comparison),
             *(_section(part) for part in parts),
@@ -148,8 +151,10 @@ def _figure(figure: Figure) -> str:
         return f"<figure>{caption}</figure>"
     drawing = inline_svg(figure.drawing, figure.name, figure.title, figure.alt)
     label = escape(figure.title)
+    values = readings(figure.drawing)
+    block = f'<script type="application/json">{values}</script>' if values else ""
     return (
-        f'<figure><div class="scroll" role="group" tabindex="0" aria-label="{label}">{drawing}</div>'
+        f'<figure>{block}<div class="scroll" role="group" tabindex="0" aria-label="{label}">{drawing}</div>'
         f"{caption}</figure>{_numbers(figure)}"
     )
 

@@ -14,7 +14,8 @@ from topics.atomic_file import atomic_file
 PNG_DPI = 300
 _NUMBER = re.compile(r"-?\d+\.\d+(?:e-?\d+)?")
 _GEOMETRY = re.compile(r'(?<=[\s])(d|points|transform|x|y|x1|x2|y1|y2|width|height)="([^"]*)"')
-_PLAIN_ID = re.compile(r'(<g) id="[a-z_A-Z]*[0-9.]*"')
+_GROUP_ID = re.compile(r'<g id="([^"]*)"')
+_UPRIGHT = re.compile(r' transform="rotate\(-0 [^"]*"')
 _COLORS = {color: f"var(--{name})" for name, color in LIGHT.items()}
 _COLOR = re.compile("|".join(map(re.escape, _COLORS)), re.IGNORECASE)
 
@@ -27,7 +28,7 @@ def inline_svg(figure: Any, name: str, title: str, description: str) -> str:
     text = _draw(figure, name)
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", text, flags=re.DOTALL)
-    text = _PLAIN_ID.sub(r"\1", text)
+    text = _UPRIGHT.sub("", _GROUP_ID.sub(_group, text))
     text = re.sub(r'id="(?=[^"])', f'id="{name}-', text)
     text = re.sub(r'(xlink:href="#|url\(#)', rf"\g<1>{name}-", text)
     text = _GEOMETRY.sub(lambda match: f'{match[1]}="{_NUMBER.sub(_rounded, match[2])}"', text)
@@ -61,6 +62,13 @@ def _draw(figure: Any, name: str, ground: str = "none") -> str:
     with rc_context(style(name)):
         figure.savefig(file, format="svg", facecolor=ground, metadata={"Date": None, "Creator": None})
     return file.getvalue()
+
+
+def _group(match: re.Match[str]) -> str:
+    """Return the start of a group: axes with values keep their id, ticks of the x axis have a class."""
+    if match[1].startswith("reading-"):
+        return match[0]
+    return '<g class="tick"' if match[1].startswith("xtick") else "<g"
 
 
 def _rounded(match: re.Match[str]) -> str:

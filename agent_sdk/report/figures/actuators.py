@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from agent_sdk.report.figures.base import LONG_DAYS, Curve, Figure, daily, day_numbers, draw, mark_days
 from agent_sdk.report.quantities import Floats
+from agent_sdk.report.readings import Series, read_lines, read_series
 from agent_sdk.report.theme import LIGHT, series_color
 from bridge.display.labels import label, unit_label
 from topics.energyplus_names import THERMOSTAT
@@ -41,6 +42,7 @@ def timeline(curves: Sequence[Curve]) -> Figure | None:
             axis.set_title(title[0])
             axis.set_ylabel(unit_label(title[1]))
             axis.margins(y=0.12)
+            read_lines(axis, unit_label(title[1]), first)
         lines = {line.get_label(): line for axis in axes[:-1] for line in axis.get_lines()}
         figure.legend(lines.values(), lines, loc="outside upper left", ncols=4, handlelength=1.8)
         _strips(figure, axes[-1], curves, first, is_long=is_long)
@@ -149,6 +151,10 @@ def _strips(figure: Any, axis: Any, curves: Sequence[Curve], first: np.datetime6
     from matplotlib.patches import Patch
 
     sources = [source_shares(curve) for curve in curves]
+    series = [
+        _main_source(curve, shares, first, is_long=is_long) for curve, shares in zip(curves, sources, strict=True)
+    ]
+    read_series(axis, "", series, first)
     names = list(dict.fromkeys(name for source in sources for name in source))
     colors = {"": LIGHT["line"]} | {curve.source: curve.color for curve in curves}
     for place, name in enumerate(name for name in names if name not in colors):
@@ -169,6 +175,23 @@ def _strips(figure: Any, axis: Any, curves: Sequence[Curve], first: np.datetime6
     axis.set_yticks([row + 0.5 for row in range(len(curves))], [curve.name for curve in curves])
     axis.grid(visible=False)
     axis.spines["left"].set_visible(False)
+
+
+def _main_source(curve: Curve, shares: Mapping[str, Floats], first: np.datetime64, *, is_long: bool) -> Series:
+    """Return the source of most actuators in each timestep or day, for the values at the pointer."""
+    edges = _edges(curve, first)
+    parts = list(shares.values())
+    if is_long:
+        days = [daily(share, edges[:-1]) for share in parts]
+        edges = np.append(days[0][0] - 0.5, days[0][0][-1] + 0.5)
+        parts = [mean for _, _, mean, _ in days]
+    where, most = _runs(edges, np.argmax(np.nan_to_num(parts), axis=0).astype(float))
+    texts = tuple(f"set by {_source_label(curve, name)}" for name in shares)
+    return Series(curve.name, curve.color, where, most, is_step=True, texts=texts)
+
+
+def _source_label(curve: Curve, name: str) -> str:
+    return {"": BASELINE, curve.source: curve.name}.get(name, name)
 
 
 def _runs(edges: Floats, *series: Floats) -> list[Floats]:

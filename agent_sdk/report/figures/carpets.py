@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from agent_sdk.report.figures.base import Curve, Figure, draw, mark_days
 from agent_sdk.report.quantities import Floats, Times, by_hour
+from agent_sdk.report.readings import read_cells
 from agent_sdk.report.theme import LIGHT
 from bridge.display.colors import COMFORT_RANGE_K, comfort_colors
 
@@ -41,7 +42,7 @@ def electricity(curves: Sequence[Curve]) -> Figure | None:
         return rgba
 
     label = curves[0].quantities.power_label
-    drawing = _carpets("carpet-electricity", [(curve, days) for curve, days, _ in grids], colors, (0.0, top), "kW")
+    drawing = _carpets("carpet-electricity", grids, colors, (0.0, top), "kW")
     return Figure(
         "carpet-electricity", label, "Mean power of each hour of each day in kW; one color scale for all.",
         f"Carpet of electric power over the hours of each day, up to {top:,.0f} kW.", drawing,
@@ -70,7 +71,7 @@ def zone(curves: Sequence[Curve], label: str, number: int) -> Figure | None:
     has_occupants = any(comfort.has_occupants for curve, *_ in grids if (comfort := curve.quantities.comfort))
     faint = " Faint: nobody there." if has_occupants else ""
     limits = (-COMFORT_RANGE_K, COMFORT_RANGE_K)
-    drawing = _carpets(name, [(curve, days) for curve, days, _ in grids], tints.__getitem__, limits, "K")
+    drawing = _carpets(name, grids, tints.__getitem__, limits, "K")
     return Figure(
         name, f"{label}: deviation from comfort",
         "Mean deviation from the comfort band in each hour in K: blue below, orange above, blank within."
@@ -90,7 +91,7 @@ def tint(deviation: Floats) -> Floats:
 
 def _carpets(
     name: str,
-    panels: Sequence[tuple[Curve, Times]],
+    panels: Sequence[tuple[Curve, Times, Floats]],
     colors: Any,
     limits: tuple[float, float],
     unit: str,
@@ -100,7 +101,7 @@ def _carpets(
 
     def fill(figure: Any) -> None:
         axes = figure.subplots(rows, columns, sharey=True, squeeze=False).ravel()
-        for place, (axis, (curve, days)) in enumerate(zip(axes, panels, strict=False)):
+        for place, (axis, (curve, days, grid)) in enumerate(zip(axes, panels, strict=False)):
             axis.imshow(
                 colors(place).transpose(1, 0, 2), origin="lower", aspect="auto", interpolation="none",
                 extent=(0, len(days), 0, 24),
@@ -111,6 +112,7 @@ def _carpets(
             mark_days(axis, days[0], len(days))
             axis.grid(visible=False)
             axis.spines[:].set_visible(False)
+            read_cells(axis, unit, curve.name, days, grid)
         for axis in axes[len(panels) :]:
             axis.set_visible(False)
         _color_bar(figure, axes, limits, unit)

@@ -9,6 +9,7 @@ import numpy as np
 
 from agent_sdk.report.figures.base import Curve, Figure, draw, ink_on, legend_above, period_label, quiet, text_width
 from agent_sdk.report.quantities import EndUseEnergy, Floats, by_period, load_duration
+from agent_sdk.report.readings import read_lines
 from agent_sdk.report.theme import LIGHT
 from bridge.display.colors import UNKNOWN, hex_color
 
@@ -115,6 +116,7 @@ def duration(curves: Sequence[Curve]) -> Figure | None:
         axis.set_ylabel("kW")
         axis.set_xlabel("share of the time in which the power is at least as high")
         legend_above(axis)
+        read_lines(axis, "kW", labels=[curve.name for curve, *_ in lines])
 
     label = powers[0][0].quantities.power_label
     keep = np.linspace(0, 100, 101)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from agent_sdk.report.figures.base import Curve, Figure, day_numbers, draw, mark_days
+from agent_sdk.report.readings import read_lines
 from bridge.display.labels import label
 
 _MAX_PANELS = 4
@@ -45,6 +46,7 @@ def reward(curves: Sequence[Curve]) -> Figure | None:
             every = max(-(-len(ticks) * len(panels) // 9), 1)
             axis.set_xticks(ticks[::every], [text.get_text() for text in axis.get_xticklabels()][::every], ha="left")
             axis.yaxis.set_major_formatter("{x:,.6g}")
+            read_lines(axis, "", first)
         handles, labels = axes[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper left", ncols=4, handlelength=1.8)
 

@@ -10,6 +10,7 @@ import numpy as np
 from agent_sdk.evaluation.trace import WeatherTrace
 from agent_sdk.report.figures.base import LEGEND_ROW_PT, LONG_DAYS, Days, Figure, daily, draw, legend_above, mark_days
 from agent_sdk.report.quantities import Floats
+from agent_sdk.report.readings import read_lines
 from agent_sdk.report.theme import LIGHT, series_color, series_dashes
 
 _MAX_EPISODES = 6
@@ -41,8 +42,12 @@ def weather(episodes: Sequence[tuple[str, WeatherTrace]], begin: np.datetime64) 
             if has_solar:
                 _solar(axes[1, 0], trace, where, place, len(shown), is_long=is_long)
         axes[0, 0].set_ylabel("°C")
+        labels = [label for label, _ in shown] if len(shown) > 1 else ["daily mean" if is_long else ""]
+        read_lines(axes[0, 0], "°C", begin, labels)
         if has_solar:
-            axes[1, 0].set_ylabel("kWh/m² a day" if is_long else "W/m²")
+            solar_unit = "kWh/m² a day" if is_long else "W/m²"
+            axes[1, 0].set_ylabel(solar_unit)
+            read_lines(axes[1, 0], solar_unit, begin, labels if len(shown) > 1 else [""])
             axes[1, 0].set_title("Global horizontal radiation")
             axes[1, 0].set_ylim(bottom=0.0)
         rows = legend_above(axes[0, 0]) if len(shown) > 1 else 0
