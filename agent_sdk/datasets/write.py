@@ -231,5 +231,5 @@ def _names(env: gym.Env[Any, Any]) -> tuple[str, ...]:
 
 def _description(building: BuildingEnv, controllers: Sequence[str], epsilon: float) -> str:
     scenario = building.manifest.task.scenario or building.manifest.building
-    mixed = f", with random actions in {epsilon:.0%} of the timesteps" if epsilon else ""
+    mixed = f", with random actions in {100.0 * epsilon:.3g}% of the timesteps" if epsilon else ""
     return f"EnergyPlus building {scenario} controlled by {', '.join(controllers)}{mixed}."

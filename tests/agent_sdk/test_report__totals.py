@@ -106,6 +106,23 @@ def test_the_result_says_when_nothing_differs(comparison: Comparison) -> None:
 
 
 @pytest.mark.parametrize(
+    ("outside", "words"),
+    [
+        (998.0, "0.2 % less than under baseline"),
+        (1000.6, "0.1 % more than under baseline"),
+        (1000.4, "as much as under baseline"),
+        (600.0, "40.0 % less than under baseline"),
+    ],
+)
+def test_the_result_never_says_zero_percent_less(comparison: Comparison, outside: float, words: str) -> None:
+    reference, other = comparison.runs
+    metrics_of_both = (changed(reference, occupied_outside_kh=1000.0), changed(other, occupied_outside_kh=outside))
+    (text,) = texts_of(Comparison(metrics_of_both))
+    assert words in text
+    assert " 0 %" not in text
+
+
+@pytest.mark.parametrize(
     ("names", "short"),
     [
         (["baseline", "rbc"], ["baseline", "rbc"]),
