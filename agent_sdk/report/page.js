@@ -5,7 +5,7 @@ const DAY_MS = 864e5;
 const LEAST_DRAG = 4;
 const EDGE = 2;
 const NEAR = 12;
-const STEPS = [1 / 96, 1 / 48, 1 / 24, 1 / 12, 1 / 8, 1 / 4, 1 / 2, 1, 2, 7, 14, 30, 60];
+const STEPS = [1 / 96, 1 / 48, 1 / 24, 1 / 12, 1 / 8, 1 / 4, 1 / 2, 1, 2, 7, 14, 30];
 const PERCENTS = [0.1, 0.2, 0.5, 1, 2, 5, 10, 25];
 const charts = [];
 
@@ -23,7 +23,7 @@ function unpack([low, high, packed], letters) {
 
 function series(entry) {
   const [low, high] = entry.y, y = unpack(entry.y, 2), places = entry.x || [0, 1];
-  const x = places.length === 2 ? y.map((_, k) => places[0] + k * places[1]) : unpack(places, 3);
+  const x = places.length === 2 ? y.map((_, k) => places[0] + k * places[1]) : unpack(places, 4);
   const digits = high > low ? Math.max(Math.min(Math.floor(-Math.log10((high - low) / 4094)), 2), 0) : 2;
   return {...entry, x, y, digits, isCells: !entry.x};
 }
@@ -224,12 +224,15 @@ class Chart {
     const size = span[1] - span[0], shown = (this.view[1] - this.view[0]) * size, first = span[0] + this.view[0] * size;
     const fitting = Math.max((box[2] - box[0]) / 60, 1), steps = axis.begin ? STEPS.slice(this.isCells ? 7 : 0) : PERCENTS;
     const step = steps.find(each => shown / each <= fitting) || steps[steps.length - 1];
-    for (let count = Math.ceil(first / step - 1e-6); count * step <= first + shown + 1e-6; count++) {
-      const tick = model.cloneNode(true), x = this.toPixel(axis, count * step), label = tick.querySelector('text');
+    const unit = Math.min(step, 1), isMonth = place => new Date(Date.parse(axis.begin) + place * DAY_MS).getUTCDate() === 1;
+    for (let count = Math.ceil(first / unit - 1e-6); count * unit <= first + shown + 1e-6; count++) {
+      const place = count * unit;
+      if (axis.begin && step >= 30 ? !isMonth(place) : Math.abs(Math.round(place / step) * step - place) > 1e-6) continue;
+      const tick = model.cloneNode(true), x = this.toPixel(axis, place), label = tick.querySelector('text');
       tick.setAttribute('class', 'zoomed');
       tick.style.display = '';
       tick.querySelectorAll('use, text').forEach(part => part.setAttribute('x', x));
-      if (label) label.textContent = axis.begin && x > box[2] - 40 ? '' : when(axis, count * step, 'tick');
+      if (label) label.textContent = axis.begin && x > box[2] - 40 ? '' : when(axis, place, 'tick');
       model.parentElement.append(tick);
     }
   }

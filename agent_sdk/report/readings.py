@@ -1,7 +1,7 @@
 """Values behind the axes of a figure, in a few letters each, for the script of a page that shows them at the pointer.
 
 A figure's code names what can be read (`read_lines`, `read_cells`); `readings` returns it as JSON for the page. Values
-are stored as fractions of their range: 4,094 steps of 12 bits, times in 262,142 steps of 18 bits.
+are stored as fractions of their range: 4,094 steps of 12 bits, times in those of 24 bits.
 """
 
 from __future__ import annotations
@@ -118,7 +118,7 @@ def _places(x: Floats) -> list[Any]:
     gaps = np.diff(x)
     if gaps.size and np.allclose(gaps, gaps[0], rtol=1e-6):
         return [float(x[0]), float(gaps.mean())]
-    return _packed(x, 3)
+    return _packed(x, 4)
 
 
 def _packed(values: Floats, letters: int) -> list[Any]:

@@ -148,6 +148,21 @@ def test_the_carpet_of_a_zone_has_its_deviation() -> None:
     assert hours["2017-07-03 08:00"] == pytest.approx(2.0)
 
 
+def test_hours_of_a_year_without_occupants_are_fainter() -> None:
+    steps = 365 * 24
+    hours = np.arange(steps)
+    is_open = (hours % 24 >= 8) & (hours % 24 < 18) & (hours // 24 % 7 < 5)
+    of = office(("core",), steps=steps, begin="2017-01-02T00:00:00").model_copy(update={"step_s": 3600.0})
+    warm = run("rbc", of, [10.0] * steps, [[29.0] * steps], [is_open.astype(float)])
+    figure = carpets.zone([Curve("rbc", 0, warm.quantities)], "Core", 1)
+    assert figure is not None
+    (image,) = figure.drawing.axes[0].get_images()
+    opacity = np.asarray(image.get_array())[..., 3].T.ravel()
+    assert opacity[is_open] == pytest.approx(1.0)
+    assert opacity[~is_open] == pytest.approx(0.35)
+    assert "Faint: nobody there." in figure.caption
+
+
 def test_hours_within_the_band_are_blank_and_others_the_stronger_the_farther() -> None:
     alpha = carpets.tint(np.array([0.0, 0.1, 1.0, 2.0, 6.0, -0.1, -2.0]))[:, 3]
     assert alpha[0] == 0.0
