@@ -59,7 +59,7 @@ def _compared(run: Run, reference: Run) -> str:
 
 def _percent(value: float) -> str:
     """Return the size of a difference in percent; differences below `EQUAL_PERCENT` are called equal, not 0 %."""
-    return f"{abs(value):.1f}"
+    return f"{abs(value):.1f}\N{NO-BREAK SPACE}%"
 
 
 def _amount(run: Run, reference: Run, metric: Metric, change: Difference) -> str:
@@ -77,7 +77,7 @@ def _amount(run: Run, reference: Run, metric: Metric, change: Difference) -> str
     less = "less" if change.mean < 0 else "more"
     if change.percent is None:
         return f"{run.label} used {less} {metric.label} than {reference.label} ({amounts})"
-    return f"{run.label} used {_percent(change.percent)} % {less} {metric.label} than {reference.label} ({amounts})"
+    return f"{run.label} used {_percent(change.percent)} {less} {metric.label} than {reference.label} ({amounts})"
 
 
 def _peak(run: Run, reference: Run, change: Difference, *, is_first: bool) -> str:
@@ -91,7 +91,7 @@ def _peak(run: Run, reference: Run, change: Difference, *, is_first: bool) -> st
         return f"{subject} about the same peak power ({number(own.mean)} kW)"
     lower = "lower" if change.mean < 0 else "higher"
     return (
-        f"{subject} a peak {_percent(change.percent)} % {lower} ({number(own.mean)} instead of {number(base.mean)} kW)"
+        f"{subject} a peak {_percent(change.percent)} {lower} ({number(own.mean)} instead of {number(base.mean)} kW)"
     )
 
 
@@ -114,7 +114,7 @@ def _outside(run: Run, reference: Run, change: Difference, *, is_contrast: bool)
         text += f" (under {reference.label} {kelvin_hours(base.mean)}; the difference is not clear)"
     elif change.percent is not None:
         less = "less" if change.mean < 0 else "more"
-        text += f", {_percent(change.percent)} % {less} than under {reference.label} ({kelvin_hours(base.mean)})"
+        text += f", {_percent(change.percent)} {less} than under {reference.label} ({kelvin_hours(base.mean)})"
     else:
         text += f"; under {reference.label} they were within it"
     return f"{text}{_worst(run)}."
