@@ -90,9 +90,7 @@ def _peak(run: Run, reference: Run, change: Difference, *, is_first: bool) -> st
             return f"{subject} a peak of {number(own.mean)} instead of {number(base.mean)} kW"
         return f"{subject} about the same peak power ({number(own.mean)} kW)"
     lower = "lower" if change.mean < 0 else "higher"
-    return (
-        f"{subject} a peak {_percent(change.percent)} {lower} ({number(own.mean)} instead of {number(base.mean)} kW)"
-    )
+    return f"{subject} a peak {_percent(change.percent)} {lower} ({number(own.mean)} instead of {number(base.mean)} kW)"
 
 
 def _outside(run: Run, reference: Run, change: Difference, *, is_contrast: bool) -> str:

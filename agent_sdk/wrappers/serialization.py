@@ -174,7 +174,8 @@ def _entry(layer: Any) -> dict[str, Any]:
     if layer in _applied_arguments:
         return {"wrapper": name, **deepcopy(_applied_arguments[layer])}
     # Gymnasium's vector form of a single wrapper records nothing, but the single one in it does.
-    arguments = getattr(layer, "_saved_kwargs", None) or getattr(getattr(layer, "wrapper", None), "_saved_kwargs", None)
+    records = (getattr(source, "_saved_kwargs", None) for source in (layer, getattr(layer, "wrapper", None)))
+    arguments = next((record for record in records if record is not None), None)
     if arguments is None:
         raise InvalidConfig(f"{name} does not record its arguments; create it with apply_wrappers")
     if is_gymnasium:  # which records its defaults as well

@@ -234,6 +234,7 @@ def test_what_was_wrapped_by_hand_is_data_too() -> None:
     assert w.wrappers_of(env) == [rescaled, {"wrapper": "CyclicTime", "fields": ["hour"]}]
     stack = {"wrapper": "FrameStackObservation", "stack_size": 3}
     assert w.wrappers_of(FrameStackObservation(fake(), 3)) == [stack]
+    assert w.wrappers_of(w.CyclicTime(fake())) == [{"wrapper": "CyclicTime"}]  # made without arguments
     price = HourlySeries(hourly=tuple(range(8760)), unit="g/kWh")
     (told,) = w.wrappers_of(w.TimeSeriesObservation(fake(), {"carbon": price}))
     assert w.apply_wrappers(fake(), [told]).reset()[0][-1] == 24 * (31 + 28 + 31 + 30 + 31 + 30 + 2)
