@@ -119,7 +119,6 @@ class Chart {
     this.move(event);
     if (event.button || event.pointerType === 'touch' || !this.axis) return;
     event.preventDefault();
-    this.scroll.focus({preventScroll: true});
     this.svg.setPointerCapture(event.pointerId);
     this.from = {axis: this.axis, x: this.at(event)[0]};
   }
