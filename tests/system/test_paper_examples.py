@@ -31,7 +31,7 @@ def test_a_short_training_writes_its_curve_its_best_model_and_a_recording(scratc
         assert row["mean_reward"] == pytest.approx(-(0.5 * 5e-5 * row["power_w"] + 0.5 * row["deviation_k"]))
     best = max(rows, key=lambda row: row["mean_reward"])
     assert f"best: episode {best['episode']:.4f}  mean_reward {best['mean_reward']:.4f}" in done.stdout
-    assert {path.suffix for path in (scratch / "run").iterdir()} == {".zip", ".pkl", ".csv", ".json", ".mcap"}
+    assert {path.suffix for path in (scratch / "run").iterdir()} == {".zip", ".pkl", ".yaml", ".csv", ".json", ".mcap"}
 
 
 @pytest.mark.slow
