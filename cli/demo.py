@@ -130,6 +130,8 @@ def _episode(
     metrics, bar = MetricsAccumulator(manifest), bars.add_task(title, total=manifest.steps, rate="")
     recorder, start = TraceRecorder(manifest), 0.0
     with bus.listen(NODE) as samples:
+        if (first := bus.read(NODE)).step == 0:  # published before: the node waits at it
+            recorder.add(first)
         process = _start("run", "--node", NODE, "--controller", controller, "--connect", endpoint)
         for sample in samples:
             if sample.step == 1:
