@@ -126,3 +126,4 @@ def test_demo__compares_two_controllers_and_records_both(scratch: Path) -> None:
     counts = re.search(r"(\d+) samples logged, 0 missed", printed)
     steps = int(re.search(r"timesteps (\d+) (\d+)", printed)[1])
     assert int(counts[1]) == 2 * (steps + 1)
+    assert f"{steps} timesteps of" in (scratch / "out" / "report.html").read_text(encoding="utf-8")
